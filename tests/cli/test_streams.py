@@ -1,6 +1,5 @@
 """Standard output and error of any kind, and Ctrl-C at any moment: outputs are written, nobody sees a traceback."""
 
-import errno
 import io
 import os
 import sys
@@ -82,22 +81,3 @@ def warned(function):
         return function(*arguments, **options)
 
     return run
-
-
-class TestDisk:
-    def test_that_is_full_is_told_with_the_file(self, identified, tmp_path, monkeypatch, capsys):
-        def write(table):
-            def write(path):
-                path.write_text("half of")
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-            return write
-
-        monkeypatch.setattr(_fly, "csv_writer", write)
-        output = tmp_path / "out.csv"
-        assert (
-            main(["predict", str(identified[0] / "model.joblib"), "test.csv", "-o", str(output)])
-            == 1
-        )
-        assert capsys.readouterr().err == f"error: {output}: No space left on device\n"
-        assert list(tmp_path.iterdir()) == []

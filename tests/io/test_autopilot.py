@@ -1,11 +1,9 @@
 """Logs of autopilots into flight tables: every channel comes back, in SI, on one clock, with the signs of a table."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from skdgp._flight.channels import CHANNELS
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight
 from skdgp.io import _dataflash as dataflash
 from skdgp.io import _ulog as ulog
@@ -98,24 +96,6 @@ class TestEveryChannelComesBack:
 
     def test_no_surface_without_a_servo_file(self, write, px4):
         assert not set(SURFACES) & set(read_flight(write("a.ulg", px4)).columns)
-
-
-def test_a_flight_in_a_ulog_gives_the_coefficients_of_its_table(write, ulog, flight):
-    time = 5.0 + np.arange(800) / 40
-    columns = ["airspeed", "density", "ax", "ay", "az", "p", "q", "r"]
-    flown = pd.DataFrame(flight.at(time, *columns), columns=columns).assign(time=time)
-    log = ulog(MAV_TYPE=1)
-    log.topic("vehicle_angular_velocity", time, xyz=("float[3]", flown[["p", "q", "r"]]))
-    log.topic("vehicle_acceleration", time, xyz=("float[3]", flown[["ax", "ay", "az"]]))
-    log.topic("airspeed", time, true_airspeed_m_s=("float", flown.airspeed))
-    log.topic("vehicle_air_data", time, rho=("float", flown.density))
-    table = read_flight(write("again.ulg", log))
-    assert len(table) == len(flown)
-    inertia = [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]]
-    glider = Aircraft(mass=12.0, inertia=inertia, wing_area=1.3, span=2.6, chord=0.55)
-    expected = aerodynamic_coefficients(flown, glider, thrust=None, cutoff=5.0)
-    found = aerodynamic_coefficients(table, glider, thrust=None, cutoff=5.0)
-    np.testing.assert_allclose(found, expected, atol=1e-5 * expected.abs().max().max())
 
 
 class TestChoices:

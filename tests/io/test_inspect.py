@@ -93,25 +93,17 @@ class TestSummary:
         found = set(inspect_log(tmp_path / "a.csv", rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}
 
-    def test_times_are_seconds_of_the_log(self, tmp_path):
+    def test_the_faults_of_a_table_at_seconds_of_the_log(self, tmp_path):
         rng = np.random.default_rng(0)
         table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500)})
         table = table.assign(flight="a", alpha=rng.normal(0.1, 0.01, 500))
         table.loc[200:260, "alpha"] = table.alpha[200]
         table.to_csv(tmp_path / "a.csv", index=False)
-        (remark,) = inspect_log(tmp_path / "a.csv").remarks
-        assert "(4.02 to 5.2 s, 60 samples)" in remark
-
-    def test_the_faults_of_a_table(self, tmp_path):
-        rng = np.random.default_rng(0)
-        table = pd.DataFrame(
-            {"time": 0.02 * np.arange(500), "flight": "a", "alpha": rng.normal(0.1, 0.01, 500)}
-        )
-        table.loc[200:260, "alpha"] = table.alpha[200]
-        table.to_csv(tmp_path / "a.csv", index=False)
-        (remark,) = inspect_log(tmp_path / "a.csv").remarks
+        summary = inspect_log(tmp_path / "a.csv")
+        (remark,) = summary.remarks
         assert remark.startswith("flight a: alpha is stuck at")
-        assert "alpha is stuck at" in str(inspect_log(tmp_path / "a.csv"))
+        assert "(4.02 to 5.2 s, 60 samples)" in remark
+        assert remark[:30] in str(summary)
 
 
 class TestCommand:
@@ -134,29 +126,6 @@ class TestCommand:
         assert main(["inspect", str(path), "--servo-template", str(servo)]) == 1
         assert "there already" in capsys.readouterr().err
         assert "0.3" in servo.read_text()
-
-    @pytest.mark.parametrize(
-        ("name", "content", "message"),
-        [
-            ("a.ulg", b"", "does not begin as a ULog"),
-            ("a.bin", b"\xa3\x95\x80", "no message has a TimeUS"),
-            ("a.txt", b"", "suffix '.txt'"),
-            ("a.csv", b"alpha\n0\n", "no column 'time'"),
-        ],
-    )
-    def test_one_message_and_an_exit_code(self, tmp_path, capsys, name, content, message):
-        (tmp_path / name).write_bytes(content)
-        assert (
-            main(
-                ["inspect", str(tmp_path / name), "--servo-template", str(tmp_path / "servo.toml")]
-            )
-            == 1
-        )
-        out, err = capsys.readouterr()
-        assert message in err
-        assert len(err.splitlines()) == 1
-        assert out == ""
-        assert not (tmp_path / "servo.toml").exists()
 
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
         (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")

@@ -29,7 +29,7 @@ from skdgp._flight.frames import euler_to_matrix, quaternion_to_euler, without_s
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._dataflash import read_dataflash
 from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
-from skdgp.io._servos import Mixture, Servo, full_throws, read_servos, reversed_of, with_throws
+from skdgp.io._servos import Control, full_throws, read_servos, reversed_of, with_throws
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
@@ -114,8 +114,6 @@ def is_log(path: object) -> bool:
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
-    if not path.exists():
-        raise FileNotFoundError(f"Got {path}, but there is no such file.")
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
@@ -331,7 +329,7 @@ def _is_positive(value):
 
 
 def find_sources(
-    log: Log, topics: dict[str, Topic], servos: Mapping[str, Servo | Mixture]
+    log: Log, topics: dict[str, Topic], servos: Mapping[str, Control]
 ) -> tuple[list[Source], list[str]]:
     """Return the source of each group of columns, and remarks on sources that are of no use."""
     part = replace(log, topics=topics)
@@ -352,7 +350,7 @@ def find_sources(
             useless[remark] = None
         else:
             candidates.setdefault(rule.columns, []).append(source)
-    surfaces = [_surface(part, name, servo) for name, servo in servos.items()]
+    surfaces = [_surface(part, name, parts) for name, parts in servos.items()]
     useless |= {
         f"{surface.name} sends no pulse, so there is no {surface.columns[0]}": None
         for surface in surfaces
@@ -377,11 +375,7 @@ def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
             "log these topics."
         )
     rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
-    try:
-        clock = uniform_clock(leader.time, rate)
-    except ValueError as error:
-        raise FlightReadError(f"{leader.name}: {error} Is the clock of the log sound?") from error
-    return clock, rate
+    return uniform_clock(leader.time, rate), rate
 
 
 def to_table(
@@ -436,14 +430,14 @@ def _source(log, rule: Rule) -> Source | None:
     return Source(rule.columns, f"{name}.{described}", topic.time[valid], values[valid], rule.note)
 
 
-def _surface(log, name, servo: Servo | Mixture) -> Source:
+def _surface(log, name, parts: Control) -> Source:
     values = np.sum(
-        [w * part.deflection(_channel(log, name, part.channel)) for w, part in servo.parts], axis=0
+        [w * part.deflection(_channel(log, name, part.channel)) for w, part in parts], axis=0
     )
     valid = np.isfinite(values)
-    largest = sum(abs(weight) * max(np.abs(part.angles)) for weight, part in servo.parts)
+    largest = sum(abs(weight) * max(np.abs(part.angles)) for weight, part in parts)
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
-    channels = [part.channel for _, part in servo.parts]
+    channels = [part.channel for _, part in parts]
     time = log.topics[channels[0].partition(".")[0]].time  # parts are fields of one topic
     return Source((name,), " ".join(channels), time[valid], values[valid][:, None], note)
 
@@ -537,16 +531,16 @@ def usual_step(step: Vector) -> float:
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
-    """Return the multiples of 1 / rate [s] within the runs of a channel; ValueError if far more than samples."""
+    """Return the multiples of 1 / rate [s] within the runs of a channel; FlightReadError if far more than samples."""
     step = np.diff(time)
     edges = np.flatnonzero(step > max(LONGEST_PAUSE[0], LONGEST_PAUSE[1] * np.median(step))) + 1
     starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
     first, last = np.ceil(starts * rate - 1e-6), np.floor(ends * rate + 1e-6)
     counts = np.maximum(last - first + 1, 0).astype(int)
     if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate * np.median(step)):
-        raise ValueError(
+        raise FlightReadError(
             f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock "
-            f"without so many gaps."
+            f"without so many gaps: is the clock of the log sound?"
         )
     return np.concatenate([a + np.arange(n) for a, n in zip(first, counts, strict=True)]) / rate
 

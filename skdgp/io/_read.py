@@ -13,14 +13,19 @@ import pandas as pd
 
 from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS
-from skdgp._flight.checks import check_units, suggestions, unknown_columns, unknown_columns_message
+from skdgp._flight.checks import (
+    check_table,
+    check_units,
+    suggestions,
+    unknown_columns,
+    unknown_columns_message,
+)
 from skdgp._flight.clock import check_clock, flight_codes
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
-    check_names,
     read_csv,
     read_mat,
     read_parquet,
@@ -113,6 +118,8 @@ def read_flight(
     """
     options = {"rate": rate, "servos": servos, "airborne": airborne, "imu_position": imu_position}
     path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"Got {path}, but there is no such file.")
     with reading(path):
         if is_log(path):
             if rename:
@@ -128,8 +135,6 @@ def read_flight(
                 f"{sorted(TABLES | AUTOPILOTS)}: convert or "
                 "rename it."
             )
-        if not path.exists():
-            raise FileNotFoundError(f"Got {path}, but there is no such file.")
         refused = [name for name, value in options.items() if value is not DEFAULTS[name]]
         if refused:
             raise FlightReadError(
@@ -175,26 +180,22 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
 
 def _as_flight(table):
     """Return a raw table in the order and types of a flight table."""
-    if table.empty:
-        raise FlightReadError(
-            f"Got a table of {len(table)} rows and {table.shape[1]} columns, but expected samples."
-        )
     table = table.reset_index(drop=True)
-    check_names(table.columns)
     _hint_at_names(table)
     if "time" not in table:
         raise FlightReadError(
             f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
             f"or compute it."
         )
-    table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
-    time = table["time"].to_numpy()
-    if np.isnan(time).any():
-        raise FlightReadError(
-            f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every row "
-            f"[s]."
-        )
     try:
+        check_table(table)
+        table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
+        time = table["time"].to_numpy()
+        if np.isnan(time).any():
+            raise FlightReadError(
+                f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every "
+                f"row [s]."
+            )
         check_clock(time, table["flight"])
         check_units(table)
     except ValueError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -45,16 +45,9 @@ class Servo(NamedTuple):
             values = np.where(values < NO_PULSE, np.nan, values)
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
-    @property
-    def parts(self) -> tuple[tuple[float, Servo], ...]:
-        """The servo as a `Mixture` has it."""
-        return ((1.0, self),)
 
-
-class Mixture(NamedTuple):
-    """Servos of one topic whose weighted deflections add up to a control, as of a V-tail."""
-
-    parts: tuple[tuple[float, Servo], ...]
+# Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
+Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
 
 class Throw(NamedTuple):
@@ -66,7 +59,7 @@ class Throw(NamedTuple):
 
 def read_servos(
     servos: str | Path | Mapping[str, Any] | None,
-) -> dict[str, Servo | Throw | Mixture]:
+) -> dict[str, Servo | Throw]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
     ``[elevator]`` has ``channel`` and ``points``, a list of pairs (value of the channel, angle in
@@ -113,7 +106,7 @@ def reversed_of(servos: Any) -> tuple[str, ...] | None:
     return tuple(names)
 
 
-def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mixture]:
+def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     """Return the servos that the parameters of an autopilot name, -1 to 1 from end to end and 0 at trim.
 
     Surfaces in ``turned`` have the other sign. Where the parameters say how controls are mixed,
@@ -122,21 +115,21 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Servo | Mix
     """
     if not log.mixing:
         _check_names_servos(log)
-    servos: dict[str, Servo | Mixture] = {
-        name: _full_throw(name, channel)
+    channels: dict[str, tuple[tuple[float, ServoChannel], ...]] = {
+        name: ((1.0, channel),)
         for name, channel in log.servos.items()
         if not (log.mixing and name in ELEVONS)  # these are mixed
     }
-    servos |= {
-        name: Mixture(tuple((weight, _full_throw(name, channel)) for weight, channel in parts))
-        for name, parts in log.mixing.items()
+    return {
+        name: tuple(
+            (-weight if name in turned else weight, _full_throw(name, channel))
+            for weight, channel in parts
+        )
+        for name, parts in (channels | dict(log.mixing)).items()
     }
-    return {name: _scaled(servo, -1.0 if name in turned else 1.0) for name, servo in servos.items()}
 
 
-def with_throws(
-    servos: Mapping[str, Servo | Throw | Mixture], log: Log
-) -> dict[str, Servo | Mixture]:
+def with_throws(servos: Mapping[str, Servo | Throw], log: Log) -> dict[str, Control]:
     """Return the servos, throws by the parameters of the autopilot; FlightReadError if these lack a servo."""
     throws = {name: entry.angle for name, entry in servos.items() if isinstance(entry, Throw)}
     named = full_throws(log) if throws else {}
@@ -146,14 +139,11 @@ def with_throws(
             f"log name, "
             f"{sorted(named)}: give the channel of the others."
         )
-    measured = {name: entry for name, entry in servos.items() if not isinstance(entry, Throw)}
-    return measured | {name: _scaled(named[name], angle) for name, angle in throws.items()}
-
-
-def _scaled(servo: Servo | Mixture, angle: float) -> Servo | Mixture:
-    if isinstance(servo, Mixture):
-        return Mixture(tuple((angle * weight, part) for weight, part in servo.parts))
-    return servo._replace(angles=tuple(angle * x for x in servo.angles))
+    measured = {name: ((1.0, entry),) for name, entry in servos.items() if isinstance(entry, Servo)}
+    return measured | {
+        name: tuple((angle * weight, servo) for weight, servo in named[name])
+        for name, angle in throws.items()
+    }
 
 
 def _full_throw(name: str, servo: ServoChannel) -> Servo:

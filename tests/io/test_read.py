@@ -133,7 +133,7 @@ class TestRefusals:
         ("name", "content", "message"),
         [
             ("empty.csv", "", "is empty"),
-            ("head.csv", "time,alpha\n", "0 rows"),
+            ("head.csv", "time,alpha\n", "no rows"),
             ("log.txt", "time,alpha\n0,0\n", "suffix '.txt', but expected one of"),
             ("log.csv", "time,alpha\n0,0.1\n1,high\n", "'high' in column 'alpha' at row 1"),
             ("log.csv", "time,alpha\n0,0.1\n,0.2\n", "no time at row 1"),
@@ -208,7 +208,7 @@ class TestRename:
         [
             ({"dee": "elevator"}, "the file has no such column: expected one such as .'de'"),
             ({"de": "elevatr"}, "expected a name of a flight table"),
-            ({"de": "alpha"}, r"columns \['alpha'\] repeated"),
+            ({"de": "alpha"}, r"repeated columns \['alpha'\]"),
         ],
     )
     def test_refusals(self, write, rename, message):

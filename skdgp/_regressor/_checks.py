@@ -39,7 +39,8 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
             f"This {estimator} estimator requires y to be passed, but the target y is None."
         )
     names = column_names(y)
-    y = _observed(y)
+    if np.ma.isMaskedArray(y):
+        y = np.ma.filled(y.astype(float), np.nan)
     Y = check_array(
         y, dtype=np.float64, ensure_2d=False, ensure_all_finite="allow-nan", input_name="y"
     )
@@ -52,12 +53,7 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
             "each row of X, with NaN where an output was not observed."
         )
     table = Y.reshape(len(Y), -1)
-    return table, names or default_names(table.shape[1]), Y.ndim == 1
-
-
-def _observed(y):
-    """Return targets with NaN in place of the masked values of a masked array."""
-    return np.ma.filled(y.astype(float), np.nan) if np.ma.isMaskedArray(y) else y
+    return table, names or [f"y{i}" for i in range(table.shape[1])], Y.ndim == 1
 
 
 def check_unmasked(X: Any) -> None:
@@ -213,11 +209,6 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
             "expected less noise than signal. Give it in the units of X, one value for each column."
         )
     return np.diag(noise)
-
-
-def default_names(n: int) -> list[str]:
-    """Return the names y0, y1, ... of outputs without names."""
-    return [f"y{i}" for i in range(n)]
 
 
 def warn_of_indices(index: Any, y: Any) -> None:

@@ -26,6 +26,7 @@ from skdgp._regressor._structure import (
     weights_of,
 )
 from skdgp.inference import (
+    ExactPosterior,
     FunctionErrors,
     KnownSlopes,
     Paths,
@@ -329,7 +330,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.max_iter_ = most_iterations(self.max_iter, Z, log)
         fit = fit_structure(self, X, Z, log, inference)
         posterior, learned = fit.posterior, fit.learned
-        self.inference_ = "exact" if fit.is_exact else "sparse"
+        is_exact = isinstance(posterior.members[0], ExactPosterior)
+        self.inference_ = "exact" if is_exact else "sparse"
         self.weights_ = weights_of(posterior)
         names = self._regressor_names()
         _checks.warn_of_search(learned, self.max_iter_, X, names)

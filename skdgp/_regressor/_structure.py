@@ -66,8 +66,8 @@ def fit_structure(model: BaseEstimator, X: Matrix, Z: Matrix, log: bool, inferen
     fits: list[Fit] = []
     while len(fits) < n_searches(model, log):
         fits.append(_searched(model, X, Z, log, inference, random_state))
-        if fits[-1].interrupted:
-            return fits[0].marked(interrupted=True)
+        if fits[-1].learned.interrupted:
+            return fits[0].cut_short()
     return mean_of(fits)
 
 
@@ -91,7 +91,7 @@ def _searched(model, X, Z, log, inference, random_state):
         fit = fit_exact(kernel, X, Z, **options)
     else:
         fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
-        neglected = 0.0 if log or fit.interrupted else _neglect(fit)
+        neglected = 0.0 if log or fit.learned.interrupted else _neglect(fit)
         n_exact = EXACT_LIMIT if model.inference == "auto" else None
         if neglected > MOST_NEGLECTED:
             _checks.warn_of_approximation(neglected, model.n_inducing, n_exact)
@@ -100,7 +100,7 @@ def _searched(model, X, Z, log, inference, random_state):
             rows = stratified(np.arange(len(X)), n, random_state)
             X, Z = X[rows], Z[rows]
             fit = as_exact(fit, X, Z)
-    if model.structure != "average" or model.optimizer is None or fit.interrupted:
+    if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
         return fit
     return average(fit, X, Z, None if log else random_state, model.n_jobs)
 

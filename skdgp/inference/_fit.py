@@ -49,19 +49,9 @@ class Fit(NamedTuple):
     posterior: Posterior
     learned: Hyperparameters
 
-    @property
-    def interrupted(self) -> bool:
-        """Whether Ctrl-C ended the search."""
-        return self.learned.interrupted
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the posterior of all terms is exact."""
-        return isinstance(self.posterior.members[0], ExactPosterior)
-
-    def marked(self, interrupted: bool) -> Fit:
-        """Return the same fit, interrupted or not."""
-        return self._replace(learned=self.learned._replace(interrupted=interrupted))
+    def cut_short(self) -> Fit:
+        """Return the same fit, interrupted."""
+        return self._replace(learned=self.learned._replace(interrupted=True))
 
 
 def fit_exact(
@@ -278,7 +268,7 @@ def average(
         noises = [component.learned.noise for component in fits]
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:
-        return fit.marked(interrupted=True)
+        return fit.cut_short()
     posterior = AveragePosterior(members, parts, weights)
     noise = np.sum(weights * noises, axis=0)
     return Fit(posterior, fit.learned._replace(noise=noise))

@@ -6,7 +6,6 @@ outputs at a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
@@ -159,11 +158,6 @@ def covariance(
         thread_map(fill, _pairs(kernel, sizes))
     add_noise(upper, noise, data)
     return upper.T
-
-
-def couplings(kernel: MultiOutputKernel) -> Iterator[bool]:
-    """Yield for each pair of different outputs whether the kernel couples them."""
-    return (kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
 
 
 def log_likelihood(

@@ -12,7 +12,7 @@ likelihood from one starting point by ``maximize``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import product
+from itertools import combinations, product
 from threading import Event
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.progress import notify
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
-from skdgp.inference._likelihood import Data, couplings, log_likelihood
+from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._posterior import Posterior
 from skdgp.kernels import MultiOutputKernel
 
@@ -359,7 +359,9 @@ class Objective:
     ) -> None:
         self.kernel = kernel
         self.n_noise = n_noise
-        coupled = any(couplings(kernel)) or (common and data.sample_noise is not None)
+        pairs = combinations(range(kernel.n_outputs), 2)
+        coupled = any(kernel.couples(i, j) for i, j in pairs)
+        coupled |= common and data.sample_noise is not None
         self.parts = [data] if coupled else data.by_output()
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:

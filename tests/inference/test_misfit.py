@@ -1,7 +1,5 @@
 """Misfit: errors of the function that residuals show where a log comes back to the same regressors."""
 
-import pickle
-
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -93,13 +91,6 @@ class TestBand:
             x, y, time=np.arange(len(x))
         )
         assert model.misfit_variance_[0] < 0.02 * NOISE**2
-
-    def test_is_the_same_in_all_forms(self, kinked):
-        x, *_, model = kinked
-        assert model.misfit_variance_[0] > 0.01
-        std = model.predict(x[:4], return_std=True)[1]
-        again = pickle.loads(pickle.dumps(model))
-        np.testing.assert_allclose(again.predict(x[:4], return_std=True)[1], std, rtol=1e-6)
 
     def test_joint_covariance_paths_and_slopes_are_those_of_the_posterior(self):
         x, y, _ = log_of(np.abs, 300)

@@ -8,11 +8,9 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
-LEVELS = (*(k / 20 for k in range(1, 20)), 0.99)
-"""Probabilities of the intervals of a calibration display by default."""
 
 
 def autocorrelation_time(residuals: Vector) -> float:
@@ -57,14 +55,6 @@ def autocorrelation_time(residuals: Vector) -> float:
     return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))
 
 
-def standardized(y_true: Matrix, y_pred: Matrix, y_std: Matrix) -> Matrix:
-    """Return (y - m) / s; where s = 0, zero for a prediction that is right and infinite for one that is wrong."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = (y_true - y_pred) / y_std
-    z[(y_true == y_pred) & (y_std == 0)] = 0.0
-    return z
-
-
 def check_level(level: float) -> float:
     """Return a probability strictly between 0 and 1."""
     if not isinstance(level, Real) or not 0 < float(level) < 1:
@@ -77,17 +67,6 @@ def check_level(level: float) -> float:
 def half_width(level: float) -> float:
     """Return half the width of the central interval of a probability inside (0, 1), in standard deviations."""
     return float(norm.ppf(0.5 + check_level(level) / 2))
-
-
-def shares_inside(z: Matrix, levels: Vector) -> Matrix:
-    """Return the share of standardized errors (n, P) inside each central interval, (L, P); NaN ones do not count."""
-    bounds = norm.ppf(0.5 + levels / 2)
-    columns = [np.sort(np.abs(column[~np.isnan(column)])) for column in z.T]
-    shares = [
-        np.searchsorted(c, bounds, side="right") / len(c) if len(c) else np.nan * bounds
-        for c in columns
-    ]
-    return np.column_stack(shares)
 
 
 def path_quantiles(values: Array, level: float) -> Array:

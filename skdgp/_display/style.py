@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LONGITUDINAL
+from skdgp._flight.channels import CHANNELS
 
 # Okabe & Ito (2008), Color Universal Design.
 PALETTE = {
@@ -96,11 +96,6 @@ def axis_label(name: str) -> str:
     """Return symbol and unit, such as ``$p$ [deg/s]``."""
     unit = display_unit(name)[1]
     return f"{symbol(name)} [{unit}]" if unit else symbol(name)
-
-
-def dashes(name: str) -> Any:
-    """Return the line style of an output: dashed for lateral coefficients, solid for others."""
-    return "-" if name in LONGITUDINAL or name not in COEFFICIENTS else (0, (4, 1.5))
 
 
 def tidy(ax: Any) -> None:

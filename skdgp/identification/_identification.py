@@ -33,7 +33,6 @@ from skdgp.report import (
     Verdict,
     render_report,
     scores,
-    write_report,
 )
 
 FORMAT = 1  # of the metrics
@@ -165,15 +164,9 @@ class Identification:
             lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")
         return "\n".join(lines)
 
-    def report(self, path: str | os.PathLike) -> Path:
-        """Write the report, one HTML file, and return its path."""
-        return write_report(path, self._report_content())
-
     def save(self, path: str | os.PathLike) -> Path:
-        """Write model.joblib, metrics.json and report.html into a folder, all or none; of a path .joblib the model."""
+        """Write model.joblib, metrics.json and report.html into a folder, all or none."""
         path = Path(path)
-        if path.suffix == ".joblib":
-            return _model_file.save_model(path, self.pipeline, self.aircraft, **self._model_facts())
         path.mkdir(parents=True, exist_ok=True)
         write_together(path, self.writers())
         return path
@@ -188,12 +181,10 @@ class Identification:
             "metrics.json": text_writer(json_text(self.metrics)),
         }
         if self.train:
-            model = _model_file.model_bunch(self.pipeline, self.aircraft, **self._model_facts())
+            facts = {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
+            model = _model_file.model_bunch(self.pipeline, self.aircraft, **facts)
             writers["model.joblib"] = lambda path: _model_file.dump_model(path, model)
         return writers
-
-    def _model_facts(self) -> dict:
-        return {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
 
     def _report_content(self) -> ReportContent:
         return ReportContent(

@@ -12,14 +12,12 @@ ax : Axes, Figure, SubFigure, array of Axes or False, optional
     Where to draw; default: a new pyplot figure. False: do not draw.
 """
 
-from skdgp.plotting._calibration import CalibrationDisplay
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._model import EffectsDisplay
 from skdgp.plotting._paths import PathDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [
-    "CalibrationDisplay",
     "EffectsDisplay",
     "EnvelopeDisplay",
     "PathDisplay",

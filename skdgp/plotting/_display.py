@@ -112,16 +112,6 @@ def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
     return time
 
 
-def check_std(std: Any, shape: tuple[int, ...]) -> Matrix:
-    """Return standard deviations ``(n, P)``, none negative."""
-    std = as_columns(std, "std", shape)
-    if np.any(std < 0):
-        raise ValueError(
-            f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0."
-        )
-    return std
-
-
 def names_of(values: object, n_outputs: int) -> tuple[str, ...]:
     """Return the outputs' names: a DataFrame's columns, else CX CY CZ Cl Cm Cn of six, else y0, y1, ..."""
     columns = getattr(values, "columns", None)

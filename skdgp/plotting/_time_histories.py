@@ -19,7 +19,6 @@ from skdgp.plotting._display import (
     Display,
     as_columns,
     band_points,
-    check_std,
     check_time,
     line_points,
     names_of,
@@ -160,7 +159,11 @@ class TimeHistoryDisplay(Display):
         """
         values = as_columns(measured, "measured outputs")
         mean = as_columns(mean, "mean", values.shape)
-        half = None if std is None else BAND * check_std(std, values.shape)
+        half = None if std is None else BAND * as_columns(std, "std", values.shape)
+        if half is not None and np.any(half < 0):
+            raise ValueError(
+                f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0."
+            )
         return cls(
             time=check_time(time, len(values)),
             measured=values,

@@ -12,7 +12,7 @@ from skdgp.report._content import (
     Verdict,
     scores,
 )
-from skdgp.report._page import render_report, write_report
+from skdgp.report._page import render_report
 
 __all__ = [
     "THRESHOLDS",
@@ -23,5 +23,4 @@ __all__ = [
     "Verdict",
     "render_report",
     "scores",
-    "write_report",
 ]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.page import (
     DASH,
     THIN,
@@ -23,7 +20,7 @@ from skdgp._display.page import (
 )
 from skdgp._display.style import display_unit, units_shown
 from skdgp._flight.channels import MIRRORED
-from skdgp.plotting import CalibrationDisplay, PathDisplay, TimeHistoryDisplay
+from skdgp.plotting import PathDisplay, TimeHistoryDisplay
 from skdgp.report import _figures as figures
 from skdgp.report._content import THRESHOLDS, Evaluation, FlightMechanics, ReportContent, Verdict
 from skdgp.report._tables import (
@@ -54,8 +51,6 @@ OF_AIRCRAFT = (
 )
 # Captions of the displays of the model
 DISPLAYS = {
-    "Calibration": "How often intervals, with the noise, hold the measured values of all test "
-    "flights. On the dotted line they hold as often as they say.",
     "Effects": "For each coefficient the regressors whose effect varies most, on one scale, with "
     "mean zero over the samples (short lines) and the 95 % band. Then the two strongest "
     "interactions: how the coefficient changes with one regressor at a low (5 %) and a high (95 %) "
@@ -97,17 +92,11 @@ MODES = {
 MOST_OPEN = 3
 
 
-def write_report(path: str | os.PathLike, content: ReportContent) -> Path:
-    """Write a report as one HTML file that needs nothing else, no network, no script; return its path.
-
-    The file appears whole or not at all. Its figures are SVG images. Without matplotlib the report
-    has no figures and says so. Raises FileNotFoundError if the folder does not exist.
-    """
-    return write_atomically(path, text_writer(render_report(content)))
-
-
 def render_report(content: ReportContent) -> str:
-    """Return the report as one HTML document."""
+    """Return the report as one HTML document that needs nothing else, no network, no script.
+
+    Its figures are SVG images. Without matplotlib it has no figures and says so.
+    """
     count = f"flights: {len(content.train)} training, {len(content.test)} test"
     meta = " · ".join(
         text(part)
@@ -428,13 +417,8 @@ def _errors(result: Evaluation) -> str:
 
 
 def _of_model(content: ReportContent) -> list[str]:
-    """Return the sections of calibration, effects, and where the model knows."""
-    columns = [
-        np.concatenate([getattr(result, name) for result in content.test])
-        for name in ("measured", "mean", "measured_std")
-    ]
-    calibration = CalibrationDisplay.from_predictions(*columns, ax=False)
-    displays = (calibration, content.effects, content.envelope)
+    """Return the sections of effects, and of where the model knows."""
+    displays = (content.effects, content.envelope)
     return [
         _section(title, figures.display_figure(display, caption=caption))
         for display, (title, caption) in zip(displays, DISPLAYS.items(), strict=True)

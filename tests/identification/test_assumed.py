@@ -161,7 +161,7 @@ class TestALogAMassAndASpan:
 
     @pytest.mark.filterwarnings("ignore")
     def test_the_model_reads_other_logs_in_its_unit(self, found, log, tmp_path):
-        found.save(tmp_path / "model.joblib")
+        found.save(tmp_path)
         model = load_model(tmp_path / "model.joblib")
         again = validate(model, log)
         assert again.evaluations[0].table["elevator"].abs().max() > 0.3
@@ -179,7 +179,7 @@ class TestALogAMassAndASpan:
     @pytest.mark.filterwarnings("ignore")
     def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, monkeypatch):
         monkeypatch.setattr("skdgp._display.page.find_spec", lambda name: None)  # words alone
-        page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
+        page = (found.save(tmp_path) / "report.html").read_text(encoding="utf-8")
         assert "What was assumed</h2>" in page
         assert "Those by surfaces are by their full throw." in page
 

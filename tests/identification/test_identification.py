@@ -272,14 +272,12 @@ class TestIdentify:
             "metrics.json",
             "report.html",
         }
-        result.save(tmp_path / "alone.joblib")
-        for path in (folder / "model.joblib", tmp_path / "alone.joblib"):
-            model = load_model(path)
-            expected = result.pipeline.predict(example[2])
-            np.testing.assert_allclose(
-                model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13
-            )
-            assert model.fit == result.fit
+        model = load_model(folder / "model.joblib")
+        expected = result.pipeline.predict(example[2])
+        np.testing.assert_allclose(
+            model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13
+        )
+        assert model.fit == result.fit
         judged = validate(model, example[2], horizons=[1.0])
         assert judged.metrics["test"].keys() == result.metrics["test"].keys()
         found, expected = (list(numbers(one.metrics["test"])) for one in (judged, result))

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.plotting import CalibrationDisplay, EnvelopeDisplay, PathDisplay, TimeHistoryDisplay
+from skdgp.plotting import EnvelopeDisplay, PathDisplay, TimeHistoryDisplay
 
 
 def outputs(n=200, n_outputs=6, seed=0):
@@ -46,11 +46,6 @@ def path(n, ax, corrupt=lambda values: values):
     return PathDisplay.from_flights({"a": table}, ax=ax)
 
 
-def calibration(n, ax, corrupt=lambda values: values):
-    _, measured, mean, std = outputs(n)
-    return CalibrationDisplay.from_predictions(corrupt(measured), mean, std, ax=ax)
-
-
 def knowledge(n, ax, corrupt=lambda values: values):
     """Return the envelope of n samples and of another flight."""
     rng = np.random.default_rng(0)
@@ -65,7 +60,7 @@ def knowledge(n, ax, corrupt=lambda values: values):
     ).plot(ax)
 
 
-DISPLAYS = [coefficients, inputs, path, calibration, knowledge]
+DISPLAYS = [coefficients, inputs, path, knowledge]
 
 
 def holes(values):
@@ -202,25 +197,6 @@ def test_a_replay_is_in_degrees_over_the_shortest_horizon_and_breaks_between_win
     np.testing.assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
     with pytest.raises(ValueError, match="with all its rows"):
         TimeHistoryDisplay.from_replay(pd.concat(parts), flown.iloc[1:])
-
-
-class TestCalibration:
-    def test_coverage_against_the_definition(self):
-        _, measured, mean, std = outputs(300)
-        measured[::7, 2] = np.nan
-        display = CalibrationDisplay.from_predictions(measured, mean, std, ax=Figure())
-        for row, level in enumerate(display.nominal):
-            half = norm.ppf((1 + level) / 2) * std
-            inside = np.where(np.isnan(measured), np.nan, np.abs(measured - mean) <= half)
-            np.testing.assert_allclose(display.observed[row], np.nanmean(inside, axis=0))
-
-    def test_never_observed_is_nan_and_certainty_covers_what_it_meets(self):
-        measured = np.array([[np.nan, 1.0], [np.nan, 2.0]])
-        display = CalibrationDisplay.from_predictions(
-            measured, np.ones((2, 2)), 0 * np.eye(2), ax=False
-        )
-        assert np.isnan(display.observed[:, 0]).all()
-        assert (display.observed[:, 1] == 0.5).all()
 
 
 class TestFlight:

@@ -23,7 +23,6 @@ from skdgp.report import (
     Use,
     Verdict,
     render_report,
-    write_report,
 )
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
@@ -415,9 +414,3 @@ class TestPoorContent:
         assert "img" not in page.tags
         assert 'pip install "skdgp[plot]"' in page.words
         assert page.tags.count("table") == 3  # of uses, against measured and truth
-
-
-def test_is_written_whole(tmp_path, numbers_only):
-    path = write_report(tmp_path / "report.html", content())
-    assert path.read_text(encoding="utf-8") == render_report(content())
-    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]

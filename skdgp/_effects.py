@@ -72,18 +72,15 @@ class Effects:
     _model: Any
     _terms: dict[str, Any]
 
-    def evaluate(self, X: Any, return_std: bool = False) -> Any:
-        """Return the terms at X (n, ...), input of the model or of the pipeline that ends in it: a dict of (n, P).
+    def evaluate(self, X: Any) -> tuple[dict[str, Matrix], dict[str, Matrix]]:
+        """Return means and standard deviations (n, P) of the terms, at input X of the model, by name.
 
-        Their sum and ``intercept`` are the predicted mean. With ``return_std`` return a pair of
-        such dicts, means and standard deviations.
+        The sum of the means and ``intercept`` is the predicted mean.
         """
         regressor, before, _, _ = _split_model(self._model)
         X = regressor._check_regressors(X if before is None else before.transform(X))
         moments = {name: term.predict(X) for name, term in self._terms.items()}
         mean = {name: values * regressor.scale_ for name, (values, _) in moments.items()}
-        if not return_std:
-            return mean
         return mean, {name: np.sqrt(x) * regressor.scale_ for name, (_, x) in moments.items()}
 
 
@@ -128,7 +125,7 @@ def effects(model: BaseEstimator) -> Effects:
     >>> found = effects(model)
     >>> list(found.curves), list(found.importance.index)
     (['alpha', 'elevator'], ['alpha', 'elevator', 'joint'])
-    >>> bool(np.allclose(sum(found.evaluate(X).values()) + found.intercept, model.predict(X)))
+    >>> bool(np.allclose(sum(found.evaluate(X)[0].values()) + found.intercept, model.predict(X)))
     True
     """
     regressor, _, scalers, names = _split_model(model)

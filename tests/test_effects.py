@@ -73,13 +73,13 @@ def fitted(data):
 def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
     model, new = fitted(name), data[0] * 1.7 + 0.1
     found = effects(model)
-    mean, std = found.evaluate(new, return_std=True)
+    mean, std = found.evaluate(new)
     np.testing.assert_allclose(
         sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8
     )
     assert list(mean) == list(std) == list(found.importance.index)
     assert all((values >= 0).all() for values in std.values())
-    for values in found.evaluate(data[0]).values():
+    for values in found.evaluate(data[0])[0].values():
         np.testing.assert_allclose(values.mean(axis=0), 0.0, atol=1e-8)
 
 
@@ -88,7 +88,7 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
     """K_t** - K_t* C^-1 K_t*^T, with the effect as a linear map of the values of the term."""
     pipeline, new = fitted(name), data[0][:7] + 0.03
     found = effects(pipeline)
-    mean, std = found.evaluate(new, return_std=True)
+    mean, std = found.evaluate(new)
     model, X, Z = pipeline[-1], *(pipeline[:-1].transform(x) for x in (data[0], new))
     Y = ((data[1] - model.center_) / model.scale_).to_numpy()
     observed = [np.isfinite(y) for y in Y.T]
@@ -182,7 +182,7 @@ def test_a_calibrated_pipeline(data):
     model = make_pipeline(StandardScaler(), regressor).fit(X[:100], Y[:100])
     found = effects(model)
     np.testing.assert_allclose(
-        sum(found.evaluate(X).values()) + found.intercept, model.predict(X), atol=1e-8
+        sum(found.evaluate(X)[0].values()) + found.intercept, model.predict(X), atol=1e-8
     )
 
 

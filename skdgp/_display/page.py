@@ -102,40 +102,17 @@ def can_draw() -> bool:
     return find_spec("matplotlib") is not None
 
 
-def strip(draw: Callable, *, label: str, bottom: bool = True) -> str:
-    """Return a low panel against time, drawn by ``draw(ax)``; only the ``bottom`` one names the axis."""
-    left, right, below, above = MARGINS
-    below = below if bottom else 0.23
-
-    def drawn(figure):
-        ax = figure.subplots()
-        draw(ax)
-        ax.yaxis.set_label_coords(-0.14, 0.5)
-        if not bottom:
-            ax.set_xlabel("")
-
-    size = (WIDTH, above + 1.1 + below)
-    return picture(drawn, label=label, size=size, margins=(left, right, below, above))
-
-
-def picture(
-    draw: Callable,
-    *,
-    label: str,
-    size: tuple[float, float],
-    margins: tuple[float, float, float, float] = MARGINS,
-) -> str:
+def picture(draw: Callable, *, label: str, size: tuple[float, float]) -> str:
     """Return an image, the SVG drawn by ``draw(figure)``; a reader can save it as a file.
 
-    ``label`` is read aloud; ``size`` is width and height, ``margins`` are those left, right, below
-    and above the axes [in].
+    ``label`` is read aloud; ``size`` is width and height [in].
     """
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     width, height = size
-    left, right, below, above = margins
+    left, right, below, above = MARGINS
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_PICTURE_STYLE)

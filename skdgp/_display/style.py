@@ -18,17 +18,6 @@ PALETTE = {
     "blue": "#0072B2", "vermillion": "#D55E00", "green": "#009E73", "purple": "#CC79A7", "sky": "#56B4E9",
     "orange": "#E69F00", "yellow": "#F0E442", "grey": "#8A8A8A",
 }  # fmt: skip
-CYCLE = tuple(PALETTE.values())[:6]
-# of explaining text: grey, but readable on white (contrast 5.6; WCAG 2.1 asks for 4.5)
-QUIET = "#5F6973"
-MARKERS = (
-    "o",
-    "s",
-    "^",
-    "D",
-    "v",
-    "P",
-)  # one per colour of ``CYCLE``, for readers who do not see colours
 ROLES = {
     "measured": PALETTE["grey"],
     "mean": PALETTE["blue"],
@@ -120,20 +109,6 @@ def draw_curve(
     style = {"color": band, "alpha": 0.35, "linewidth": 0}
     ax.fill_between(x, mean - half, mean + half, label="95 % band", **style)
     ax.plot(x, mean, color=color, label=label)
-
-
-def mark_samples(ax: Any, values: Vector) -> None:
-    """Mark quantiles of samples at the lower edge."""
-    quantiles = np.quantile(values, np.linspace(0.02, 0.98, 25))
-    style = {
-        "color": ROLES["measured"],
-        "markersize": 4,
-        "markeredgewidth": 0.5,
-        "label": "samples",
-    }
-    ax.plot(
-        quantiles, np.full(len(quantiles), 0.03), "|", transform=ax.get_xaxis_transform(), **style
-    )
 
 
 def legend_above(ax: Any) -> None:

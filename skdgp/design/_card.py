@@ -16,12 +16,13 @@ from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.page import (
     DASH,
     THIN,
+    WIDTH,
     can_draw,
     figure,
     number,
     percent,
+    picture,
     render_page,
-    strip,
     table,
     text,
 )
@@ -267,9 +268,7 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Signal]) -> str:
     names = [*inputs, *SHOWN]
     draw = partial(_draw, plan, flight, quantities(flight), inputs)
     panels = [
-        strip(
-            partial(draw, name), label=f"{_label(name)[0]} against time", bottom=name in names[-2:]
-        )
+        picture(partial(draw, name), label=f"{_label(name)[0]} against time", size=(WIDTH, 1.65))
         for name in names
     ]
     key = [
@@ -291,9 +290,10 @@ def _draw(
     values: pd.DataFrame,
     inputs: Mapping[str, Signal],
     name: str,
-    ax,
+    figure: Any,
 ) -> None:
     """Draw an input or a response of a manoeuvre against time."""
+    ax = figure.subplots()
     label, factor, unit = _label(name)
     time = flight["time"].to_numpy(float)
     if name in inputs:
@@ -313,6 +313,7 @@ def _draw(
             if bottom - room < limit < top + room:
                 ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
     ax.set(xlabel="time [s]", ylabel=f"{label} [{unit}]" if unit else label)
+    ax.yaxis.set_label_coords(-0.14, 0.5)
     tidy(ax)
 
 

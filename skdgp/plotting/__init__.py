@@ -8,18 +8,16 @@ Bands hold 95 %. Colours are safe for colour-blind readers. Needs matplotlib: ``
 
 An option that the displays share:
 
-ax : Axes, Figure, SubFigure, array of Axes or False, optional
+ax : Figure, SubFigure or False, optional
     Where to draw; default: a new pyplot figure. False: do not draw.
 """
 
 from skdgp.plotting._flight_envelope import EnvelopeDisplay
 from skdgp.plotting._model import EffectsDisplay
-from skdgp.plotting._paths import PathDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [
     "EffectsDisplay",
     "EnvelopeDisplay",
-    "PathDisplay",
     "TimeHistoryDisplay",
 ]

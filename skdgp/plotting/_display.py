@@ -51,8 +51,13 @@ class Display:
         n_columns = min(self.n_columns, len(keys))
         n_rows = -(-len(keys) // n_columns)
         figsize = (n_columns * self.size[0], 1 + n_rows * self.size[1])
-        self.axes_ = panels(ax, n_rows, n_columns, figsize=figsize)
-        self.figure_ = self.axes_.flat[0].figure
+        check_matplotlib("skdgp.plotting")
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            ax = plt.figure(figsize=figsize, layout="constrained")
+        self.figure_ = ax
+        self.axes_ = ax.subplots(n_rows, n_columns, squeeze=False)
         cells = list(self.axes_.T.flat if self.by_column else self.axes_.flat)
         for cell, key in zip(cells, keys, strict=False):
             tidy(cell)
@@ -61,30 +66,6 @@ class Display:
             cell.set_visible(False)
         legend_above(cells[0])
         return self
-
-
-def panels(ax: Any, n_rows: int, n_columns: int, *, figsize: tuple[float, float]) -> np.ndarray:
-    """Return an ``(n_rows, n_columns)`` array of axes.
-
-    ``ax`` is None (a new pyplot figure), a Figure or SubFigure (filled), one Axes for one panel, or
-    an array of as many axes as panels.
-    """
-    check_matplotlib("skdgp.plotting")
-    from matplotlib.axes import Axes
-
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        ax = plt.figure(figsize=figsize, layout="constrained")
-    if hasattr(ax, "subplots"):
-        return ax.subplots(n_rows, n_columns, squeeze=False)
-    axes = np.asarray(ax, dtype=object)
-    if axes.size != n_rows * n_columns or not all(isinstance(item, Axes) for item in axes.flat):
-        raise ValueError(
-            f"Got {axes.size} axes, but expected {n_rows * n_columns}: use fig, axes = "
-            f"plt.subplots({n_rows}, {n_columns}), or give a Figure."
-        )
-    return axes.reshape(n_rows, n_columns)
 
 
 def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:

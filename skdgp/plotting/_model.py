@@ -11,11 +11,11 @@ from sklearn.base import BaseEstimator
 
 from skdgp._display.style import (
     PALETTE,
+    ROLES,
     axis_label,
     check_matplotlib,
     display_unit,
     draw_curve,
-    mark_samples,
     symbol,
     units_shown,
 )
@@ -108,7 +108,10 @@ class EffectsDisplay(Display):
         curve = self.curves[name]
         factor = display_unit(name)[0]
         draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], "effect")
-        mark_samples(ax, factor * self.samples[name].to_numpy())
+        quantiles = factor * self.samples[name].quantile(np.linspace(0.02, 0.98, 25))
+        style = {"color": ROLES["measured"], "markersize": 4, "markeredgewidth": 0.5}
+        style["transform"] = ax.get_xaxis_transform()
+        ax.plot(quantiles, np.full(len(quantiles), 0.03), "|", label="samples", **style)
         shown = [self.curves[each] for each in self._largest(output)]
         top = max(np.abs(each.mean[:, k]).max() + BAND * each.std[:, k].min() for each in shown)
         ax.set_ylim(-1.08 * top, 1.08 * top)

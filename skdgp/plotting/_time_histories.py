@@ -162,7 +162,7 @@ class TimeHistoryDisplay(Display):
         half = None if std is None else BAND * as_columns(std, "std", values.shape)
         if half is not None and np.any(half < 0):
             raise ValueError(
-                f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0."
+                f"Got standard deviations down to {np.nanmin(half) / BAND:.3g}, but expected none below 0."
             )
         return cls(
             time=check_time(time, len(values)),
@@ -226,11 +226,6 @@ class TimeHistoryDisplay(Display):
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
         values = trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), -1)
         if mean is not None:
-            check_columns(mean, names, what="mean")
-            if len(mean) != len(time):
-                raise ValueError(
-                    f"Got a mean of {len(mean)} rows, but expected the {len(time)} of each path."
-                )
             values = np.concatenate([mean[names].to_numpy(float)[None], values])
         for k in (k for k, name in enumerate(names) if name in EULER):
             values[:, :, k] = unwrapped_paths(values[:, :, k])

@@ -10,7 +10,6 @@ import numpy as np
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.page import MARGINS, THIN, WIDTH, figure, number, picture, text
 from skdgp._display.style import tidy
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import Evaluation
 
@@ -83,15 +82,9 @@ def busiest_span(
 
 def coefficient_figure(result: Evaluation) -> str:
     """Return the coefficients of a flight, of a long one where the estimates move most, with residuals beneath."""
-    half = 1.96 * result.measured_std
-    display = TimeHistoryDisplay(
-        time=result.time,
-        names=COEFFICIENTS,
-        measured=result.measured,
-        mean=result.mean,
-        truth=result.truth,
-        lower=result.mean - half,
-        upper=result.mean + half,
+    moments = result.measured, result.mean, result.measured_std
+    display = TimeHistoryDisplay.from_predictions(
+        result.time, *moments, truth=result.truth, ax=False
     )
     caption = f"Coefficients of {text(result.name)}"
     span = busiest_span(result.time, result.mean)

@@ -20,7 +20,7 @@ from skdgp._display.page import (
 )
 from skdgp._display.style import display_unit, units_shown
 from skdgp._flight.channels import MIRRORED
-from skdgp.plotting import PathDisplay, TimeHistoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report import _figures as figures
 from skdgp.report._content import THRESHOLDS, Evaluation, FlightMechanics, ReportContent, Verdict
 from skdgp.report._tables import (
@@ -209,9 +209,13 @@ def _next_flight(content: ReportContent) -> str:
             )
     if not rows:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
+    flown = sum(float(np.ptp(table["time"])) for table in content.train.values())
+    more = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
         "Inputs to excite, and the derivatives that they tell whose 95 % bands are wider than half "
-        f"their values, widest first. {_seconds_to_halve(content)}"
+        "their values, widest first. Errors from noise are halved by three times as many seconds "
+        f"again{more} of flight as before, and by fewer with such inputs: <code>skdgp plan</code> "
+        "on the model proposes manoeuvres, their seconds and the errors that they leave."
     )
     head = ["excite", "weak derivatives", "in all"]
     return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
@@ -227,18 +231,6 @@ def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
         return ""
     unit = number(0.5 * np.pi / excited.min(), ".2g")
     return f":<br>3-2-1-1 with a unit of {unit}{THIN}s"
-
-
-def _seconds_to_halve(content: ReportContent) -> str:
-    """Return how many seconds halve errors that stem from noise."""
-    times = [table["time"].to_numpy() for table in content.train.values()]
-    flown = sum(float(np.ptp(time)) for time in times)
-    more = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
-    return (
-        f"Errors from noise are halved by three times as many seconds again{more} of flight as "
-        "before, and by fewer with such inputs: <code>skdgp plan</code> on the model proposes "
-        "manoeuvres, their seconds and the errors that they leave."
-    )
 
 
 def _tiles(verdict: Verdict) -> str:
@@ -427,28 +419,15 @@ def _of_model(content: ReportContent) -> list[str]:
 
 
 def _flown(content: ReportContent) -> str:
-    """Return the paths and the inputs of the flights."""
+    """Return the inputs of the flights."""
     flights = {f"{name} (train)": table for name, table in content.train.items()}
     flights |= {f"{result.name} (test)": result.table for result in content.test}
-    positions = {"north", "east"}, {"v_north", "v_east"}
-    tracked = {
-        name: table for name, table in flights.items() if any(pair <= set(table) for pair in positions)
-    }  # fmt: skip
-    parts = []
-    if tracked:
-        caption = (
-            "Path over the ground, north up; the flight's marker shows where it begins. Without "
-            "recorded positions: integrated from the velocities, from the origin."
+    parts = [
+        figures.display_figure(
+            TimeHistoryDisplay.from_inputs(table, ax=False), caption=f"Inputs of {text(name)}."
         )
-        parts.append(
-            figures.display_figure(PathDisplay.from_flights(tracked, ax=False), caption=caption)
-        )
-    shown = list(flights.items())[: 2 * MOST_OPEN]
-    for name, flight in shown:
-        display = TimeHistoryDisplay.from_inputs(flight, ax=False)
-        parts.append(figures.display_figure(display, caption=f"Inputs of {text(name)}."))
-    if len(shown) < len(flights):
-        parts.append(_note(f"Inputs of the first {len(shown)} of {len(flights)} flights."))
+        for name, table in flights.items()
+    ]
     return _section("What was flown", *parts)
 
 

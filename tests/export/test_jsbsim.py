@@ -75,7 +75,7 @@ def test_coefficients_and_effects_are_those_of_the_model(kind, fitted, portable,
     fdm = load(portable)
     X = portable.samples[::3]
     table = pd.DataFrame(X, columns=portable.regressor_names)
-    terms = effects(fitted(kind).pipeline[-2:]).evaluate(table)  # scaler and regressor
+    terms = effects(fitted(kind).pipeline[-2:]).evaluate(table)[0]  # scaler and regressor
     for row, x in enumerate(X):
         found = placed(fdm, portable, x)
         np.testing.assert_allclose(found, portable.predict(x[None])[0], rtol=0, atol=1e-7)

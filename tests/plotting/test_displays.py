@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.plotting import EnvelopeDisplay, PathDisplay, TimeHistoryDisplay
+from skdgp.plotting import EnvelopeDisplay, TimeHistoryDisplay
 
 
 def outputs(n=200, n_outputs=6, seed=0):
@@ -22,9 +22,8 @@ def outputs(n=200, n_outputs=6, seed=0):
 
 def flight(n=400):
     t = np.arange(n) / 10.0
-    speeds = {"v_north": 40 * np.cos(t / 5), "v_east": 40 * np.sin(t / 5)}
     controls = {"throttle": 0.6, "elevator": 0.05 * np.sin(t), "rudder": 0.1 * np.cos(t)}
-    return pd.DataFrame({"time": t, **controls, **speeds})
+    return pd.DataFrame({"time": t, **controls})
 
 
 def coefficients(n, ax, corrupt=lambda values: values):
@@ -38,12 +37,6 @@ def inputs(n, ax, corrupt=lambda values: values):
     table = flight(n)
     table[["elevator"]] = corrupt(table[["elevator"]].to_numpy())
     return TimeHistoryDisplay.from_inputs(table, ax=ax)
-
-
-def path(n, ax, corrupt=lambda values: values):
-    table = flight(n)
-    table[["v_east"]] = corrupt(table[["v_east"]].to_numpy())
-    return PathDisplay.from_flights({"a": table}, ax=ax)
 
 
 def knowledge(n, ax, corrupt=lambda values: values):
@@ -60,7 +53,7 @@ def knowledge(n, ax, corrupt=lambda values: values):
     ).plot(ax)
 
 
-DISPLAYS = [coefficients, inputs, path, knowledge]
+DISPLAYS = [coefficients, inputs, knowledge]
 
 
 def holes(values):
@@ -109,12 +102,6 @@ class TestEveryDisplay:
         full = labels(make(50, Figure()))
         for corrupt in (holes, lambda values: np.full_like(values, np.nan), np.zeros_like):
             assert labels(make(50, Figure(), corrupt)) == full
-
-    def test_panels_go_into_given_axes(self, make):
-        axes = Figure().subplots(*make(50, Figure()).axes_.shape, squeeze=False)
-        assert [id(ax) for ax in make(100, axes).axes_.flat] == [id(ax) for ax in axes.flat]
-        with pytest.raises(ValueError, match="Got 9 axes, but expected"):
-            make(100, Figure().subplots(3, 3))
 
     def test_a_long_record_is_drawn_with_few_points(self, make):
         def n_points(n):
@@ -199,42 +186,10 @@ def test_a_replay_is_in_degrees_over_the_shortest_horizon_and_breaks_between_win
         TimeHistoryDisplay.from_replay(pd.concat(parts), flown.iloc[1:])
 
 
-class TestFlight:
-    def test_inputs(self):
-        display = TimeHistoryDisplay.from_inputs(flight(), ax=Figure())
-        assert [y for _, y in labels(display)] == ["throttle", "elevator [deg]", "rudder [deg]"]
-        shown = line(display, "elevator", "measured").get_ydata()
-        np.testing.assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
-        with pytest.raises(ValueError, match="without inputs"):
-            TimeHistoryDisplay.from_inputs(flight()[["time"]])
-
-    def test_velocities_are_integrated_to_a_circle(self):
-        t = np.linspace(0, 10 * np.pi, 4000)
-        table = flight(4000).assign(time=t, v_north=40 * np.cos(t / 5), v_east=40 * np.sin(t / 5))
-        display = PathDisplay.from_flights({"a": table}, ax=Figure())
-        east, north = display.axes_[0, 0].lines[0].get_data()
-        np.testing.assert_allclose(np.hypot(north, east - 200), 200, rtol=1e-4)
-        assert len(east) <= 600
-
-    def test_recorded_positions_are_taken(self):
-        table = flight().assign(north=np.arange(400.0) + 7, east=np.arange(400.0) * 2)
-        display = PathDisplay.from_flights({"one": table}, ax=Figure())
-        first = display.axes_[0, 0].lines[0]
-        assert (first.get_ydata()[0], first.get_xdata()[-1]) == (7, 798)
-
-    def test_the_marker_of_one_start_does_not_cover_that_of_another(self):
-        display = PathDisplay.from_flights({"train": flight(), "test": flight()}, ax=Figure())
-        one, other = display.axes_[0, 0].lines[1::2]
-        assert {one.get_markerfacecolor(), other.get_markerfacecolor()} == {"none"}
-        assert one.get_markersize() > 1.3 * other.get_markersize()
-        assert one.get_marker() != other.get_marker()
-
-    def test_any_name_may_be_drawn(self):
-        names = ["$x^", "_hidden", "a & <b>"]
-        display = PathDisplay.from_flights({name: flight(50) for name in names}, ax=Figure())
-        display.figure_.canvas.draw()
-        assert len(display.axes_[0, 0].get_legend().texts) == 3
-
-    def test_a_path_needs_velocities(self):
-        with pytest.raises(ValueError, match=r"flight 'a'.* lacks the columns 'v_north'"):
-            PathDisplay.from_flights({"a": flight()[["time"]]})
+def test_inputs():
+    display = TimeHistoryDisplay.from_inputs(flight(), ax=Figure())
+    assert [y for _, y in labels(display)] == ["throttle", "elevator [deg]", "rudder [deg]"]
+    shown = line(display, "elevator", "measured").get_ydata()
+    np.testing.assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
+    with pytest.raises(ValueError, match="without inputs"):
+        TimeHistoryDisplay.from_inputs(flight()[["time"]])

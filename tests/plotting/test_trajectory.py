@@ -47,8 +47,6 @@ def test_the_line_is_the_trajectory_of_the_mean():
     of_paths = TimeHistoryDisplay.from_trajectories(paths, columns=columns, ax=False)
     assert (display.estimate, of_paths.estimate) == ("simulated", "median of the paths")
     np.testing.assert_allclose(display.upper - display.lower, of_paths.upper - of_paths.lower)
-    with pytest.raises(ValueError, match="a mean of 3 rows, but expected the 200 of each path"):
-        TimeHistoryDisplay.from_trajectories(paths, mean=mean[:3], columns=["psi"], ax=Figure())
 
 
 def test_the_flown_heading_is_on_the_turn_of_the_simulation():

@@ -399,13 +399,11 @@ class TestPoorContent:
             html = render_report(content(test=[flight]))
         assert "–" in Page(html).words
 
-    def test_no_replay_and_no_path_without_velocities(self):
-        still = table(200).drop(columns=["v_north", "v_east"])
-        bare = result(200, table=still, replay=None)
-        given = content(test=[bare], train={"a": still})
+    def test_no_replay_and_no_envelope(self):
+        bare = result(200, replay=None)
+        given = content(test=[bare], train={"a": table(200)})
         words = Page(render_report(given)).words
         assert "figure 7" not in words
-        assert "Path over the ground" not in words
         assert "Where the model knows" not in words
         assert "Inputs of a (train)" in words
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -91,45 +91,28 @@ def replay(
     if not horizon > 0:
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
     segments = check_flight(flight, ["time", "airspeed", "density", *EULER, *RATES])
-    path = _Path.of(flight, aircraft, coefficients, thrust, external_forces, float(gravity))
-    has_loads: Any = np.isfinite(np.hstack([path.force, path.moment])).all(axis=1)
+    values = coefficient_array(coefficients, len(flight))
+    parts = (
+        aerodynamic_loads(values, flight["airspeed"], flight["density"], aircraft),
+        propulsive_loads(flight, aircraft, thrust),
+        external_loads(flight, external_forces),
+    )
+    loads = np.sum([np.hstack(part) for part in parts], axis=0)  # (n, 6), all but gravity
+    in_body = not set(EARTH_VELOCITY) <= set(flight) and set(BODY_VELOCITY) <= set(flight)
+    velocity = BODY_VELOCITY if in_body else EARTH_VELOCITY
+    check_columns(flight, velocity)
+    measured = table_states(flight, velocity)
+    has_loads: Any = np.isfinite(loads).all(axis=1)
     runs = [
         slice(segment.start + run.start, segment.start + run.stop)
         for segment in segments
         for run in true_runs(has_loads[segment])
     ]
-    is_complete: Any = np.isfinite(path.state).all(axis=1)
-    rows = restart_windows(path.time, runs, float(horizon), is_complete)
-    return _table(flight, rows, _integrate(path, rows), float(horizon))
-
-
-class _Path(NamedTuple):
-    """Loads and measured states of a flight, one row per sample."""
-
-    time: Array  # (n,)
-    force: Array  # (n, 3), all but gravity
-    moment: Array  # (n, 3)
-    state: Array  # (n, 13), measured
-    aircraft: Aircraft
-    gravity: float
-
-    @classmethod
-    def of(
-        cls, flight: pd.DataFrame, aircraft: Aircraft, coefficients: Any, thrust: str | None,
-        external_forces: Sequence[str], gravity: float,
-    ) -> _Path:  # fmt: skip
-        values = coefficient_array(coefficients, len(flight))
-        loads = (
-            aerodynamic_loads(values, flight["airspeed"], flight["density"], aircraft),
-            propulsive_loads(flight, aircraft, thrust),
-            external_loads(flight, external_forces),
-        )
-        force, moment = (np.sum(parts, axis=0) for parts in zip(*loads, strict=True))
-        in_body = not set(EARTH_VELOCITY) <= set(flight) and set(BODY_VELOCITY) <= set(flight)
-        velocity = BODY_VELOCITY if in_body else EARTH_VELOCITY
-        check_columns(flight, velocity)
-        time = flight["time"].to_numpy(float)
-        return cls(time, force, moment, table_states(flight, velocity), aircraft, gravity)
+    is_complete: Any = np.isfinite(measured).all(axis=1)
+    time = flight["time"].to_numpy(float)
+    rows = restart_windows(time, runs, float(horizon), is_complete)
+    states = _integrated(measured, loads, time, rows, aircraft, float(gravity))
+    return _table(flight, rows, states, float(horizon))
 
 
 def coefficient_array(coefficients: Any, n_samples: int) -> Array:
@@ -164,23 +147,22 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -
     return table.astype({"time": float, "window": int})
 
 
-def _integrate(path: _Path, rows: Indices) -> Array:
+def _integrated(
+    measured: Array, loads: Array, time: Array, rows: Indices, aircraft: Aircraft, gravity: float
+) -> Array:
     """Return the states (n_windows, n_steps + 1, 13) of each window, its loads linear over every step."""
     states = np.empty((*rows.shape, 13))
-    states[:, 0] = path.state[rows[:, 0]]
+    states[:, 0] = measured[rows[:, 0]]
     for k in range(rows.shape[1] - 1):
         first = rows[:, k]
         second = rows[:, k + 1]
-        dt = (path.time[second] - path.time[first])[:, None]
+        dt = (time[second] - time[first])[:, None]
 
         def rate_per_step(
             fraction: float, state: Array, first=first, second=second, dt=dt
         ) -> Array:
-            force, moment = (
-                (1 - fraction) * load[first] + fraction * load[second]
-                for load in (path.force, path.moment)
-            )
-            return rigid_body_derivative(state, force, moment, path.aircraft, path.gravity) * dt
+            load = (1 - fraction) * loads[first] + fraction * loads[second]
+            return rigid_body_derivative(state, load[:, :3], load[:, 3:], aircraft, gravity) * dt
 
         states[:, k + 1] = rk4_step(rate_per_step, 0.0, states[:, k], 1.0)
     return states

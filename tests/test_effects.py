@@ -123,7 +123,7 @@ def test_sparse_terms_approach_the_exact_ones(data):
     kernel, noise = exact.kernel_, exact.posterior_.noise
     sparse = copy(exact)
     X = data[0].to_numpy() / SCALE
-    values = exact.posterior_.samples()
+    values = exact.posterior_.data
     sparse.posterior_ = SparsePosterior(kernel, inducing_features(kernel, X), noise, values)
     found, expected = effects(sparse), effects(exact)
     for name, curve in expected.curves.items():

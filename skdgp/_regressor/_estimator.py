@@ -646,7 +646,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
             )
         kernel = self.kernel_.clone_with_theta(theta[:-P])
-        return self.posterior_.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
+        joint = self.posterior_.members[0]
+        return joint.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
 
     @property
     def theta_(self) -> Vector:

@@ -378,7 +378,7 @@ class _Chain:
         posterior = getattr(
             getattr(self.regressor, "estimator_", self.regressor), "posterior_", None
         )
-        data = None if posterior is None else posterior.samples()
+        data = None if posterior is None else posterior.data
         return None if data is None else data.X[0] * self.scale + self.shift
 
     def function_errors(self) -> Any:

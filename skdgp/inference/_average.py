@@ -110,21 +110,13 @@ class AveragePosterior(Posterior):
     """
 
     def __init__(self, members: list, parts: list, mixture: Matrix) -> None:
-        self.members, self.parts = members, parts
+        self.members = members
+        self.parts = parts
         self.mixture = np.asarray(mixture, dtype=float)
+        self.data = members[0].data
         self.kernel = members[0].kernel
         self.noise = members[0].noise
         self.log_marginal_likelihood = members[0].log_marginal_likelihood
-
-    def likelihood_at(
-        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
-    ) -> Any:
-        """Return the log likelihood of the first member at other hyperparameters."""
-        return self.members[0].likelihood_at(kernel, noise, eval_gradient)
-
-    def samples(self) -> Data:
-        """Return the values that the members have learned from."""
-        return self.members[0].samples()
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
@@ -335,4 +327,4 @@ class _MemberTerm:
 
 def training_inputs(posterior: Posterior) -> Matrix:
     """Return the distinct inputs of the observed values of a posterior, (n, d)."""
-    return np.unique(np.concatenate(posterior.samples().X), axis=0)
+    return np.unique(np.concatenate(posterior.data.X), axis=0)

@@ -30,18 +30,23 @@ class Posterior(ABC):
         Noise variance of each output.
     log_marginal_likelihood : float
         Or a lower bound on it.
+    data : Data
+        The observed values.
+    members : sequence of SinglePosterior
+        The components of the mixture. The first has all terms.
+    parts : list of tuple of int
+        The terms of the kernel that each component has, by their numbers.
+    mixture : ndarray (K, P)
+        The weight of each component, for each output.
     """
 
     kernel: MultiOutputKernel
     noise: Vector
     log_marginal_likelihood: float
-
+    data: Data
     members: Sequence[SinglePosterior]
-    """The components of the mixture. The first has all terms."""
     parts: list[tuple[int, ...]]
-    """The terms of the kernel that each component has, by their numbers."""
     mixture: Matrix
-    """The weight of each component, for each output, (K, P)."""
 
     @abstractmethod
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
@@ -59,16 +64,6 @@ class Posterior(ABC):
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples that are functions of the regressors."""
 
-    @abstractmethod
-    def samples(self) -> Data:
-        """Return the observed values."""
-
-    @abstractmethod
-    def likelihood_at(
-        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
-    ) -> Any:
-        """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
-
 
 class SinglePosterior(Posterior):
     """A Gaussian process: the only component of its mixture.
@@ -76,8 +71,6 @@ class SinglePosterior(Posterior):
     The mean of output i at Xs is A b, with the covariances A of its values and the variables that
     it is learned from, the observed values or the inducing variables.
     """
-
-    data: Data
 
     @property
     @abstractmethod
@@ -99,9 +92,11 @@ class SinglePosterior(Posterior):
         """Ones, (1, P)."""
         return np.ones((1, self.kernel.n_outputs))
 
-    def samples(self) -> Data:
-        """Return the observed values."""
-        return self.data
+    @abstractmethod
+    def likelihood_at(
+        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
+    ) -> Any:
+        """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
 
     @abstractmethod
     def of(self, data: Data, noise: Vector) -> SinglePosterior:

@@ -102,7 +102,7 @@ class FunctionErrors(NamedTuple):
 @one_blas_thread()
 def function_errors(posterior: Posterior) -> FunctionErrors | None:
     """Return the errors of the function of a posterior, or None if there are too few samples: see `slope_errors`."""
-    data = posterior.samples()
+    data = posterior.data
     centre, scale = data.X[0].mean(axis=0), column_scale(data.X[0])
     weights = np.zeros((BLOCKS, _parabola(data.X[0][:1]).shape[1], len(data.y)))
     for k, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
@@ -145,7 +145,7 @@ def slope_errors(
     With the regressors ``added`` (k, d) of rows that may be flown next, errors are those expected
     after them: their targets are the means of the posterior and the residuals of the samples.
     """
-    data = posterior.samples()
+    data = posterior.data
     if added is not None:
         data = _extended(data, posterior, added)
     parts = [_of_output(x, y, X) for x, y in zip(data.X, data.y, strict=True)]

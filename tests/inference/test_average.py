@@ -143,7 +143,7 @@ def test_a_trend_of_weights_is_the_exact_posterior(data):
     fit = average(fit_of("exact", *data), *data)
     trend = fit.posterior.members[-1]
     assert not isinstance(trend, ExactPosterior)
-    dense = ExactPosterior(trend.kernel, trend.noise, trend.samples())
+    dense = ExactPosterior(trend.kernel, trend.noise, trend.data)
     for got, expected in zip(trend.predict(AT, True), dense.predict(AT, True), strict=True):
         np.testing.assert_allclose(got, expected, rtol=1e-6)
 

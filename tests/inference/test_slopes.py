@@ -238,7 +238,7 @@ class TestFunctionErrors:
         for _ in range(80):
             x = wandering(rng, (1200, 1), 5)
             y = 2.0 * x[:, 0] + wandering(rng, 1200, 5)
-            log = SimpleNamespace(samples=lambda x=x, y=y: Data([x], [y]), measured=None)
+            log = SimpleNamespace(data=Data([x], [y]))
             errors = function_errors(log)
             found.append(_parabola(at) @ _Polynomial(_parabola, x, y).weights)
             stated.append(np.sum(errors(np.broadcast_to(at, (60, 2, 1)))[..., 0] ** 2, axis=0))

@@ -120,7 +120,7 @@ def test_a_name_twice(read, name):
 
 @pytest.mark.parametrize("table", [pa.table({}), TABLE.slice(0, 0)])
 def test_nothing(read, table):
-    with pytest.raises(FlightReadError, match="no rows|no column 'time'"):
+    with pytest.raises(FlightReadError, match=r"no rows|no column 'time'"):
         read(table)
 
 

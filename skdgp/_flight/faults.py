@@ -138,15 +138,13 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
 
 def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataFrame:
     """Return the table with NaN for values that were not measured."""
-    new: dict[str, np.ndarray] = {}
+    table = table.copy(deep=False)
     for finding in findings:
         if finding.kind in NOT_MEASURED:
-            if finding.channel not in new:
-                new[finding.channel] = (
-                    table[finding.channel].to_numpy(float, na_value=np.nan).copy()
-                )
-            new[finding.channel][finding.rows] = np.nan
-    return table.assign(**new) if new else table
+            values = table[finding.channel].to_numpy(float, na_value=np.nan).copy()
+            values[finding.rows] = np.nan
+            table[finding.channel] = values
+    return table
 
 
 def grouped_messages(findings: Iterable[Finding]) -> list[str]:

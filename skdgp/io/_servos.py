@@ -221,18 +221,10 @@ def template(log: Log) -> str:
 
 
 def _check_names_servos(log: Log) -> None:
-    logged = [name for name in log.outputs if name in log.topics]
-    if not log.servos and logged:
-        raise FlightReadError(
-            f"Got outputs {logged} without parameters that name their surfaces, but expected "
-            f"SERVOn_FUNCTION of "
-            "ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed mixer "
-            "(actuator_controls_0): write the "
-            "servo file by hand."
-        )
     if not log.servos:
         raise FlightReadError(
-            f"Got a log without servo outputs "
-            f"({', '.join(log.outputs) or 'unknown for this format'}), but expected "
-            "one of them: log it, or write the servo file by hand."
+            f"Got outputs {[name for name in log.outputs if name in log.topics]} without "
+            f"parameters that name their surfaces, but expected some of {list(log.outputs)}, and "
+            f"SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed "
+            f"mixer (actuator_controls_0): log them, or write the servo file by hand."
         )

@@ -36,6 +36,7 @@ TO_SI = {
     "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665),
     "kg/m^3": ("kg/m^3", 1.0), "N": ("N", 1.0), "N m": ("N m", 1.0), "": ("", 1.0), "%": ("", 0.01),
 }  # fmt: skip
+UNITS = {unit.lower(): meaning for unit, meaning in TO_SI.items()}
 SPELLINGS = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "sec": "s", "µs": "us", "-": "",
     "1": "", "kts": "kt", "knots": "kt", "m/s2": "m/s^2", "m/s²": "m/s^2", "rad/s2": "rad/s^2", "rad/s²": "rad/s^2",
@@ -93,13 +94,6 @@ def base_name(column: str) -> str:
     return column.removesuffix(TRUTH_SUFFIX)
 
 
-def known_unit(text: str) -> str | None:
-    """Return a unit as this module spells it, or None."""
-    text = text.strip()
-    text = SPELLINGS.get(text.lower(), text)
-    return next((unit for unit in TO_SI if unit.lower() == text.lower()), None)
-
-
 def check_names(names: Iterable[str]) -> None:
     """Raise a FlightReadError if a column name stands twice."""
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
@@ -137,7 +131,8 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
     converted = {}
     for name, text in units.items():
         expected = CHANNELS[base_name(name)].unit
-        quantity, factor = TO_SI.get(known_unit(text) or "unknown", ("unknown", 1.0))
+        unit = SPELLINGS.get(text.strip().lower(), text.strip()).lower()
+        quantity, factor = UNITS.get(unit, ("unknown", 1.0))
         if quantity != expected:
             fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
             raise FlightReadError(

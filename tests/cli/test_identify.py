@@ -369,15 +369,17 @@ class TestConsole:
 
 @pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize("short_flights", [2000], indirect=True)
-def test_demo_is_honest(tmp_path, capsys):
-    assert main(["demo", "--samples", "100", "--max-iter", "15", "-o", str(tmp_path)]) == 0
+def test_demo_is_honest(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    output = tmp_path / "skdgp-demo"
+    assert main(["demo", "--samples", "100", "--max-iter", "15"]) == 0
     assert_only_stopped(capsys.readouterr().err.splitlines())
-    assert {path.name for path in tmp_path.iterdir()} == OUTPUTS
-    (flight,) = json.loads((tmp_path / "metrics.json").read_text())["test"].values()
+    assert {path.name for path in output.iterdir()} == OUTPUTS
+    (flight,) = json.loads((output / "metrics.json").read_text())["test"].values()
     means = flight["means"]
     assert 0.90 <= means["measured"]["all"]["interval_coverage"] <= 0.99
     assert means["truth"]["all"]["normalized_rmse"] < 0.2
-    pipeline = load_model(tmp_path / "model.joblib").pipeline
+    pipeline = load_model(output / "model.joblib").pipeline
     assert (pipeline.turbulence_.intensity > 0.2).all()  # as flown
     assert 0 < pipeline.seconds_ <= 2 * 2000 * 0.05
 
@@ -418,12 +420,3 @@ def test_example_of_a_real_flight_says_that_there_is_no_network(tmp_path, monkey
     runpy.run_path(str(EXAMPLES / "real_flight.py"))["main"]([])
     assert "No log (no route to host). Fetch it from\nhttps://" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.usefixtures("short_flights", "hasty_fits")
-@pytest.mark.parametrize("short_flights", [500], indirect=True)
-@pytest.mark.filterwarnings("ignore:Flight 'two_altitudes' lasts 7.48 s")
-def test_the_demo_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["demo", *QUICK]) == 0
-    assert (tmp_path / "skdgp-demo" / "report.html").is_file()

@@ -39,17 +39,6 @@ def write(tmp_path):
     return to
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".pq"])
-def test_round_trip(write, suffix):
-    expected = table().assign(my_sensor=3.0, note="calm")
-    flight = read_flight(write(f"sortie{suffix}", expected))
-    assert list(flight.columns[:2]) == ["time", "flight"]
-    assert (flight.flight == "sortie").all()
-    pd.testing.assert_frame_equal(flight[expected.columns], expected, check_dtype=False, rtol=1e-15)
-    assert flight.attrs == {"unknown_columns": ["my_sensor", "note"]}
-    assert set(flight[["time", "alpha", "q"]].dtypes) == {np.dtype(float)}
-
-
 def test_flight_column_and_argument(write):
     path = write("two.csv", pd.concat([table(flight="a"), table(flight="b")]))
     assert read_flight(path).flight.unique().tolist() == ["a", "b"]

@@ -89,18 +89,8 @@ class ExactPosterior(SinglePosterior):
         """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
         return log_likelihood(kernel, noise, self.data, eval_gradient)
 
-    def term(self, kernel: MultiOutputKernel) -> ExactPosterior:
-        """Return the posterior of one term of the kernel, which is independent of the others a priori.
-
-        With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
-        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011).
-        ``predict``, ``covariance`` and ``gradient`` refer to the term, given by
-        ``self.kernel.term(regressors)``.
-        """
-        new = object.__new__(ExactPosterior)
-        vars(new).update(vars(self) | {"kernel": kernel, "L": self.L, "alpha": self.alpha})
-        vars(new).pop("mean_function", None)
-        return new
+    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
+        return {"L": self.L, "alpha": self.alpha}
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, N) and b (N,) such that the mean of output i at Xs is A b."""

@@ -102,13 +102,22 @@ class SinglePosterior(Posterior):
     def of(self, data: Data, noise: Vector) -> SinglePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters."""
 
-    @abstractmethod
     def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
-        ``predict``, ``covariance`` and ``gradient`` refer to the term, which
-        ``self.kernel.term(regressors)`` gives.
+        With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
+        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011), with
+        inducing variables likewise. ``predict``, ``covariance`` and ``gradient`` refer to the
+        term, which ``self.kernel.term(regressors)`` gives.
         """
+        new = object.__new__(type(self))
+        vars(new).update(vars(self) | self._factors(kernel) | {"kernel": kernel})
+        vars(new).pop("mean_function", None)
+        return new
+
+    @abstractmethod
+    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
+        """Return the attributes of the posterior of a term that are computed from all terms."""
 
     @abstractmethod
     def loading(self, i: int, Xs: Matrix) -> tuple[Array, Array]:

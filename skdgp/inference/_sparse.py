@@ -198,18 +198,8 @@ class SparsePosterior(SinglePosterior):
                 )
         return roots
 
-    def term(self, kernel: MultiOutputKernel) -> SparsePosterior:
-        """Return the posterior of one term of the kernel, which is independent of the others a priori.
-
-        The features are the same, so the posterior of the term follows with the covariance of the
-        term and the features in place of Kfu. ``predict``, ``covariance`` and ``gradient`` refer
-        to the term, which ``self.kernel.term(regressors)`` gives.
-        """
-        new = object.__new__(SparsePosterior)
-        features = self.features.rebuild(kernel)
-        vars(new).update(vars(self) | {"kernel": kernel, "features": features, "roots": self.roots})
-        vars(new).pop("mean_function", None)
-        return new
+    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
+        return {"features": self.features.rebuild(kernel), "roots": self.roots}
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""

@@ -541,8 +541,6 @@ def _pairs(f: FreeParameter) -> np.ndarray:
 def as_shape(name: str, value: Any, shape) -> np.ndarray:
     """Return a parameter broadcast to its shape, or raise a ValueError with the expected shape."""
     value = np.array(value, dtype=float)
-    if value.shape == tuple(shape):
-        return value
     try:
         return np.array(np.broadcast_to(value, shape))
     except ValueError:

@@ -131,7 +131,7 @@ class FilterPair:
             Sigma = self.Sigma(m)
             a = (Xi - middle - self.mu[m]) @ Sigma
             b = (Xj - middle) @ Sigma
-            E = exponent.all(len(Xi), len(Xj))
+            E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
             E *= self.gain[m]
             for slope, a_k, b_k in zip(D, a.T, b.T, strict=True):  # one that fits the cache
                 slope -= E * np.subtract.outer(a_k, b_k)
@@ -270,10 +270,6 @@ class Exponent(NamedTuple):
         else:
             np.matmul(self.left[rows], self.right.T, out=out)
         return np.exp(out, out=out)
-
-    def all(self, n_rows: int, n_columns: int) -> Matrix:
-        """Return the exponentials of all rows."""
-        return self.exponential(slice(None), np.empty((n_rows, n_columns)))
 
 
 def strips(n_rows: int, n_columns: int) -> Iterator[slice]:

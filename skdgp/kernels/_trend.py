@@ -160,14 +160,6 @@ class LinearTrend(MultiOutputKernel):
             intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept
         )
 
-    def _by_weight(self, i, slopes):
-        """Return d/dtheta from derivatives (d + 1,) by the logarithms of the scales of output i."""
-        entries = np.zeros((self.n_outputs, self.n_weights))
-        entries[i] = slopes
-        return self.theta_gradient(
-            {"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]}
-        )
-
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         slopes = ((X - X.mean(axis=0)) / column_scale(X))[:, ~constant_columns(X)]
         basis = np.column_stack([np.ones(len(X)), slopes])
@@ -201,8 +193,10 @@ class LinearTrend(MultiOutputKernel):
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)
-        return self._by_weight(
-            i, 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj))
+        entries = np.zeros((self.n_outputs, self.n_weights))  # by the logarithms of the scales
+        entries[i] = 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj))
+        return self.theta_gradient(
+            {"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]}
         )
 
     def free_parameters(self) -> list[FreeParameter]:

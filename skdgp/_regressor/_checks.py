@@ -185,8 +185,8 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
     )
 
 
-def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
-    """Return R (d, r) of the covariance R R^T of the regressors' noise; None and "learned" are returned unchanged."""
+def input_std(input_noise: Any, X: np.ndarray, names: list[str]):
+    """Return the standard deviations (d,) of the regressors' noise; None and "learned" are returned unchanged."""
     if input_noise is None or isinstance(input_noise, str):
         return input_noise
     given, d = np.asarray(input_noise, dtype=float), X.shape[1]
@@ -208,7 +208,7 @@ def input_root(input_noise: Any, X: np.ndarray, names: list[str]):
             f"regressors {stds}, but "
             "expected less noise than signal. Give it in the units of X, one value for each column."
         )
-    return np.diag(noise)
+    return noise
 
 
 def warn_of_indices(index: Any, y: Any) -> None:

@@ -351,9 +351,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.noise_variance_ = (learned.noise - misfit) * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
         self.drift_memory_ = memory
-        self._root = learned.root
-        root = np.zeros((X.shape[1], 1)) if learned.root is None else learned.root
-        self.input_covariance_ = root @ root.T
+        self._input_std = learned.input_std
+        std = np.zeros(X.shape[1]) if learned.input_std is None else learned.input_std
+        self.input_covariance_ = np.diag(std**2)
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         self.n_iter_ = learned.n_iter
         self.converged_ = learned.converged
@@ -656,7 +656,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
     def _loading(self, X, factor):
-        """Return J R times the root of ``factor``, (n, P, r), for noisy regressors; r is zero for exact regressors."""
+        """Return J R times the root of ``factor``, (n, P, d), with S = R^2; (n, P, 0) for exact regressors."""
         factor = np.asarray(factor, dtype=float)
         if factor.shape not in ((), (len(X),)) or not (factor >= 0).all():
             raise ValueError(
@@ -664,9 +664,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 f"factors of the variance "
                 f"from 0 on: one number, or one for each of the {len(X)} rows."
             )
-        if self._root is None or not factor.any():
+        if self._input_std is None or not factor.any():
             return np.zeros((len(X), len(self.scale_), 0))
-        return np.sqrt(factor.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) @ self._root)
+        return np.sqrt(factor.reshape(-1, 1, 1)) * (self.posterior_.gradient(X) * self._input_std)
 
     def _check_regressors(self, X):
         if self._is_valid(X):

@@ -84,7 +84,7 @@ def _searched(model, X, Z, log, inference, random_state):
     options = {
         "optimizer": model.optimizer,
         "max_iter": most_iterations(model.max_iter, Z, log),
-        "input_noise": _checks.input_root(input_noise, X, model._regressor_names()),
+        "input_noise": _checks.input_std(input_noise, X, model._regressor_names()),
         "random_state": random_state.randint(2**31 - 1),
     }
     if inference == "exact":
@@ -107,7 +107,7 @@ def _searched(model, X, Z, log, inference, random_state):
 
 def _neglect(fit):
     """Return the prior variance that a sparse fit neglects, over the noise, of the worst output."""
-    if fit.learned.root is not None:
+    if fit.learned.input_std is not None:
         return 0.0
     return float(np.max(fit.posterior.unexplained_variance / fit.posterior.noise))
 

@@ -30,7 +30,7 @@ from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
 from skdgp.inference._paths import Path, Paths
 from skdgp.inference._posterior import Posterior, SinglePosterior
-from skdgp.inference._search import Optimum, input_noise_loading, maximize, n_searched, stratified
+from skdgp.inference._search import Optimum, maximize, n_searched, stratified
 from skdgp.inference._slopes import (
     FunctionErrors,
     SlopeErrors,
@@ -60,7 +60,6 @@ __all__ = [
     "fit_exact",
     "fit_sparse",
     "function_errors",
-    "input_noise_loading",
     "log_likelihood",
     "maximize",
     "mean_of",

@@ -14,7 +14,6 @@ from skdgp._compute.linalg import (
     check_memory,
     cluster_centres,
     column_scale,
-    covariance_root,
     output_scale,
 )
 from skdgp._compute.statistics import autocorrelation_time
@@ -29,9 +28,7 @@ from skdgp.inference._search import (
     NOISE_STEPS,
     Hyperparameters,
     best_noise,
-    input_noise_loading,
     search,
-    some_rows,
 )
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.kernels import MultiOutputKernel, inducing_features
@@ -78,9 +75,8 @@ def fit_exact(
     max_iter : int
         Iterations on the joint likelihood.
     random_state : int, RandomState or None
-    input_noise : ndarray (d, r), "learned" or None
-        R of the covariance R R^T of the regressors' noise. "learned": one variance for each
-        regressor is learned.
+    input_noise : ndarray (d,), "learned" or None
+        Standard deviations of the regressors' noise. "learned": one for each regressor is learned.
 
     Returns
     -------
@@ -88,9 +84,8 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     random_state = check_random_state(random_state)
-    rows = some_rows(Y, random_state)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    learned = search(kernel, X, Y, rows, random_state=random_state, exact=True, **options)
+    learned = search(kernel, X, Y, random_state=random_state, exact=True, **options)
     return Fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
 
 
@@ -142,9 +137,8 @@ def fit_sparse(
     Z = inducing_centres(start, X, n_inducing, random_state)
     size = inducing_features(start, Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    rows = some_rows(Y, random_state)
     options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    learned = search(kernel, X, Y, rows, random_state=random_state, **options)
+    learned = search(kernel, X, Y, random_state=random_state, **options)
     features = inducing_features(learned.kernel, Z)
     return _sparse_fit(learned, features, X, Y, ordered, converge=optimizer is not None)
 
@@ -166,8 +160,8 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
         )
         posterior = _converge_noise(posterior, inflation, least)
     noise = posterior.noise / inflation
-    if learned.root is not None:
-        loading = input_noise_loading(posterior, X, learned.root) if loading is None else loading
+    if learned.input_std is not None:
+        loading = posterior.gradient(X) * learned.input_std if loading is None else loading
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
         noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
         data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
@@ -258,8 +252,8 @@ def average(
     if len(parts) == 1:
         return fit
     try:
-        root = fit.learned.root
-        loading = None if root is None else input_noise_loading(fit.posterior, X, root)
+        std = fit.learned.input_std
+        loading = None if std is None else fit.posterior.gradient(X) * std
         ordered = random_state is None
         of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading, ordered=ordered)
         others = Parallel(n_jobs=n_jobs)(delayed(of_part)(part=part) for part in parts[1:])
@@ -289,11 +283,10 @@ def mean_of(fits: Sequence[Fit]) -> Fit:
         [part for component in posteriors for part in component.parts],
         np.concatenate([component.mixture for component in posteriors]) / len(fits),
     )
-    roots = [part.root for part in learned if part.root is not None]
-    noise_of_regressors = np.mean([root @ root.T for root in roots], axis=0) if roots else None
+    stds = [part.input_std for part in learned if part.input_std is not None]
     common = learned[0]._replace(
         noise=np.mean([part.noise for part in learned], axis=0),
-        root=None if noise_of_regressors is None else covariance_root(noise_of_regressors),
+        input_std=np.sqrt(np.mean(np.square(stds), axis=0)) if stds else None,
         converged=all(part.converged for part in learned),
     )
     return Fit(posterior, common)

@@ -22,10 +22,9 @@ from scipy.optimize import LbfgsInvHessProduct, minimize
 from skdgp._compute.linalg import column_scale, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.progress import notify
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
-from skdgp.inference._posterior import Posterior
 from skdgp.kernels import MultiOutputKernel
 
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
@@ -54,14 +53,14 @@ STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
 class Hyperparameters(NamedTuple):
     """Hyperparameters and the history of the search that found them.
 
-    ``noise`` (P,) is white. ``root`` (d, r) is R of the regressors' noise covariance R R^T, None
-    for exact regressors. ``remaining`` is the expected rise of the likelihood by further
-    iterations.
+    ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
+    noise, None for exact regressors. ``remaining`` is the expected rise of the likelihood by
+    further iterations.
     """
 
     kernel: MultiOutputKernel
     noise: Vector
-    root: Matrix | None = None
+    input_std: Vector | None = None
     n_iter: int = 0
     interrupted: bool = False
     remaining: float = 0.0
@@ -74,19 +73,12 @@ class Hyperparameters(NamedTuple):
         regressors.
         """
         data = Data.from_table(X, Y)
-        if self.root is None:
+        if self.input_std is None:
             return data
         for _ in range(passes):
-            loading = input_noise_loading(
-                ExactPosterior(self.kernel, self.noise, data), X, self.root
-            )
-            data = Data.from_table(X, Y, loading)
+            slopes = ExactPosterior(self.kernel, self.noise, data).gradient(X)
+            data = Data.from_table(X, Y, slopes * self.input_std)
         return data
-
-
-def input_noise_loading(posterior: Posterior, X: Matrix, root: Matrix) -> Array:
-    """Return G = J R, (n, P, r): the slopes J of the mean times the root R of the regressors' noise covariance."""
-    return posterior.gradient(X) @ root
 
 
 class Point(NamedTuple):
@@ -129,7 +121,6 @@ def search(
     kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
-    rows: Any,
     *,
     optimizer: Any,
     max_iter: int,
@@ -137,18 +128,19 @@ def search(
     input_noise: Any,
     exact: bool = False,
 ) -> Hyperparameters:
-    """Return hyperparameters, learned from each output separately and then from ``rows`` of all outputs jointly.
+    """Return hyperparameters, learned from each output separately and then from some rows of all outputs jointly.
 
     Without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so
     noise is learned again at the end. The other arguments are as in ``fit_exact``.
     """
+    rows = some_rows(Y, random_state)
     start = kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(start.residual(X, Y), output_scale(Y))
     scale, P = column_scale(X), Y.shape[1]
-    learned_root = isinstance(input_noise, str)
-    root = np.diag(scale) if learned_root else input_noise
+    learns_noise = isinstance(input_noise, str)
+    input_std = scale if learns_noise else input_noise
     if optimizer is None:
-        return Hyperparameters(start, noise, None if learned_root else root)
+        return Hyperparameters(start, noise, None if learns_noise else input_std)
     stop, singles = Event(), None
     if not kernel.has_values():  # stage 1
         singles, noise = _fit_outputs(
@@ -161,29 +153,29 @@ def search(
     data, n_iter = Data.from_table(X, Y), 0
     start = kernel.initialize(X, Y, random_state, singles)
     coarse = kernel.coarse().initialize(X, Y, random_state, singles)
-    if coarse.n_dims < start.n_dims or root is not None:
+    if coarse.n_dims < start.n_dims or input_std is not None:
         half = -(-max_iter // 2)
         coarse, noise, end = climb(coarse, noise, noise_bounds, data, half, stop, common=exact)
         n_iter = end.n_iter
         start = kernel.initialize(X, Y, random_state, singles, coarse)
     # Stage 3.
     bounds = noise_bounds
-    if root is not None:
-        data = Hyperparameters(coarse, noise, root).data(X, Y, 1)
-    if learned_root:
+    if input_std is not None:
+        data = Hyperparameters(coarse, noise, input_std).data(X, Y, 1)
+    if learns_noise:
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     best, noise, end = climb(start, noise, bounds, data, max_iter - n_iter, stop, common=exact)
-    if learned_root:
+    if learns_noise:
         if not (exact or stop.is_set()):
             # Stage 4; the white noise is learned again from all samples.
-            half_data = Hyperparameters(best, noise[:P], root).data(X[::2], Y[::2], 1)
+            half_data = Hyperparameters(best, noise[:P], input_std).data(X[::2], Y[::2], 1)
             noise = climb(best, noise, bounds, half_data, NOISE_STEPS, stop, noise_alone=True).noise
-        root = root * np.sqrt(noise[P:])
+        input_std = input_std * np.sqrt(noise[P:])
     return Hyperparameters(
         best,
         noise[:P],
-        root,
+        input_std,
         n_iter=n_iter + end.n_iter,
         interrupted=stop.is_set(),
         remaining=end.remaining,

@@ -77,7 +77,7 @@ def flight_table(path):
     table.insert(0, "time", log.time.round(3))
     table["density"] = standard_density(table["altitude"])
     table["airspeed"] *= np.sqrt(1.225 / table["density"])  # from indicated to true airspeed
-    table["psi"] = np.unwrap(table["psi"])
+    table["psi"] = np.angle(np.exp(1j * table["psi"]))
     by_pilot = log.mode == 1  # else the autopilot moves the surfaces
     moved = {
         name: np.where(by_pilot, getattr(log, f"{name}_in"), getattr(log, name))

@@ -23,7 +23,7 @@ DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
   skdgp demo                                     simulated example flights, nothing else needed
-  skdgp inspect log.ulg                          content of a log, and what each step lacks
+  skdgp inspect log.ulg                          content and faults of a log
   skdgp identify log.ulg --mass 3.2 --span 1.6   from a log, a scale and a tape measure
   skdgp identify a.csv b.csv --aircraft uav.json -o results
   skdgp validate results/model.joblib c.csv      is the model right about another flight?

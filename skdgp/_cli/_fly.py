@@ -332,7 +332,8 @@ def _spread(paths) -> dict:
 
 def _simulation_text(numbers, files) -> str:
     """Return duration, end and files of a simulation as text."""
-    beyond, paths, seconds = numbers["beyond"], numbers["paths"], f"{numbers['flown']:.4g}"
+    beyond, paths = numbers["beyond"], numbers["paths"]
+    seconds = f"{numbers['flown']:.4g}"
     lines = [f"flown {seconds} s, to the end"]
     if numbers["ended"] is not None:
         lines = [f"ended after {seconds} of {numbers['duration']:.4g} s: {numbers['ended']}"]

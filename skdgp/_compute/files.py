@@ -112,7 +112,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
     larger than 16 MB or no regular file.
     """
     with _refusing(f"{path} is not a JSON file"):
-        return json.loads(_text(path), object_pairs_hook=_unique_keys, parse_constant=_refuse)
+        return json.loads(_text(path), object_pairs_hook=_unique_keys)
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -152,10 +152,6 @@ def _unique_keys(pairs):
         ((name, _),) = Counter(name for name, _ in pairs).most_common(1)
         raise ValueError(f"the key {name!r} stands twice")
     return content
-
-
-def _refuse(constant):
-    raise ValueError(f"{constant} is not a number of JSON")
 
 
 def software_versions() -> dict[str, str]:

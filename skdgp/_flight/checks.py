@@ -327,7 +327,8 @@ def _airspeed(flight: pd.DataFrame) -> None:
 
 def _density(flight: pd.DataFrame) -> None:
     density = _values(flight, "density")
-    lowest, middle = _quantile(density, 0.0), _quantile(density, 0.5)
+    lowest = _quantile(density, 0.0)
+    middle = _quantile(density, 0.5)
     if lowest <= 0 or middle <= 0.05 or middle >= 2.5:
         raise ValueError(
             f"Got density from {lowest:g} to {np.nanmax(density):g}, but expected air in kg/m^3 "
@@ -381,10 +382,8 @@ def _roll_rate(flight: pd.DataFrame) -> None:
 
 
 def _accelerations(flight: pd.DataFrame) -> None:
-    size, down = (
-        _quantile(_size(flight, SPECIFIC_FORCE), 0.5),
-        _quantile(_values(flight, "az"), 0.5),
-    )
+    size = _quantile(_size(flight, SPECIFIC_FORCE), 0.5)
+    down = _quantile(_values(flight, "az"), 0.5)
     if size < 3.0 or size > 300.0 or down > 3.0:
         _warn(
             f"The median specific force is {size:.3g} m/s^2, its az {down:+.2f} m/s^2, but level "

@@ -240,6 +240,7 @@ class TestBadInput:
         ("change", "message"),
         [
             ({"mass": -1}, "Got mass=-1, but expected"),
+            ({"mass": float("nan")}, "Got mass=nan, but expected"),
             ({"mass": 10**400}, "Got mass=10+, but expected a number > 0"),
             ({"inertia": [[10**400]]}, "Got inertia .*, but expected 3 x 3 numbers"),
             ({"name": "a\nb"}, r"Got name='a\\nb', but expected a line of text"),

@@ -140,12 +140,11 @@ def evaluate_flights(
 ) -> list[Evaluation]:
     """Predict flights and replay them, with the settings and facts of `identify`."""
     return [
-        _evaluate(name, table, pipeline, aircraft, settings, fit.get("least_squares"))
-        for name, table in flights.items()
+        _evaluate(name, table, pipeline, aircraft, settings, fit) for name, table in flights.items()
     ]
 
 
-def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evaluation:
+def _evaluate(name, table, pipeline, aircraft, settings, fit) -> Evaluation:
     notify(f"evaluating {name}")
     loads = {key: settings[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
@@ -163,8 +162,8 @@ def _evaluate(name, table, pipeline, aircraft, settings, least_squares) -> Evalu
     if {*EULER, *velocity} <= set(table.columns):  # from which the integration starts
         replayed = replay(table, aircraft, mean, horizon=min(settings["horizons"]), **loads)
     names, baseline = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS], None
-    if least_squares is not None:
-        weights = np.array([list(least_squares[name].values()) for name in COEFFICIENTS])
+    if linear := fit.get("least_squares"):
+        weights = np.array([list(linear[name].values()) for name in COEFFICIENTS])
         baseline = weights[:, 0] + named(pipeline, regressors).to_numpy() @ weights[:, 1:].T
     return Evaluation(
         name=name,

@@ -42,7 +42,6 @@ THRUSTS = {
     "none": "none subtracted: an engine's is part of the coefficients",
 }
 N_WARNINGS = 3  # of the summary
-MOST_NAMED = 3  # flights whose durations are given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,12 +268,9 @@ def air_of(pipeline: Pipeline) -> str:
     return ", ".join(parts[:4])
 
 
-def _durations(flights: Mapping[str, Any]) -> str:
-    """Return flights with their durations and rates; of many their number."""
+def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
+    """Return flights with their durations and rates."""
     extents = {name: _extent(table) for name, table in flights.items()}
-    if len(extents) > MOST_NAMED:
-        seconds = sum(extent["duration"] for extent in extents.values())
-        return f"{len(extents)} flights, {seconds:.4g} s together: {', '.join(extents)}"
     return ", ".join(
         f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)"
         for name, extent in extents.items()

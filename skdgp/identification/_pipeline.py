@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -250,14 +251,11 @@ class FlightPipeline(Pipeline):
             self.seconds_ = (
                 float(len(X) * np.median(steps[steps > 0])) if (steps > 0).any() else None
             )
-        rates = next(
-            (step for _, step in self.steps if getattr(step, "in_simulation", None) == "rates"),
-            None,
-        )
-        try:
-            self.turbulence_ = None if rates is None else Turbulence.from_flight(X, rates.span)
-        except (TypeError, ValueError):  # short flights, or columns that are missing
-            self.turbulence_ = None
+        self.turbulence_ = None
+        rates = self.named_steps.get("ratenondimensionalizer")
+        if rates is not None:
+            with suppress(TypeError, ValueError):  # short flights, or columns that are missing
+                self.turbulence_ = Turbulence.from_flight(X, rates.span)
 
     def _clock(self, X):
         """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""

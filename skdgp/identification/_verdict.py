@@ -337,17 +337,13 @@ def _least_squares(pipeline: Pipeline, fitted: Mapping[str, Mapping[str, float]]
     """Return the linear model of the same rows."""
     model = as_aerodynamics(pipeline)
     table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
-    intercept, slopes = (
-        table.loc["intercept"].to_numpy(),
-        table.loc[list(model.regressors)].to_numpy(),
-    )
-    return Aerodynamics(
-        lambda X: intercept + X @ slopes,
-        model.regressors,
+    intercept, slopes = (table.loc[rows].to_numpy() for rows in ("intercept", [*model.regressors]))
+    unknown: dict[str, Any] = dict.fromkeys(("sampler", "drift", "slope_errors", "function_errors"))
+    return replace(
+        model,
+        function=lambda X: intercept + X @ slopes,
         slopes=lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
-        span=model.span,
-        chord=model.chord,
-        mixing=model.mixing,
+        **unknown,
     )
 
 
@@ -384,7 +380,12 @@ def simulation_errors(
     gusts = np.zeros(simulated.shape[1:])
     if met is not None:
         several = max(1, MOST_STARTS // len(parts))
-        model = _without_uncertainty(pipeline)
+        mean = as_aerodynamics(pipeline)  # whose paths differ by the gusts alone
+        exact: dict[str, Any] = {
+            "sampler": lambda n_paths, random_state: (mean, mean.gradient),
+            **dict.fromkeys(("drift", "slope_errors", "function_errors")),
+        }
+        model = replace(mean, function=mean, slopes=mean.gradient, **exact)
         drawn = _flown(model, aircraft, starts, parts, settings, gusts=met, n_paths=several)
         paths = drawn[list(STATES)].to_numpy().reshape(several, *shape).swapaxes(2, 3)
         gusts = np.nan_to_num((paths - simulated) ** 2).mean(axis=(0, 1))
@@ -429,19 +430,6 @@ def _unknown_gusts(
         return Turbulence.from_flight(pd.concat(named), aircraft.span)
     except ValueError:  # they are too short, or lack attitude or velocity
         return as_aerodynamics(pipeline).turbulence
-
-
-def _without_uncertainty(pipeline: Pipeline) -> Aerodynamics:
-    """Return the mean of a model as one whose paths differ by the gusts alone."""
-    mean = as_aerodynamics(pipeline)
-    shown = {name: getattr(mean, name) for name in ("limits", "span", "chord", "mixing", "units")}
-    return Aerodynamics(
-        mean,
-        mean.regressors,
-        slopes=mean.gradient,
-        sampler=lambda n_paths, random_state: (mean, mean.gradient),
-        **shown,
-    )
 
 
 def simulated_flight(

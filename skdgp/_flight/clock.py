@@ -13,8 +13,6 @@ GAP = 2.5
 # samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
 JITTER = 0.02
 MULTIPLE = 0.1  # tolerance of multiples of the shortest step, as a fraction
-# a clock that goes back after fewer samples was not restarted: the rows are in disorder
-SHORTEST_PART = 10
 
 
 def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:
@@ -52,33 +50,6 @@ def flight_rows(flight: ArrayLike) -> dict[str, np.ndarray]:
     return dict(zip(names, parts, strict=False))  # of no rows at all there is one empty part
 
 
-def part_restarts(time: np.ndarray, flight: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return identifiers (n,) with new ones from each restart of a clock on (a, a#2, a#3), and the rows of restarts.
-
-    Identifiers stay where rows are in disorder or time stands still.
-    """
-    flight = np.asarray(flight, dtype=object)
-    codes, used = flight_codes(flight)
-    same = np.diff(codes) == 0
-    back = np.flatnonzero(same & (time[1:] < time[:-1])) + 1
-    edges = np.sort(np.r_[0, np.flatnonzero(~same) + 1, back, len(time)])
-    if (
-        not back.size
-        or np.any(same & (time[1:] == time[:-1]))
-        or np.diff(edges).min() < SHORTEST_PART
-    ):
-        return flight, np.empty(0, int)
-    names, names_used = flight.copy(), set(used)
-    numbers: dict[str, int] = {}
-    for row, end in zip(back, edges[np.searchsorted(edges, back) + 1], strict=True):
-        number = numbers.get(flight[row], 1) + 1
-        while (name := f"{flight[row]}#{number}") in names_used:
-            number += 1
-        names_used.add(name)
-        numbers[flight[row]], names[row:end] = number, name
-    return names, back
-
-
 def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
     """Return time (n,) as float and integer flight codes (n,); ValueError if time does not increase within a flight."""
     time = np.asarray(time, dtype=float)
@@ -97,11 +68,9 @@ def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, 
         before, row = order[back[0] : back[0] + 2]
         raise ValueError(
             f"Got time {time[row]:.10g} s after {time[before]:.10g} s at row {row} ({len(back)} "
-            f"such rows), but "
-            "expected time to increase strictly within a flight: sort by time, drop repeated "
-            "rows, or name the flights "
-            "apart in a column 'flight' (skdgp.preprocessing.FlightCheck does where a clock was "
-            "restarted)."
+            f"such rows), but expected time to increase strictly within a flight: sort by time, "
+            f"drop repeated rows, or name the flights apart in a column 'flight', as where a clock "
+            f"was restarted."
         )
     return time, codes
 

@@ -71,7 +71,6 @@ MISSING = 1.5  # a sample is missing where the next comes later than so many usu
 
 NOT_MEASURED = ("stuck", "impossible", "spike")
 REMEDY = {
-    "restart": "a flight of its own",
     "gap": "nothing is filtered across it",
     "missing": "leave out these rows where the gap is too long to interpolate",
     "stuck": "not measured; if it was, name the column in ignore",

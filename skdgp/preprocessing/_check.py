@@ -20,13 +20,12 @@ from skdgp._flight.checks import (
     numeric,
     unwrapped,
 )
-from skdgp._flight.clock import check_clock, flight_segments, part_restarts
+from skdgp._flight.clock import check_clock, flight_segments
 from skdgp._flight.faults import (
     Finding,
     FlightDataWarning,
     faults_message,
     find_faults,
-    seconds_origin,
     usual_spacing,
     without_faults,
 )
@@ -43,7 +42,6 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     controls held still are no faults.
 
     ============== ===========================================================================================
-    ``restart``    time goes back, as when the computer restarted
     ``gap``        time jumps forward by more than 2.5 steps
     ``missing``    no value where the channel usually has one
     ``stuck``      a sensor repeats its last value for 0.3 s or longer
@@ -79,7 +77,7 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
     check_columns(check_table(flight), ["time"])
-    return _as_table(_inspect(flight, ignore)[1])
+    return _as_table(_inspect(flight, ignore))
 
 
 class FlightCheck(TableTransformer):
@@ -87,10 +85,8 @@ class FlightCheck(TableTransformer):
 
     Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to
     ``bridge`` are interpolated linearly, in channels with a value in nearly every row; longer ones
-    stay NaN, which :class:`RegressorSelector` refuses. A flight whose clock restarted becomes
-    several, ``name``, ``name#2``. Raises ValueError if ``time`` is missing; if it goes back and
-    rows are not in order, or there is no column ``flight`` to name the parts in; in ``transform``
-    if an airspeed is not positive.
+    stay NaN, which :class:`RegressorSelector` refuses. Raises ValueError if ``time`` is missing, or
+    does not increase within a flight; in ``transform`` if an airspeed is not positive.
 
     Parameters
     ----------
@@ -132,11 +128,11 @@ class FlightCheck(TableTransformer):
         return super()._has_known_column(X) and "time" in X
 
     def _fit_table(self, table):
-        self.findings_ = _as_table(_inspect(table, self.ignore)[1])
+        self.findings_ = _as_table(_inspect(table, self.ignore))
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
-        table, findings = _inspect(table, self.ignore)
+        findings = _inspect(table, self.ignore)
         faults = [finding for finding in findings if finding.kind != "gap"]  # no error
         if faults:
             then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
@@ -166,27 +162,10 @@ class FlightCheck(TableTransformer):
         return with_columns(table, new)
 
 
-def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> tuple[pd.DataFrame, list[Finding]]:
-    """Return the table with a new flight name after each restart of the clock, and its findings."""
-    time = numeric(table, ["time"])[:, 0]
-    flight = table["flight"] if "flight" in table else np.full(len(table), "flight")
-    names, restarts = part_restarts(time, flight)
-    if restarts.size and "flight" not in table:
-        row = restarts[0]
-        raise ValueError(
-            f"Got time {time[row]:g} s after {time[row - 1]:g} s at row {row}, where a clock "
-            f"restarted, but expected "
-            "time to increase within a flight: add a column 'flight' with one name for each part."
-        )
-    check_clock(time, names)
-    table, findings = table.assign(flight=names) if restarts.size else table, []
-    origin = seconds_origin(time)
-    for row in restarts:
-        words = f"goes back from {time[row - 1] - origin:.6g} s, a restart: "
-        words += f"from there on the flight is named {names[row]!r}"
-        place = float(time[row]), float(time[row]), np.array([row])
-        findings.append(Finding(names[row - 1], "time", "restart", *place, words, origin))
-    return table, findings + find_faults(table, ignore)
+def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Finding]:
+    """Return the findings of a table whose time increases within each flight."""
+    check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
+    return find_faults(table, ignore)
 
 
 def _as_table(findings: list[Finding]) -> pd.DataFrame:

@@ -1,14 +1,12 @@
 """Which rows are of which flight: one rule, whatever holds the names, and no row without one."""
 
-from time import monotonic as clock
-
 import numpy as np
 import pandas as pd
 import pytest
 from sklearn.dummy import DummyRegressor
 
 from skdgp._flight.checks import check_flight
-from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, part_restarts, true_runs
+from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, true_runs
 from skdgp._flight.faults import find_faults
 from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import aerodynamic_coefficients
@@ -62,7 +60,6 @@ def holed(missing):
 # What asks for the flight of each row. A new one has a line here.
 ASKING = {
     "flight_segments": lambda flights: flight_segments(flights["time"], flights["flight"]),
-    "part_restarts": lambda flights: part_restarts(flights["time"], flights["flight"]),
     "find_faults": find_faults,
     "check_flight": lambda flights: check_flight(flights, ["time"]),
     "aerodynamic_coefficients": lambda flights: aerodynamic_coefficients(flights, None),
@@ -115,17 +112,6 @@ def test_rows_of_flights_that_take_turns():
         "a": [1, 3],
     }
     assert flight_rows([]) == {}
-
-
-def test_restarts_are_named_apart_and_soon():
-    time, flight = np.tile(0.02 * np.arange(10), 6), ["a"] * 30 + ["a#2"] * 20 + ["b"] * 10
-    names, restarts = part_restarts(time, flight)
-    assert list(dict.fromkeys(names)) == ["a", "a#3", "a#4", "a#2", "a#2#2", "b"]
-    assert restarts.tolist() == [10, 20, 40]
-    began = clock()
-    names, _ = part_restarts(np.tile(0.02 * np.arange(10), 10_000), ["a"] * 100_000)
-    assert names[-1] == "a#10000"
-    assert clock() - began < 5
 
 
 def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_path):

@@ -189,32 +189,6 @@ class TestBridging:
 
 
 class TestClock:
-    @pytest.fixture
-    def restarted(self):
-        table = log()
-        table.loc[1000:, "time"] -= table.time[1000]
-        table.loc[1800:, "time"] -= table.time[1800]
-        return table
-
-    def test_a_restart_makes_flights_of_their_own(self, restarted):
-        assert faults(restarted) == [("time", "restart")] * 2
-        with pytest.warns(
-            FlightDataWarning, match="a restart: from there on the flight is named 'sortie#2'"
-        ):
-            out = FlightCheck().fit_transform(restarted)
-        assert out.groupby("flight", sort=False).size().to_dict() == {
-            "sortie": 1000,
-            "sortie#2": 800,
-            "sortie#3": 600,
-        }
-        pd.testing.assert_frame_equal(out.drop(columns="flight"), restarted.drop(columns="flight"))
-
-    def test_names_that_are_taken_are_not_given_again(self, restarted):
-        table = pd.concat([restarted, log(name="sortie#2")], ignore_index=True)
-        with pytest.warns(FlightDataWarning):
-            out = FlightCheck().fit_transform(table)
-        assert out.flight.unique().tolist() == ["sortie", "sortie#3", "sortie#4", "sortie#2"]
-
     def test_rows_in_disorder_are_refused(self, tmp_path):
         table = log().sample(frac=1.0, random_state=0)
         with pytest.raises(ValueError, match="expected time to increase strictly within a flight"):

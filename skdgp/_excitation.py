@@ -26,7 +26,6 @@ MOST_STEPS = 200  # steps of the search for phases at each norm
 LEAST_COVERAGE = (
     0.7  # fraction of a band that evenly spaced harmonics cover, or else they are uneven
 )
-MOST_ROWS = 1_000_000  # of a table: five hours at 50 Hz
 SAMPLES_PER_PERIOD = (
     10  # in the shortest period: held for one, a signal is late by a twentieth of it
 )
@@ -455,8 +454,8 @@ class Wavetrain:
         It ends a ``pause`` [s] after the last input. By default it holds deviations from trim. With
         the controls of trimmed flight, such as ``Trim.controls``, it holds their sums, and controls
         without inputs: it is then what :func:`skdgp.dynamics.simulate` flies. Raises ValueError if
-        the rate is too low for an input, there would be more than a million rows, the pause is
-        negative, inputs that overlap exceed a limit of their axis, or ``trim`` lacks an axis.
+        the rate is too low for an input, the pause is negative, inputs that overlap exceed a limit of
+        their axis, or ``trim`` lacks an axis.
 
         Examples
         --------
@@ -480,12 +479,7 @@ class Wavetrain:
                     f"expected at least {SAMPLES_PER_PERIOD / signal.period:.3g} Hz, or a lower "
                     f"band or longer pulses."
                 )
-        if (length := self.duration + pause) * rate > MOST_ROWS:
-            raise ValueError(
-                f"Got {length:g} s at {rate:g} Hz, {length * rate:.3g} rows, but expected at most "
-                f"{MOST_ROWS}: at most "
-                f"{MOST_ROWS / length:.3g} Hz, or {MOST_ROWS / rate:.3g} s."
-            )
+        length = self.duration + pause
         time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate
         columns = {axis: self(axis, time) for axis in self.axes}
         for axis, values in columns.items():

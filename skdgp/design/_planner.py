@@ -35,7 +35,7 @@ from skdgp.design._envelope import (
     with_band,
 )
 from skdgp.design._library import Inputs, duration_of, input_bands, library, scaled
-from skdgp.design._rehearsal import LEAST, REACTION, RESPONSE, ROW_STEP, Checked, Rehearsal
+from skdgp.design._rehearsal import LEAST, RESPONSE, ROW_STEP, Checked, Rehearsal
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
@@ -92,10 +92,6 @@ class Plan:
     aircraft: Aircraft
     gusts: tuple[float, ...] | None = None
     servo_lag: float = 0.0
-    #: Seconds of response after a manoeuvre that the flight records
-    response: ClassVar[float] = RESPONSE
-    #: Seconds after a manoeuvre without action of the pilot, which its risk includes
-    reaction: ClassVar[float] = REACTION
 
     @property
     def risk(self) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -17,7 +16,6 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import json_text, plain, software_versions, text_writer, write_together
-from skdgp._compute.messages import warn
 from skdgp._compute.progress import notify
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
@@ -173,8 +171,6 @@ class Identification:
     def writers(self) -> dict[str, Callable[[Path], object]]:
         """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
         notify("report")
-        if find_spec("matplotlib") is None:
-            warn('No pictures in the report: they need pip install "skdgp[plot]".', stacklevel=2)
         writers: dict[str, Callable[[Path], object]] = {
             "report.html": text_writer(render_report(self._report_content())),
             "metrics.json": text_writer(json_text(self.metrics)),

@@ -280,11 +280,6 @@ class TestFlights:
         )
         np.testing.assert_allclose(spans, [[100.0, 140.0, 20.0], [5.0, 45.0, 25.0]], atol=0.2)
 
-    def test_names(self, write, ulog):
-        t = np.arange(0, 60, 0.05)
-        path = write("log.ulg", self.log(ulog, np.full(t.size, 20.0), t))
-        assert read_flight(path, flight="noon").flight.unique().tolist() == ["noon"]
-
 
 class TestRefusals:
     def test_a_bench_log(self, write, ulog):

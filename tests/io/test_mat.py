@@ -38,18 +38,6 @@ def test_every_kind_of_number_beside_what_is_no_vector(tmp_path, kind, compresse
     np.testing.assert_array_equal(table["north"], alpha.astype(float))
 
 
-@pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)])
-def test_loose_vectors(save, shape):
-    table = read_flight(
-        save(**{name: values.reshape(shape) for name, values in VECTORS.items()}, mass=3.0)
-    )
-    for name, values in VECTORS.items():
-        np.testing.assert_allclose(table[name], values)
-    assert (table.flight == "log").all()
-    assert table.attrs["unknown_columns"] == ["my_sensor"]
-    assert "mass" not in table
-
-
 @pytest.mark.parametrize(
     "content", [{"data": VECTORS}, {"log": VECTORS | {"note": "calm"}, "x": 1.0}]
 )

@@ -14,14 +14,12 @@ from pathlib import Path
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "jsbsim")
 
 
-def parser_of(description, *, data=False, redo=False, smoke=False):
-    """Return a parser of the command line of all benchmarks; ``data``, ``redo``, ``smoke``: of some."""
+def parser_of(description, *, data=False, smoke=False):
+    """Return a parser of the command line of all benchmarks; ``data``, ``smoke``: of some."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--out", type=Path, help="folder for the results, as NAME.json")
     if data:
         parser.add_argument("data", type=Path, nargs="?", help="folder of the data")
-    if redo:
-        parser.add_argument("--redo", action="store_true", help="run again what OUT has already")
     if smoke:
         parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     return parser

@@ -1,6 +1,6 @@
 """Methods of the field on the same samples: errors on an unseen flight, and what 95 % bands hold.
 
-    python tests/benchmarks/comparison.py ../shared/data --out OUT [--flights F] [--methods M] [--seeds S] [--redo]
+    python tests/benchmarks/comparison.py ../shared/data --out OUT [--methods M] [--seeds S]
 
 Each method learns the measured coefficients of one flight and predicts another. ``skdgp pipeline``
 is ``make_identification_pipeline`` with its own regressors, once for each seed; the others learn
@@ -9,8 +9,8 @@ of the test flight, against the truth where it is known. The fraction of values 
 every tenth sample: bands of the function against the truth, bands of measurements against measured
 coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 
-Each run is kept as OUT/comparison/FLIGHT-METHOD-SEED.json, and not run again unless ``--redo`` says
-so; the tables are of all runs that are there. Peers take some hours on one core.
+Each run is kept as OUT/comparison/FLIGHT-METHOD-SEED.json, and not run again while that file is
+there; the tables are of all runs that are there. Peers take some hours on one core.
 """
 
 import sys
@@ -201,18 +201,17 @@ def median(values):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, data=True, redo=True, smoke=True)
-    parser.add_argument("--flights", nargs="+", choices=FLIGHTS, default=list(FLIGHTS))
+    parser = parser_of(__doc__, data=True, smoke=True)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="of the pipeline")
     options = parsed(parser, words)
-    kept, flights = Kept(options.out, "comparison"), ["toy"] if options.smoke else options.flights
-    for flight in flights:
+    kept = Kept(options.out, "comparison")
+    for flight in ["toy"] if options.smoke else FLIGHTS:
         task = toy() if options.smoke else task_of(flight, options.data)
         for method in options.methods:
             for seed in options.seeds if method == "skdgp pipeline" else [0]:
                 name = f"{flight}-{method}-{seed}"
-                if name not in kept or options.redo:
+                if name not in kept:
                     result = {"flight": flight, "method": method, **scored(task, method, seed)}
                     kept.keep(name, result)
                     print(f"{name}: {np.mean(result['NRMSE']):.3f}", file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
 """Models of aircraft of JSBSim: what their bands hold of coefficients, derivatives and free flight.
 
-    python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4] [--models FOLDER] [--paths 40] [--out OUT]
+    python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4] [--out OUT]
 
 Each aircraft learns by the default pipeline from a flight of 200 s in light gusts with noisy
 sensors, and is asked about flights along another path. Coverage is the fraction within 95 % bands.
@@ -20,9 +20,7 @@ changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p an
 """
 
 import warnings
-from pathlib import Path
 
-import joblib
 import numpy as np
 import pandas as pd
 from _common import finish, parser_of
@@ -51,6 +49,7 @@ from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage, normalized_rmse
 
 EVERY = 10  # rows of a flight per row that is scored
+N_PATHS = 40  # of the ensembles
 STEP = 0.05  # s
 HORIZONS, STARTS, MARGIN = (2.0, 10.0), 20, 5.0  # s, number, s
 SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
@@ -59,19 +58,13 @@ CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 UNKNOWN = ["airspeed", "alpha", "beta", "u", "v", "w"]  # Columns of a start that hold a gust
 
 
-def learned(name, folder):
-    """Return the model of an aircraft, from the folder if it is there, its training flight, and the aircraft."""
+def learned(name):
+    """Return the model of an aircraft, its training flight, and the aircraft."""
     log, aircraft = flight_of(name, *TRAINING)
     log = sensed(log)
-    path = folder and folder / f"{name}.joblib"
-    if path and path.exists():
-        return joblib.load(path), log, aircraft
     model = make_identification_pipeline(aircraft)
     model[-1].set_params(random_state=0)
     model.fit(log, aerodynamic_coefficients(log, aircraft))
-    if path:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        joblib.dump(model, path)
     return model, log, aircraft
 
 
@@ -129,7 +122,7 @@ def held(paths, stretches, horizon):
     return 100.0 * np.mean(inside)
 
 
-def flown_row(name, model, aircraft, flown, n_paths):
+def flown_row(name, model, aircraft, flown):
     """Return coverage of free flight in each air, by what is said of the wind."""
     row = {"aircraft": name}
     for air, flight in flown.items():
@@ -141,7 +134,7 @@ def flown_row(name, model, aircraft, flown, n_paths):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", SimulationWarning)
                 paths = simulate(
-                    model, aircraft, starts, stretches, STEP, n_paths=n_paths, **options
+                    model, aircraft, starts, stretches, STEP, n_paths=N_PATHS, **options
                 )
             row |= {f"{air}, {said}, {t:g} s": held(paths, stretches, t) for t in HORIZONS}
     return row
@@ -158,15 +151,13 @@ def summary(rows):
 def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--aircraft", nargs="+", default=[*KNOTS], choices=[*KNOTS])
-    parser.add_argument("--models", type=Path, help="folder of fitted pipelines")
-    parser.add_argument("--paths", type=int, default=40, help="of the ensembles")
     options = parser.parse_args(words)
     models, flights = [], []
     for name in options.aircraft:
-        model, log, aircraft = learned(name, options.models)
+        model, log, aircraft = learned(name)
         flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
         models.append(model_row(name, model, log, aircraft, flown))
-        flights.append(flown_row(name, model, aircraft, flown, options.paths))
+        flights.append(flown_row(name, model, aircraft, flown))
         print(pd.DataFrame([models[-1] | flights[-1]]).round(2).to_string(index=False), flush=True)
     tables = {"models": summary(models), "free_flight": summary(flights)}
     rows = [model | flight for model, flight in zip(models, flights, strict=True)]

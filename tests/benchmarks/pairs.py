@@ -1,14 +1,14 @@
 """Pairs of flights of seven aircraft: the average of posteriors beside its members and least squares.
 
-    python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT [--pairs P] [--seeds S] [--latents M] [--redo]
+    python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT [--seeds S]
 
 REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see _real_flights.py;
 the HFB-320 is ``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights
 and predicts those of others: NRMSE, mean over the coefficients, over that of least squares from the
-same regressors. Members are those of the same fit, each alone. NLPD and coverage are of measured
+same regressors. Members are those of the same fit, each alone. Coverage is of measured
 coefficients at one row in ten.
 
-Each run is kept as OUT/pairs/PAIR-LATENTS-SEED.json, and not run again unless ``--redo`` says so.
+Each run is kept as OUT/pairs/PAIR-SEED.json, and not run again while that file is there.
 """
 
 import sys
@@ -20,15 +20,15 @@ import _real_flights as real
 import numpy as np
 import pandas as pd
 from _common import finish, parser_of
-from comparison import BANDS_EVERY, FLIGHTS, SAMPLES, Kept, Task, ampyx_ap2, task_of
+from comparison import BANDS_EVERY, SAMPLES, Kept, Task, ampyx_ap2, task_of
 from scipy.io import loadmat
 from sklearn.linear_model import LinearRegression
 
-from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp import make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import flight_regressors
 from skdgp.io import read_flight
-from skdgp.metrics import interval_coverage, negative_log_predictive_density, normalized_rmse
+from skdgp.metrics import interval_coverage, normalized_rmse
 
 # The book's Izz of 35959 kg m^2 is that of no body; it hardly enters the longitudinal coefficients
 HFB_320 = Aircraft(
@@ -116,16 +116,15 @@ REAL = {
     "hfb": hfb_320,
 }
 QUARTERS = {f"ap2_{k}": k for k in (1, 3, 4)}
-SHARED = {"viggen": "viggen_latlon", "c172p": "c172p", "ap2_blocks": "ampyx_ap2"}
+SHARED = {"viggen": "viggen_latlon", "c172p": "c172p"}
 PAIRS = [*REAL, *QUARTERS, *SHARED]
-LISTED = PAIRS[:-1]  # Of the geometric means
 LONGITUDINAL = ["CX", "CZ", "Cm"]
+KINDS = ("average", "joint", "additive", "trend")
 
 
 def task_of_pair(name, repository, data):
     """Return the task of a pair; measured coefficients are scored."""
     if name in SHARED:
-        assert SHARED[name] in FLIGHTS
         return task_of(SHARED[name], data)
     aircraft, train, test, loads = (
         REAL[name](repository) if name in REAL else quarter(data, QUARTERS[name])
@@ -138,49 +137,30 @@ def task_of_pair(name, repository, data):
     return Task(aircraft, train, test, targets, measured.to_numpy(), None, SAMPLES)
 
 
-def result(task, seed, latents):
+def result(task, seed):
     """Return what the average and each member are worth."""
-    pipeline = make_identification_pipeline(
-        task.aircraft, regressor=DependentGPRegressor(n_latent=latents, random_state=seed)
-    )
+    pipeline = make_identification_pipeline(task.aircraft)
+    pipeline[-1].set_params(n_latent=2, random_state=seed)
     start = time.process_time()
     pipeline.fit(task.train, task.targets)
     seconds = time.process_time() - start
     last = pipeline[-1]
     X, ratio = flight_regressors(pipeline, task.test)
     mean, std = last.predict(X, return_std=True, include_noise=True, include_input_noise=ratio)
-    members = last.posterior_.members
-    alone = [each.predict(X, return_variance=True) for each in members]
-    means = np.array([m for m, _ in alone]) * last.scale_ + last.center_
-    function = np.array([v for _, v in alone]) * last.scale_**2
-    noise = std**2 - last.predict(X, return_std=True, include_input_noise=False)[1] ** 2
-    found = {"seconds": seconds, "outputs": list(task.targets), "date": time.strftime("%Y-%m-%d")}
     known = pipeline[:-1].transform(task.train)
     trusted = task.targets.notna().all(axis=1).to_numpy()
     least_squares = LinearRegression().fit(np.asarray(known)[trusted], task.targets[trusted])
-    found["least squares"] = float(normalized_rmse(task.measured, least_squares.predict(X)))
-    found["average"] = scored(task, mean, std**2)
-    for k, name in enumerate(last.weights_):
-        found[name] = scored(task, means[k], function[k] + noise)
-    found["weights"] = {name: weights.tolist() for name, weights in last.weights_.items()}
-    return found
-
-
-def scored(task, mean, variance):
-    some, std = slice(None, None, BANDS_EVERY), np.sqrt(variance)
-    spread = task.measured.std(axis=0)
+    some = slice(None, None, BANDS_EVERY)
     found = {
-        "error": float(normalized_rmse(task.measured, mean)),
+        "seconds": seconds,
+        "least squares": float(normalized_rmse(task.measured, least_squares.predict(X))),
+        "average": float(normalized_rmse(task.measured, mean)),
         "coverage": float(interval_coverage(task.measured[some], mean[some], std[some])),
-        "NLPD": float(
-            negative_log_predictive_density(
-                task.measured[some] / spread, mean[some] / spread, std[some] / spread
-            )
-        ),
     }
-    return (
-        found if task.truth is None else found | {"truth": float(normalized_rmse(task.truth, mean))}
-    )
+    for name, member in zip(last.weights_, last.posterior_.members, strict=False):
+        alone = member.predict(X) * last.scale_ + last.center_
+        found[name] = float(normalized_rmse(task.measured, alone))
+    return found
 
 
 def of_pairs(runs):
@@ -189,86 +169,36 @@ def of_pairs(runs):
     for pair in dict.fromkeys(run["pair"] for run in runs):
         some = [run for run in runs if run["pair"] == pair]
         row = {"pair": pair, "least squares": some[0]["least squares"]}
-        for name in ("average", "joint", "additive", "trend"):
-            row[name] = _median(
-                run[name]["error"] / run["least squares"] for run in some if name in run
-            )
-        truths = [run["average"]["truth"] for run in some if "truth" in run["average"]]
-        alone = [min(run[name]["NLPD"] for name in run["weights"]) for run in some]
-        row |= {
-            "of truth": f"{min(truths):.3f} to {max(truths):.3f}" if truths else None,
-            "in the band %": 100 * _median(run["average"]["coverage"] for run in some),
-            "NLPD": _median(run["average"]["NLPD"] for run in some),
-            "best member's": _median(alone),
-            "CPU s": _median(run["seconds"] for run in some),
-            "seeds": len(some),
-        }
+        for name in KINDS:
+            ratios = [run[name] / run["least squares"] for run in some if name in run]
+            row[name] = float(np.median(ratios)) if ratios else None
+        row["in the band, %"] = 100 * float(np.median([run["coverage"] for run in some]))
         rows.append(row)
     return rows
 
 
-def _median(values):
-    values = list(values)
-    return float(np.median(values)) if values else None
-
-
 def geometric_means(rows):
-    """Return the geometric means of the ratios, of all pairs of the list, and without the AP2."""
-    found = []
-    for words, names in {
-        "all": LISTED,
-        "without AP2": [p for p in LISTED if p not in QUARTERS],
-    }.items():
-        some = [row for row in rows if row["pair"] in names]
-        if some:
-            kinds = ("average", "joint", "trend")
-            means = {
-                kind: float(np.exp(np.mean([np.log(row[kind]) for row in some]))) for kind in kinds
-            }
-            found.append(
-                {
-                    "pairs": f"{words}, {len(some)}",
-                    **means,
-                    "worst": max(row["average"] for row in some),
-                }
-            )
-    return found
+    """Return the geometric means of the ratios that all pairs have."""
+    kinds = [kind for kind in KINDS if all(row[kind] for row in rows)]
+    return [{kind: float(np.exp(np.mean([np.log(row[kind]) for row in rows]))) for kind in kinds}]
 
 
 def main(words=None):
-    parser = parser_of(__doc__, redo=True)
-    parser.add_argument(
-        "repository", type=Path, nargs="?", help="the unpacked copy of the repository"
-    )
-    parser.add_argument("data", type=Path, nargs="?", help="folder of the shared data")
-    parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS)
+    parser = parser_of(__doc__)
+    parser.add_argument("repository", type=Path, help="the unpacked copy of the repository")
+    parser.add_argument("data", type=Path, help="folder of the shared data")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--latents", type=int, default=2, help="shared latents")
     options = parser.parse_args(words)
-    if options.data is None:
-        parser.error("the copy of the repository and the folder of the shared data are needed")
     kept = Kept(options.out, "pairs")
-    for pair in options.pairs:
+    for pair in PAIRS:
         task = task_of_pair(pair, options.repository, options.data)
         for seed in options.seeds:
-            name = f"{pair}-{options.latents}-{seed}"
-            if options.redo or name not in kept:
-                found = result(task, seed, options.latents)
-                kept.keep(name, {"pair": pair, "latents": options.latents, "seed": seed, **found})
-                ratio = found["average"]["error"] / found["least squares"]
-                print(
-                    f"{name}: {ratio:.3f} of least squares, {found['seconds']:.0f} s",
-                    file=sys.stderr,
-                    flush=True,
-                )
-    runs = [run for run in kept.memory.values() if run["latents"] == options.latents]
-    rows = of_pairs(runs)
-    finish(
-        options,
-        "pairs",
-        of_pairs=rows,
-        geometric_means=geometric_means(rows),
-    )
+            name = f"{pair}-{seed}"
+            if name not in kept:
+                kept.keep(name, {"pair": pair, **result(task, seed)})
+                print(f"{name}: {kept.memory[name]}", file=sys.stderr, flush=True)
+    rows = of_pairs(list(kept.memory.values()))
+    finish(options, "pairs", of_pairs=rows, geometric_means=geometric_means(rows))
 
 
 if __name__ == "__main__":

@@ -304,7 +304,7 @@ def line(title, scores):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, smoke=True)
+    parser = parser_of(__doc__)
     parser.add_argument("--aircraft", nargs="+", choices=AIRCRAFT, default=list(AIRCRAFT))
     parser.add_argument("--air", nargs="+", choices=AIRS, default=list(AIRS))
     parser.add_argument("--sensors", nargs="+", choices=("ideal", "real"), default=["ideal"])
@@ -312,26 +312,22 @@ def main(words=None):
     parser.add_argument("--seconds", type=float, default=120.0)
     options = parser.parse_args(words)
     cases = list(itertools.product(options.sensors, options.aircraft, options.air, options.seeds))
-    seconds = options.seconds
-    if options.smoke:
-        cases, seconds = cases[:1], 20.0
     warnings.simplefilter("ignore")
     rngs = [np.random.default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
     lags = [rng.uniform(0.02, 0.08) for rng in rngs]
     planes = [AIRCRAFT[name] for _, name, _, _ in cases]
-    flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, seconds, lags).fly()
+    flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, options.seconds, lags).fly()
     results = {}
     for k, (case, plane) in enumerate(zip(cases, planes, strict=True)):
         real = case[0] == "real"
         table = logged(flown[:, k], rngs[k], real)
         found = results.setdefault(case[:3], [])
         found.append(score(table, plane, lags[k] if real else 0.0))
-        if len(found) == len(options.seeds) or options.smoke:
+        if len(found) == len(options.seeds):
             print(line(", ".join(case[:3]), found), flush=True)
     for sensors in options.sensors:
         chosen = [each for key, part in results.items() if key[0] == sensors for each in part]
-        if chosen:
-            print(line(f"all, {sensors}", chosen))
+        print(line(f"all, {sensors}", chosen))
 
 
 if __name__ == "__main__":

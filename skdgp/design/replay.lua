@@ -38,34 +38,24 @@ local function planned(axis, t)
   return limited(value, -axis.amplitude, axis.amplitude)
 end
 
-local function servos(surface) -- all that have its function
-  local found = {}
-  for channel = 0, 31 do
-    local name = "SERVO" .. (channel + 1) .. "_"
-    if param:get(name .. "FUNCTION") == surface.servo then
-      table.insert(found, {
-        channel = channel,
-        min = param:get(name .. "MIN"),
-        trim = param:get(name .. "TRIM"),
-        max = param:get(name .. "MAX"),
-        reversed = param:get(name .. "REVERSED") == 1,
-      })
-    end
-  end
-  return found
-end
-
-local function pulse(servo, command, range) -- [us] of a command of 0 to 1 (a range) or -1 to 1
-  if range then
-    command = servo.reversed and 1.0 - command or command
-    return servo.min + command * (servo.max - servo.min)
-  end
-  command = servo.reversed and -command or command
-  return servo.trim + command * (command > 0 and servo.max - servo.trim or servo.trim - servo.min)
+local function pulse(servo, command) -- [us] of a command of -1, or of a range 0, to 1
+  local stop = command > 0 and servo.high or servo.low
+  return servo.middle + math.abs(command) * (stop - servo.middle)
 end
 
 for _, surface in ipairs(plan.surfaces) do
-  surface.servos = servos(surface)
+  surface.servos = {} -- all that have its function
+  for channel = 0, 31 do
+    local name = "SERVO" .. (channel + 1) .. "_"
+    if param:get(name .. "FUNCTION") == surface.servo then
+      local low, high = param:get(name .. "MIN"), param:get(name .. "MAX")
+      if param:get(name .. "REVERSED") == 1 then
+        low, high = high, low
+      end
+      local middle = surface.range and low or param:get(name .. "TRIM")
+      table.insert(surface.servos, { channel = channel, low = low, middle = middle, high = high })
+    end
+  end
   if #surface.servos == 0 then
     gcs:send_text(2, "plan: no servo has the function " .. surface.servo .. " of the " .. surface.name)
     return
@@ -86,7 +76,7 @@ local function set(t)
     end
     command = limited(command, surface.range and 0.0 or -1.0, 1.0)
     for _, servo in ipairs(surface.servos) do
-      local width = math.floor(pulse(servo, command, surface.range) + 0.5)
+      local width = math.floor(pulse(servo, command) + 0.5)
       SRV_Channels:set_output_pwm_chan_timeout(servo.channel, width, 5 * plan.period) -- then the autopilot's own again
     end
   end

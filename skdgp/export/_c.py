@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -20,7 +19,6 @@ from skdgp.export._text import changes_text
 TOLERANCE = 1e-9
 """Of the self-test, relative to the largest value; of deviations at least :meth:`PortableModel.rounding`.
 """
-MAX_REGRESSORS = 32  # bits of an unsigned long
 N_VECTORS = 40
 PER_LINE = 8
 TERM_BYTES = 56
@@ -36,10 +34,9 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     """Write a model as C99 into a folder: aero.h, aero.c, test_aero.c and a Makefile, all or none.
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean,
-    ``aero_beyond`` the regressors outside the range of the training data, ``aero_inputs`` the
-    regressors of flight data. ``make test`` compares them with the model. :func:`export_model` with
-    ``max_kb`` writes a smaller form. Raises ValueError if there are more than 32
-    regressors.
+    ``aero_inputs`` the regressors of flight data; ``aero_limits`` holds the range of the training
+    data. ``make test`` compares them with the model. :func:`export_model` with ``max_kb`` writes a
+    smaller form.
 
     Parameters
     ----------
@@ -52,11 +49,6 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     list of Path
         The files.
     """
-    if len(model.regressors) > MAX_REGRESSORS:
-        raise ValueError(
-            f"Got {len(model.regressors)} regressors, but expected at most {MAX_REGRESSORS}: name "
-            f"fewer."
-        )
     written, names = model.with_identifiers()
     values = {
         "aero.h": _header(written)
@@ -127,9 +119,6 @@ def _source(model: PortableModel) -> dict[str, Any]:
     numbers = [places[id(part.readout)] for part in parts]
     rows, used = _terms(model)
     texts = [
-        _names("aero_source_names", model.columns),
-        _names("aero_input_names", model.regressor_names),
-        _names("aero_output_names", model.outputs),
         _array("aero_limits", model.limits, "const double"),
         *(_array(name, values) for name, values in _tables(model)),
         _array("used", used or [0], "static const unsigned char"),
@@ -173,12 +162,8 @@ def _test(model: PortableModel) -> dict[str, Any]:
     mean, std = model.predict(X, return_std=True, include_input_noise=False)
     slope = model.predict_gradient(X)
     size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
-    bits = (((model.limits[0] > X) | (model.limits[1] < X)) * 2 ** np.arange(X.shape[1])).sum(
-        axis=1
-    )
     texts = [
         _array("at", X),
-        _array("beyond", bits, "static const unsigned long"),
         _array("model_mean", mean),
         _array("model_std", std),
         _array("model_slope", slope),
@@ -215,10 +200,6 @@ def _braces(values: Array) -> str:
     numbers = [repr(value) for value in values.tolist()]
     lines = [", ".join(numbers[a : a + PER_LINE]) for a in range(0, len(numbers), PER_LINE)]
     return "{" + ",\n".join(lines) + "}"
-
-
-def _names(name: str, values: Iterable[str]) -> str:
-    return _list(f"const char *const {name}", [json.dumps(value) for value in values])
 
 
 def _list(declaration: str, items: list[str], separator: str = ", ") -> str:

@@ -158,7 +158,7 @@ def _verdict(content: ReportContent) -> str:
     uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
     head = ["good enough to", "", "because"]
     parts = [
-        f'<p class="lead">{text(verdict.learned)}{air}</p>',
+        f"<p>{text(verdict.learned)}{air}</p>",
         _tiles(verdict),
         table(head, uses, caption="What the model is good for.", classes="words"),
         f"<p>{text(verdict.compared())}</p>",

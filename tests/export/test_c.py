@@ -32,14 +32,13 @@ class Library:
     def __init__(self, folder, model):
         done(folder, *STRICT, "-O0", "-shared", "-fPIC", "aero.c", "-o", "aero.so", "-lm")
         self.library = ctypes.CDLL(str(folder / "aero.so"))
-        self.library.aero_beyond.restype = ctypes.c_ulong
         self.shape = (len(model.outputs), len(model.regressors))
 
     def __call__(self, name, values, *shapes):
         arrays = [np.ascontiguousarray(values), *(np.empty(shape) for shape in shapes)]
         pointers = [array.ctypes.data_as(ctypes.c_void_p) for array in arrays]
-        found = getattr(self.library, f"aero_{name}")(*pointers)
-        return arrays[1:] or found
+        getattr(self.library, f"aero_{name}")(*pointers)
+        return arrays[1:]
 
 
 def test_equals_the_model(portable, flight, tmp_path):
@@ -57,10 +56,8 @@ def test_equals_the_model(portable, flight, tmp_path):
     slopes = model.predict_gradient(X) * model.scale
     slopes_found = np.array([library("gradient", x, (P, d))[0] for x in X]) * model.scale
     np.testing.assert_allclose(slopes_found, slopes, rtol=0, atol=1e-9 * np.abs(slopes).max())
-    outside = [bool(library("beyond", x)) for x in X]
-    assert outside == (~model.inside(X)).tolist()
-    inside = model.limits.mean(axis=0)
-    assert library("beyond", np.where(np.arange(d) == 2, np.nan, inside)) == 2**2
+    limits = (ctypes.c_double * (2 * d)).in_dll(library.library, "aero_limits")
+    np.testing.assert_array_equal(np.reshape(limits, (2, d)), model.limits)
     sources = flight[list(model.columns)].to_numpy()
     inputs = np.array([library("inputs", row, d)[0] for row in sources])
     np.testing.assert_allclose(inputs, X, rtol=1e-12, atol=1e-14)
@@ -71,7 +68,7 @@ def test_make_test_passes(portable_of, tmp_path):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     write_c(tmp_path, portable_of("trend"))
-    assert "time of a row" in done(tmp_path, "make", "test")
+    assert "passed: 40 points" in done(tmp_path, "make", "test")
 
 
 def test_a_size_is_kept(portable_of, tmp_path):

@@ -212,11 +212,9 @@ class TestPage:
         assert len(html.encode()) < 2e6
         assert "Coefficients of test, the 15" in html
 
-    def test_every_colour_variable_is_defined_for_light_and_dark(self, html):
-        rules = re.findall(r":root \{(.*?)\}", html, re.S)
-        light, dark = (set(re.findall(r"--([a-z]+):", rule)) for rule in rules)
-        assert set(re.findall(r"var\(--([a-z]+)\)", html)) <= light
-        assert light == dark
+    def test_every_colour_variable_is_defined(self, html):
+        defined = re.findall(r"--([a-z]+):", html)
+        assert set(re.findall(r"var\(--([a-z]+)\)", html)) <= set(defined)
 
 
 class TestWords:

@@ -20,18 +20,16 @@ ${tables}
 
 static void scaled(const double x[], double z[])
 {
-    int k;
-    for (k = 0; k < AERO_INPUTS; k++)
+    for (int k = 0; k < AERO_INPUTS; k++)
         z[k] = (x[k] - shift[k]) / scale[k];
 }
 
 /* u = root^T z */
 static void projected(const term *t, const double z[], double u[])
 {
-    int k, l;
-    for (l = 0; l < t->rank; l++) {
+    for (int l = 0; l < t->rank; l++) {
         u[l] = 0;
-        for (k = 0; k < t->n_used; k++)
+        for (int k = 0; k < t->n_used; k++)
             u[l] += t->root[k * t->rank + l] * z[t->used[k]];
     }
 }
@@ -41,8 +39,7 @@ static double function(const term *t, int c, const double u[])
 {
     const double *centre = t->centres + (size_t)c * (size_t)t->rank;
     double square = 0;
-    int l;
-    for (l = 0; l < t->rank; l++)
+    for (int l = 0; l < t->rank; l++)
         square += (u[l] - centre[l]) * (u[l] - centre[l]);
     return t->gain * exp(-square / 2);
 }
@@ -58,27 +55,26 @@ static double part(int j, const double z[], const double p[], double g[], double
     const int n = n_functions[j], rank = n_columns[j];
     const double *T = trend_root[j], *U = root[j];
     double u[AERO_INPUTS], value = 0, prior = prior_variance[j], explained = 0;
-    int b, c, k, r;
-    for (c = 0; c < n; c++)
+    for (int c = 0; c < n; c++)
         g[c] = 0;
-    for (b = first_term[j]; b < first_term[j + 1]; b++) {
+    for (int b = first_term[j]; b < first_term[j + 1]; b++) {
         projected(&terms[b], z, u);
-        for (c = 0; c < terms[b].size; c++)
+        for (int c = 0; c < terms[b].size; c++)
             g[terms[b].first + c] += function(&terms[b], c, u);
     }
-    for (k = 0; k <= AERO_INPUTS; k++)
+    for (int k = 0; k <= AERO_INPUTS; k++)
         value += p[k] * trend_weights[j][k];
-    for (c = 0; c < n; c++)
+    for (int c = 0; c < n; c++)
         value += g[c] * weights[j][c];
     if (variance == NULL)
         return value;
-    for (k = 0; k <= AERO_INPUTS; k++)
+    for (int k = 0; k <= AERO_INPUTS; k++)
         prior += p[k] * trend_scale[j][k] * p[k] * trend_scale[j][k];
-    for (r = 0; r < rank; r++) {
+    for (int r = 0; r < rank; r++) {
         double half = 0;
-        for (k = 0; k <= AERO_INPUTS; k++)
+        for (int k = 0; k <= AERO_INPUTS; k++)
             half += p[k] * *T++;
-        for (c = 0; c <= r - (rank - n); c++) /* a column of the triangle */
+        for (int c = 0; c <= r - (rank - n); c++) /* a column of the triangle */
             half += g[c] * *U++;
         explained += half * half;
     }
@@ -89,21 +85,20 @@ static double part(int j, const double z[], const double p[], double g[], double
 void aero_predict(const double x[AERO_INPUTS], double mean[AERO_OUTPUTS], double std[AERO_OUTPUTS])
 {
     double z[AERO_INPUTS], p[AERO_INPUTS + 1], g[FUNCTIONS] = {0}, value[COMPONENTS], variance[COMPONENTS];
-    int i, k, m;
     scaled(x, z);
     p[0] = 1;
-    for (k = 0; k < AERO_INPUTS; k++)
+    for (int k = 0; k < AERO_INPUTS; k++)
         p[k + 1] = z[k] - trend_center[k];
-    for (i = 0; i < AERO_OUTPUTS; i++) {
+    for (int i = 0; i < AERO_OUTPUTS; i++) {
         double total = 0, spread = 0;
-        for (m = 0; m < COMPONENTS; m++) {
+        for (int m = 0; m < COMPONENTS; m++) {
             value[m] = part(m * AERO_OUTPUTS + i, z, p, g, std == NULL ? NULL : &variance[m]);
             total += mixture[m][i] * value[m];
         }
         mean[i] = center[i] + output_scale[i] * total;
         if (std == NULL)
             continue;
-        for (m = 0; m < COMPONENTS; m++)
+        for (int m = 0; m < COMPONENTS; m++)
             spread += mixture[m][i] * (variance[m] + (value[m] - total) * (value[m] - total));
         std[i] = deviation_scale[i] * sqrt(spread);
     }
@@ -112,41 +107,30 @@ void aero_predict(const double x[AERO_INPUTS], double mean[AERO_OUTPUTS], double
 void aero_gradient(const double x[AERO_INPUTS], double slope[AERO_OUTPUTS][AERO_INPUTS])
 {
     double z[AERO_INPUTS], u[AERO_INPUTS], pull[AERO_INPUTS], sum[AERO_INPUTS];
-    int i, j, b, c, k, l;
     scaled(x, z);
-    for (i = 0; i < AERO_OUTPUTS; i++) {
-        for (k = 0; k < AERO_INPUTS; k++)
+    for (int i = 0; i < AERO_OUTPUTS; i++) {
+        for (int k = 0; k < AERO_INPUTS; k++)
             sum[k] = 0;
-        for (j = i; j < COMPONENTS * AERO_OUTPUTS; j += AERO_OUTPUTS) {
+        for (int j = i; j < COMPONENTS * AERO_OUTPUTS; j += AERO_OUTPUTS) {
             const double q = mixture[j / AERO_OUTPUTS][i];
-            for (k = 0; k < AERO_INPUTS; k++)
+            for (int k = 0; k < AERO_INPUTS; k++)
                 sum[k] += q * trend_weights[j][k + 1];
-            for (b = first_term[j]; b < first_term[j + 1]; b++) {
+            for (int b = first_term[j]; b < first_term[j + 1]; b++) {
                 const term *t = &terms[b];
                 projected(t, z, u);
-                for (l = 0; l < t->rank; l++)
+                for (int l = 0; l < t->rank; l++)
                     pull[l] = 0;
-                for (c = 0; c < t->size; c++) {
+                for (int c = 0; c < t->size; c++) {
                     const double e = q * weights[j][t->first + c] * function(t, c, u);
-                    for (l = 0; l < t->rank; l++)
+                    for (int l = 0; l < t->rank; l++)
                         pull[l] += e * (t->centres[c * t->rank + l] - u[l]);
                 }
-                for (k = 0; k < t->n_used; k++)
-                    for (l = 0; l < t->rank; l++)
+                for (int k = 0; k < t->n_used; k++)
+                    for (int l = 0; l < t->rank; l++)
                         sum[t->used[k]] += t->root[k * t->rank + l] * pull[l];
             }
         }
-        for (k = 0; k < AERO_INPUTS; k++)
+        for (int k = 0; k < AERO_INPUTS; k++)
             slope[i][k] = sum[k] * output_scale[i] / scale[k];
     }
-}
-
-unsigned long aero_beyond(const double x[AERO_INPUTS])
-{
-    unsigned long found = 0;
-    int k;
-    for (k = 0; k < AERO_INPUTS; k++)
-        if (!(x[k] >= aero_limits[0][k] && x[k] <= aero_limits[1][k]))
-            found |= 1UL << k;
-    return found;
 }

@@ -22,11 +22,8 @@ extern "C" {
  * Inputs, regressors:           ${inputs}
  * Outputs, coefficients:        ${outputs}
  * Names of the flights that are written in another way: ${renamed} */
-extern const char *const aero_source_names[AERO_SOURCES];
-extern const char *const aero_input_names[AERO_INPUTS];
-extern const char *const aero_output_names[AERO_OUTPUTS];
 
-/* Smallest and largest value of each input in the training data. */
+/* Smallest and largest value of each input in the training data: outside of them nothing was learned. */
 extern const double aero_limits[2][AERO_INPUTS];
 
 /* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products; and the
@@ -42,9 +39,6 @@ void aero_predict(const double x[AERO_INPUTS], double mean[AERO_OUTPUTS], double
 
 /* Slopes of the means, d mean[i] / d x[k]. */
 void aero_gradient(const double x[AERO_INPUTS], double slope[AERO_OUTPUTS][AERO_INPUTS]);
-
-/* Zero within the range of the training data; else bit k is set for each input k outside of it, or not a number. */
-unsigned long aero_beyond(const double x[AERO_INPUTS]);
 
 #ifdef __cplusplus
 }

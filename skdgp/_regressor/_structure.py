@@ -25,33 +25,17 @@ from skdgp.kernels import (
     MultiOutputKernel,
 )
 
+# Searches of a time series, each from other rows (docs/results.md, pairs of flights)
 SEARCHES = 2
-"""Searches of a time series, each from other rows (docs/results.md, pairs of flights)."""
+# Fewest and most shared latents where their number is not given; more take more time
 N_LATENT = 2, 4
-"""Fewest and most shared latents where their number is not given; more take more time.
-
-Of the known values of seven electrodes (docs/results.md) the likelihood is 821, 888 and 910 with
-two, three and four.
-"""
 LOG_ITERATIONS = 60  # of a log
+# Most iterations, of at most so many values; of more values, as many as take the same time
 ITERATIONS, ITERATED_VALUES = 150, 1500
-"""Most iterations, of a search that learns from up to so many values; of more values as many as take the same time.
-
-Seven electrodes need 100 of 1492 values: the error of gaps is .46 after 60, and .26 then. Other
-searches of tests/benchmarks/published.py converge within 90, or do not gain.
-"""
+# Most observed values, and values of a log, of which inference="auto" is exact
 EXACT_LIMIT, LOG_LIMIT = 6000, 1000
-"""Largest number of observed values, and of values of a log, of which inference="auto" is exact.
-
-An exact posterior of 6000 values takes seconds. Errors of a log are correlated, which the sparse
-posterior takes into account.
-"""
+# Largest prior variance that inducing variables leave unexplained, over the noise variance
 MOST_NEGLECTED = 0.3
-"""Largest prior variance that inducing variables may leave unexplained, over that of the noise.
-
-With 0.5 of it the error of kin8nm is 0.47, of exact inference 0.27; with 0.02 that of Friedman's
-function is the same as of exact inference.
-"""
 ADDITIVE_SAMPLES = (
     5000  # of a log: largest number for which an average has main effects, see docs/theory.md
 )

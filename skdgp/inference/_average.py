@@ -25,25 +25,12 @@ from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle
 
+# Cost of the hyperparameters of a process [nats for each regressor] (Akaike 1974: two widths)
 NATS = 2.0
-"""Cost of the hyperparameters of a process [nats for each regressor].
-
-An output has two widths for each regressor, of a shared and of its private latent (Akaike 1974).
-With it bands of a linear function hold 90 to 95 % from 1.5 rows for each regressor on (30 to 120
-rows of 8 regressors, 60 of 40), with half of it 88 to 93 %.
-"""
+# Blocks of the log, and parts held out in turn: errors are correlated over a tenth of a log
 BLOCKS, FOLDS = 8, 4
-"""Blocks of the log, which are held out in turn, a fourth of them at a time.
-
-Errors of real logs are correlated over up to a tenth of the log, so of short blocks the rest knows
-too much. On twelve pairs of flights 40, 20, 8 and 5 blocks have .840, .835, .833 and .838 of the
-error of least squares (tests/benchmarks/pairs.py); records of the Sport Cub, on which nothing was
-chosen, have errors of .165, .143, .134 and .104 (sportcub.py).
-"""
+# Most rows that weights are learned from, and values of an exact posterior, to save time
 MOST_ROWS, MOST_VALUES = 4000, 4000
-"""Largest numbers of rows that weights are learned from, and of values of an exact posterior, for
-the sake of time.
-"""
 COMPLETE = 0.95  # share of its values that an output has where whole rows are held out
 STEPS = 200  # of expectation maximisation for the weights
 

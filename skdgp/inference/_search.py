@@ -30,21 +30,13 @@ from skdgp.kernels import MultiOutputKernel
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone
 NOISE_BOUNDS = (1e-6, 1e2)  # noise variance over the variance of the output
 INPUT_BOUNDS = (1e-7, 0.3)  # noise variance over the variance of the regressor
+# Expected rise of the likelihood for each value [nats] up to which a search has converged
 IRRELEVANT_RISE = 0.05
-"""Expected rise of the likelihood for each value [nats] up to which a search has converged."""
+# Rise of the likelihood, as a fraction for each process, below which an iteration is the last
 TOLERANCE = 1e-5
-"""Rise of the likelihood by one iteration, as a fraction for each process, below which it is the last."""
 RECENT = 10  # evaluations to extrapolate the rise of the likelihood
+# Grid of the search over the width of the bounds, so that rounding does not choose the optimum
 GRID = 2.0**-14
-"""Spacing of the hyperparameters that a search evaluates, over the width of their bounds.
-
-Far from an optimum, each iteration of L-BFGS multiplies a difference between two searches by about
-1.6. So data that differ by rounding alone, on another processor or of a mirrored flight, would lead
-to different optima within 60 iterations. On the grid the difference is mostly gone before it grows:
-regressors moved by 1e-12 move predictions of six tables by at most 0.02 deviations, of five by less
-than 1e-7. A grid of 2^-12 stops some searches early: the error of electrodes (docs/results.md) is
-then .49 instead of .26.
-"""
 WIDEST = 16.0  # width of bounds that counts
 GRADIENT = 1e-4  # [nats] below which a search has converged
 STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback

@@ -36,16 +36,12 @@ SINGULAR = 1e-10  # share of the largest eigenvalue below which instruments coun
 class SlopeErrors(NamedTuple):
     """Errors of slopes at points (n, d): sums of the last axis times independent standard normal numbers."""
 
+    #: By noise that is correlated between samples and between outputs, (n, P, d, n_blocks)
     random: Array
-    """Errors by noise that is correlated between samples and between outputs, (n, P, d, n_blocks).
-    """
+    #: By instruments, by third powers, by the noise of each regressor, (n, P, d, 2 + d)
     method: Array
-    """Difference to a polynomial with instruments, less where these scatter; by third powers; and what noise of each
-    regressor may flatten, (n, P, d, 2 + d)."""
+    #: Deviation of ``random`` if errors of samples were independent, (n, P, d)
     white: Array
-    """Standard deviation that ``random`` would have if errors of samples were independent, (n, P,
-    d).
-    """
     n_samples: int
 
     def scaled(self, factor: Array) -> SlopeErrors:
@@ -68,11 +64,10 @@ class FunctionErrors(NamedTuple):
     their sum, times independent standard normal numbers.
     """
 
+    #: Of the terms of each polynomial of (X - centre) / scale, (k, n_terms, P)
     weights: Array
-    """Of the terms of each polynomial, (k, n_terms, P)."""
     centre: Vector
     scale: Vector
-    """The polynomials are of (X - centre) / scale."""
 
     def __call__(self, X: Array) -> Array:
         """Return the values (k, n, P) of each polynomial at its own points X (k, n, d)."""

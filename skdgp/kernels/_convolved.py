@@ -31,13 +31,8 @@ NOISE_AMPLITUDE = (
 )
 COVARIANCE_TYPES = ("diag", "full", "tied")  # also those of DependentGPRegressor
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
+# Fraction of an output's variance that starts in the shared latents (guess; 0.1 ends alike)
 SHARED_VARIANCE = 0.5
-"""Part of an output's variance that starts in the shared latents, if it has a private latent.
-
-A guess: from 0.1 the searches of seven electrodes end at the same likelihood with three shared
-latents (887, from 0.5 888), and those of pairs of flights at the same error (.840 and .841 of least
-squares; docs/results.md).
-"""
 WIDTHS = 0.05, 1e3  # bounds, over the standard deviation of the regressor
 MOST_COUNTED = (
     400  # samples for the smallest width: searches learn from a few hundred, however long the log

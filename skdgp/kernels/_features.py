@@ -40,8 +40,8 @@ class Features(ABC):
 
     kernel: MultiOutputKernel
     size: int
+    #: Arguments of the constructor behind the kernel
     arguments: tuple = ()
-    """Arguments of the constructor behind the kernel."""
 
     def __reduce__(self) -> tuple:
         return type(self), (self.kernel, *self.arguments)

@@ -30,10 +30,10 @@ from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
 
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 OPTIONAL = ("throttle", *SURFACES)
+# The step that adds a column
 MAKERS = dict.fromkeys(("alpha_dot", "beta_dot"), "FlightSmoother()") | dict.fromkeys(
     ("p_dot", "q_dot", "r_dot"), "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])"
 )
-"""The step that adds a column."""
 LARGEST = 1e60  # regressor; squares of larger numbers overflow
 STILL = 1e-9  # a regressor that varies by less than this fraction of itself is constant
 

@@ -61,10 +61,8 @@ from skdgp.preprocessing._table import (
 
 MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
 _PATH = tuple(name for name in MADE if name not in ("alpha_dot", "beta_dot"))
+# Weight of the gusts of the fit [seconds of flight]: 2 and 5 have the best median scores
 OPINION = 2.0
-"""Seconds of a flight that the gusts of the fit are worth: pieces of half a second show none, whatever the air. By the
-bands of pieces of .5 to 10 s of eleven aircraft: 2 and 5 have the same median score, others a worse
-one (docs/simulation.md)."""
 KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
 KINEMATIC_SECONDS = (
     120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
@@ -86,14 +84,12 @@ DIFFERENCES = (
 OVERLAP = 32  # of the rows of a part of a long flight, one in so many is added on either side
 PROBE = 0.3  # size of the random change that shows the slope of a smoother, in units of noise
 UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg", 180 / np.pi)}
+# What contradicts itself if the residual of a sensor is large, its unit and its factor
 FOLLOWS = {
     "gyro": ("the attitude does not follow the gyros", "deg/s", 180 / np.pi),
     "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
     **{name: (f"{name} does not follow the motion", *unit) for name, unit in UNITS.items()},
 }
-"""What contradicts itself if the residual of a sensor is large, its unit, and the factor to that
-unit.
-"""
 
 Flights = list[tuple[Any, Indices, Log, Estimate]]
 

@@ -38,9 +38,8 @@ NEEDED = (
     "airspeed",
 )  # alpha and beta are optional
 
+# Places in a state's errors: NED velocity, rotation vector in body axes, NED gust
 VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Places in the vector of a state's errors: NED velocity, rotation vector in body axes, NED gust.
-"""
 
 INERTIAL = {
     "ax_bias": 0.3, "ay_bias": 0.3, "az_bias": 0.3, "p_bias": 0.02, "q_bias": 0.02, "r_bias": 0.02,
@@ -50,11 +49,8 @@ SENSORS = {
     "airspeed_lag": 0.1, "vane_lag": 0.1, "velocity_lag": 0.1, "attitude_lag": 0.1,
 }  # fmt: skip
 MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
+# Prior deviations (SI) of: (1 + scale) truth + bias; truth a lag [s] ago; the mean wind
 CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
-"""Constants of a flight, with their prior standard deviations (SI).
-
-Measured is truth + bias, (1 + scale) truth + bias,
-or truth a lag [s] ago; wind_north and wind_east are the mean wind."""
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
 LAGS = (
     "airspeed_lag",
@@ -67,11 +63,11 @@ GRAVITY = np.array(
     [0.0, 0.0, STANDARD_GRAVITY]
 )  # NED; what it is more here is in the accelerometers' biases
 MIN_AIRSPEED = 3.0  # m/s, below which vanes show no angle
+# Initial noise of the sensors: standard deviation of a sample, SI
 NOISE = {
     "accelerometer": 0.05, "gyro": 0.003, "airspeed": 0.5, "alpha": 0.01, "beta": 0.01, "v_horizontal": 0.2,
     "v_down": 0.2, "tilt": 0.01, "heading": 0.02,
 }  # fmt: skip
-"""Initial noise of the sensors: standard deviation of a sample, SI."""
 GUSTS = {
     "gust_horizontal": 0.2,
     "gust_vertical": 0.2,
@@ -83,6 +79,7 @@ PROCESS = (
     "gust_horizontal",
     "gust_vertical",
 )
+# Noise of each measurement equation, as PROCESS of each process equation
 MEASUREMENTS = (
     "airspeed",
     "alpha",
@@ -94,7 +91,6 @@ MEASUREMENTS = (
     "tilt",
     "heading",
 )
-"""The noise of each process equation and each measurement equation."""
 MIN_NOISE = 1e-9
 # residuals that the initial noise of a sensor is worth; it decides where a flight tells nothing
 PRIOR_COUNT = 10
@@ -105,18 +101,13 @@ WINDOW = 4096  # samples whose equations are in memory at a time
 # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
 DELAY_STEPS = 6
 MAX_STEPS = 40
+# Fraction of a step that the next one takes back, from which steps are halved
 OVERSHOOT = 0.5
-"""Share of a step that the next one takes back, from which steps are halved.
-
-The crosswind of a straight flight has curved residuals, and full steps would swing ever wider.
-"""
 TOLERANCE = 0.02
 N_DRAWS = 32
 MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+# As MIRROR, the signs of a state's errors in a mirror at the x-z plane: odd constants
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
-"""Signs of a state's errors in a mirror at the x-z plane (NED velocity, body rotation, NED gust);
-odd constants.
-"""
 
 
 class Equations(NamedTuple):
@@ -393,9 +384,8 @@ def _without(equations: Equations, missing: Mask) -> Equations:
     return equations
 
 
+# Number of the first state, process and measurement equations of consecutive windows
 Windows: TypeAlias = Iterable[tuple[int, Equations, Equations]]
-"""The number of the first state, the process and the measurement equations of consecutive windows.
-"""
 
 
 class Prior(NamedTuple):

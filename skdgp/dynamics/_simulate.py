@@ -208,7 +208,6 @@ class Simulator:
     """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
 
     Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4).
-    Several starts are simulated as one batch.
 
     Parameters
     ----------
@@ -222,11 +221,10 @@ class Simulator:
 
     Attributes
     ----------
-    ended : str or ndarray of str
-        Why the flight, or each, is over; "" while it is not.
-    beyond : str or ndarray of str
-        After a step: the regressor farthest outside its training range, or
-        "".
+    ended : str
+        Why the flight is over; "" while it is not.
+    beyond : str
+        After a step: the regressor farthest outside its training range, or "".
 
     Examples
     --------
@@ -268,8 +266,8 @@ class Simulator:
         self._mean = self.motion.aerodynamics
         self._air = wind_field(air.wind)
         self._steps = 0
-        self.ended: Any = FLYING
-        self.beyond: Any = ""
+        self.ended = FLYING
+        self.beyond = ""
         self._state: Any = None
 
     @property
@@ -279,35 +277,36 @@ class Simulator:
 
     @property
     def state(self) -> Array:
-        """The state (13,), or states (n, 13), see `STATE_NAMES`; NaN where a flight has ended."""
+        """The state (13,), see `STATE_NAMES`; NaN after the end."""
         if self._state is None:
             raise ValueError("Got no start yet: call reset(x0) first.")
-        shown = np.where((self._ended == FLYING)[..., None], self._state, np.nan)
-        return shown.reshape(-1, 13)[0] if self._single else shown
+        return np.full(13, np.nan) if self.ended else self._state[0]
 
-    def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, Any]:
-        """Begin a flight, or several, and return ``time``, position, velocities, angles, rates, air data, altitude.
+    def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, float]:
+        """Begin a flight, and return ``time``, position, velocities, angles, rates, air data, altitude.
 
-        ``x0`` is as for :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean of
-        the model flies, else functions drawn from its posterior, one for each start.
+        ``x0`` is one start of :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean
+        of the model flies, else a function drawn from its posterior.
         """
         states = initial_states(as_starts(x0), lambda start: self._air(0.0, start))
-        single, mean_flies = len(states) == 1, random_state is None
-        drawn = (
-            None if mean_flies else self._mean.sample(len(states), random_state, correlated=True)
-        )
-        self.motion.aerodynamics = drawn or self._mean
-        self._state = states[0] if single and mean_flies else states
-        self._single, self._start, self._steps = single, self._state, 0
-        self._ended = np.full(self._state.shape[:-1], FLYING, dtype=object)
+        if len(states) > 1:
+            raise ValueError(
+                f"Got {len(states)} starts, but expected one: simulate() flies several at once."
+            )
+        self.motion.aerodynamics = self._mean
+        if random_state is not None:
+            self.motion.aerodynamics = self._mean.sample(1, random_state, correlated=True)
+        self._state = states
+        self._steps = 0
         self._implicit: Any = None
         self._servos = Servos(self.motion)
-        self.beyond = "" if single else np.full(len(states), "", dtype=object)
+        self.ended = FLYING
+        self.beyond = ""
         return self._seen()
 
-    def step(self, controls: Mapping) -> dict[str, Any]:
+    def step(self, controls: Mapping) -> dict[str, float]:
         """Return the observation after a step with controls by name; ValueError before `reset` or after the end."""
-        if self._state is None or not (self._ended == FLYING).any():
+        if self._state is None or self.ended:
             what = (
                 "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
             )
@@ -324,34 +323,18 @@ class Simulator:
             state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
             self._steps += 1
             now = at(self.time, state)
-            for reason, where in end_reasons(state, now).items():
-                self._ended[np.broadcast_to(where, self._ended.shape) & (self._ended == FLYING)] = (
-                    reason
-                )
-        names = np.array(["", *self.motion.regressors], dtype=object)[
-            beyond(self.motion, now.regressors)
-        ]
-        self.beyond = str(np.reshape(names, -1)[0]) if self._single else names
-        flying = self._ended == FLYING
-        self._state = state if flying.all() else np.where(flying[..., None], state, self._start)
+            reasons = [reason for reason, where in end_reasons(state, now).items() if np.any(where)]
+        self.ended = next(iter(reasons), FLYING)
+        self.beyond = ["", *self.motion.regressors][int(beyond(self.motion, now.regressors)[0])]
+        if not self.ended:
+            self._state = state
         return self._seen()
 
-    def _seen(self) -> dict[str, Any]:
+    def _seen(self) -> dict[str, float]:
         air = self._air(self.time, self._state)
-        columns: dict[str, Any] = {"time": self.time} | channels(
-            self._state, None if air is None else air.wind
-        )
-        over = self._ended != FLYING
-        if over.any():
-            columns = {
-                name: np.where(over, np.nan, value) if name != "time" else value
-                for name, value in columns.items()
-            }
-        if not self._single:
-            self.ended = self._ended.copy()
-            return columns
-        self.ended = str(self._ended.reshape(-1)[0])
-        return {name: float(np.reshape(value, -1)[0]) for name, value in columns.items()}
+        columns = channels(self._state, None if air is None else air.wind)
+        values = {name: np.nan if self.ended else float(v[0]) for name, v in columns.items()}
+        return {"time": self.time} | values
 
 
 class SimulationWarning(UserWarning):

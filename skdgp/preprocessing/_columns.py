@@ -103,14 +103,6 @@ class ElevonSplitter(TableTransformer):
         self.controls = controls
         self.mixing = mixing
 
-    def inverse_transform(self, X: Any) -> Any:
-        """Return the table X with the surfaces that give its controls; of several, those of least deflection."""
-        if self._passes:
-            return self._as_output(self._check_other_input(X))
-        check_columns(X, self.controls)
-        surfaces = numeric(X, self.controls) @ np.linalg.pinv(self.mixing_).T
-        return self._as_output(with_columns(X, dict(zip(self.surfaces, surfaces.T, strict=True))))
-
     def _fit_table(self, table):
         shape = (len(self.controls), len(self.surfaces))
         if self.mixing is None and shape != (2, 2):

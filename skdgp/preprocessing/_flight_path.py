@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
-from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._compute.sklearn_compat import Interval, StrOptions
@@ -175,7 +174,9 @@ class FlightPathReconstruction(TableTransformer):
     sensors_ : dict of str to float
         Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
-        :meth:`calibration` of the flights of ``fit``, of each part of a long one.
+        The constants of each flight of ``fit``, or of each part of a long one, estimated from that
+        flight alone: columns ``flight``, ``constant``, ``estimate``, ``std`` and ``observable``
+        (std below half of its prior one).
 
     Warns
     -----
@@ -231,23 +232,6 @@ class FlightPathReconstruction(TableTransformer):
         """How late the surfaces follow their logged commands [s], zero where it is not estimated."""
         motion = self.air_motion_
         return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
-
-    def calibration(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return the constants of each flight, estimated from that flight alone: a row per flight and constant.
-
-        Columns are ``estimate``, ``std``, ``prior_std``, ``observable`` (std below half of
-        prior_std), ``confounded_with`` (the constant whose error is most correlated) and
-        ``correlation`` with it.
-        """
-        check_is_fitted(self)
-        table = self._as_table(X)
-        if self.missing_:
-            raise ValueError(
-                f"The flights of fit lack {self.missing_}, so their sensors were not estimated."
-            )
-        self._check(table)
-        errors = self._error_names()
-        return _calibration(self._estimates(table, free=errors, learn=GUSTS, sensors={}), errors)
 
     def _fit_table(self, table):
         errors = self._error_names()
@@ -359,7 +343,8 @@ class FlightPathReconstruction(TableTransformer):
         for k, (_, rows, log) in enumerate(flight_logs(table)):
             values = interpolate_missing(log.time, air.iloc[rows][list(_PATH)].to_numpy())
             part = dict(zip(_PATH, values.T, strict=True))
-            part |= _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
+            dots = _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]), 0.0)
+            part |= dict(zip(("alpha_dot", "beta_dot"), dots.T, strict=True))
             gust = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
             part["gust"] = np.full(len(rows), gust)
             names = [name for name in ALL_SURFACES if has_values(table, name)]
@@ -460,8 +445,7 @@ class FlightPathReconstruction(TableTransformer):
         for name in contradictory:
             warn(
                 f"The reconstruction of flight {name!r} did not converge: its sensors "
-                f"contradict one another. Look "
-                "at calibration(flight), and for wrong signs, units or clocks.",
+                f"contradict one another. Look for wrong signs, units or clocks.",
                 stacklevel=4,
             )
         return estimates
@@ -497,13 +481,10 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    dots = air_data_rates(path, log)[:, 1:]  # in steady air: of single samples
-    for rows in log.segments():
-        if len(rows) > 1:
-            dots[rows] = CubicSpline(log.time[rows], air[rows, 1:])(log.time[rows], 1)
+    steady = air_data_rates(path, log)[:, 1:]  # of single samples
     parts = [
         air,
-        dots,
+        _angle_rates(log, air, steady),
         path.rate(log),
         path.force(log),
         rotation,
@@ -513,13 +494,13 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
-def _angle_rates(log: Log, air: Matrix) -> dict[str, Vector]:
-    """Return the rates of change of alpha and beta by air data (n, 3); zero of single samples."""
-    dots = np.zeros((len(air), 2))
+def _angle_rates(log: Log, air: Matrix, single: Any) -> Matrix:
+    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3); ``single`` of single samples."""
+    dots = np.array(np.broadcast_to(single, (len(air), 2)))
     for rows in log.segments():
         if len(rows) > 1:
             dots[rows] = CubicSpline(log.time[rows], air[rows, 1:])(log.time[rows], 1)
-    return dict(zip(("alpha_dot", "beta_dot"), dots.T, strict=True))
+    return dots
 
 
 def _late(log: Log, surfaces: Matrix, lag: float) -> Matrix:
@@ -555,18 +536,12 @@ def _calibration(estimates: Flights, errors: list[str]) -> pd.DataFrame:
     prior, parts = np.array([CONSTANTS[name] for name in names]), []
     for flight, _, _, each in estimates:
         std = np.sqrt(np.diag(each.covariance))
-        correlation = each.covariance / np.outer(std, std) - np.eye(len(names))
-        partner = np.abs(correlation).argmax(axis=1)
         part = {
             "flight": flight,
             "constant": names,
             "estimate": each.path.constant(*names),
             "std": std,
-        }
-        part |= {"prior_std": prior, "observable": std < OBSERVABLE * prior}
-        part |= {
-            "confounded_with": np.array(names)[partner],
-            "correlation": correlation[range(len(names)), partner],
+            "observable": std < OBSERVABLE * prior,
         }
         parts.append(pd.DataFrame(part))
     return pd.concat(parts, ignore_index=True)

@@ -54,8 +54,7 @@ def trend(P=3, d=2, seed=1):
 
 KERNELS = {
     **{
-        f"{kind}, shifted": convolved(covariance_type=kind, shift=True)
-        for kind in ("diag", "tied")
+        f"{kind}, shifted": convolved(covariance_type=kind, shift=True) for kind in ("diag", "tied")
     },
     "in three regressors": convolved(1, 2, 3, shift=True),
     "without private latents": convolved(2, private=False, shift=True),

@@ -18,8 +18,7 @@ from typing import Any, BinaryIO, TypeAlias
 
 import pandas as pd
 
-Writer: TypeAlias = "Callable[[Path], object]"
-"""Fills a file."""
+Writer: TypeAlias = "Callable[[Path], object]"  # fills a file
 LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
 
 

@@ -12,10 +12,8 @@ from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
+# Smaller matrices stay on one thread: two gain nothing on idle cores, and lose much on busy ones
 SMALL = 2500
-"""Smaller matrices stay on one thread: two gain nothing over whole fits on idle cores, and lose
-much on busy ones.
-"""
 
 
 @lru_cache(maxsize=1)

@@ -8,18 +8,12 @@ import numpy as np
 from numpy.random import RandomState
 from numpy.typing import ArrayLike, NDArray
 
-Array: TypeAlias = NDArray[np.float64]
-"""Real numbers of any shape."""
-Vector: TypeAlias = NDArray[np.float64]
-"""Real numbers, (n,)."""
-Matrix: TypeAlias = NDArray[np.float64]
-"""Real numbers, (n, m)."""
-Mask: TypeAlias = NDArray[np.bool_]
-"""Truth values."""
-Indices: TypeAlias = NDArray[np.intp]
-"""Positions."""
-Seed: TypeAlias = "int | RandomState | None"
-"""As scikit-learn's ``random_state``."""
+Array: TypeAlias = NDArray[np.float64]  # real numbers of any shape
+Vector: TypeAlias = NDArray[np.float64]  # real numbers, (n,)
+Matrix: TypeAlias = NDArray[np.float64]  # real numbers, (n, m)
+Mask: TypeAlias = NDArray[np.bool_]  # truth values
+Indices: TypeAlias = NDArray[np.intp]  # positions
+Seed: TypeAlias = "int | RandomState | None"  # as scikit-learn's ``random_state``
 
 
 class Predictor(Protocol):

@@ -14,11 +14,9 @@ import numpy as np
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
 from skdgp.export._model import PortableModel, packed
-from skdgp.export._text import changes_text
 
+# Of the self-test, relative to the largest value; of deviations at least PortableModel.rounding
 TOLERANCE = 1e-9
-"""Of the self-test, relative to the largest value; of deviations at least :meth:`PortableModel.rounding`.
-"""
 N_VECTORS = 40
 PER_LINE = 8
 TERM_BYTES = 56
@@ -49,10 +47,9 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     list of Path
         The files.
     """
-    written, names = model.with_identifiers()
+    written = model.with_identifiers()
     values = {
-        "aero.h": _header(written)
-        | {"hash": model.content_hash, "renamed": changes_text(names) or "none"},
+        "aero.h": _header(written) | {"hash": model.content_hash},
         "aero.c": _source(written),
         "test_aero.c": _test(model),
         "Makefile": {},

@@ -29,6 +29,7 @@ class Format(NamedTuple):
     most: float = MAX_BYTES
 
 
+# Formats of `export_model` by name
 FORMATS: dict[str, Format] = {
     "portable": Format(
         lambda folder, model: [save_portable(folder / "model.npz", model)], most=np.inf
@@ -38,7 +39,6 @@ FORMATS: dict[str, Format] = {
     "casadi": Format(write_casadi),
     "onnx": Format(write_onnx),
 }
-"""Formats of :func:`export_model` by name."""
 
 
 def export_model(

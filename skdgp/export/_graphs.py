@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -84,9 +83,9 @@ def onnx_model(model: PortableModel) -> Any:
     """Return an ``onnx.ModelProto`` from regressors ``x`` (n, d) to ``mean`` (n, P) and ``std`` (n, P), in double.
 
     The regressors are in their units, in the order of ``model.regressor_names``. The metadata holds
-    regressors and outputs as identifiers, "names" with the identifier of each name, the range of
-    the training data and the content hash. A reduced model (``export_model`` with ``max_kb``) is
-    faster. Raises ImportError if ONNX is not installed.
+    regressors and outputs as identifiers, the range of the training data and the content hash. A
+    reduced model (``export_model`` with ``max_kb``) is faster. Raises ImportError if ONNX is not
+    installed.
     """
     onnx = extra("onnx")
     graph = _Graph(onnx)
@@ -144,13 +143,12 @@ def _checked(onnx: Any, graph: _Graph, model: PortableModel) -> Any:
     proto = helper.make_model(
         made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp"
     )
-    written, names = model.with_identifiers()
+    written = model.with_identifiers()
     properties = {
         "regressors": ",".join(written.regressor_names),
         "outputs": ",".join(written.outputs),
         "low": ",".join(map(repr, model.limits[0].tolist())),
         "high": ",".join(map(repr, model.limits[1].tolist())),
-        "names": json.dumps(names),
         "servo_lag": repr(float(model.servo_lag[0])),
         "content_hash": model.content_hash,
     }

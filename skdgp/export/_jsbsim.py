@@ -18,7 +18,6 @@ from skdgp._effects import JOINT
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, ThrustLine
 from skdgp.export._model import PortableModel, Regressor, Term
-from skdgp.export._text import changes_text
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
@@ -67,10 +66,10 @@ NOTE = """
  deflection of the flights, which surfaces follow with the lag of the servos. Of a model with controls in parts of
  their full throw, -pos-rad holds these parts.
 """
+# Of an element: other elements and comments, or a text or a number
 Content: TypeAlias = "Element[Any] | str | float"
-"""Of an element: other elements and comments, or a text or a number."""
+# Terms with the weights of their functions
 Gaussians: TypeAlias = "list[tuple[Term, Vector]]"
-"""Terms with the weights of their functions."""
 
 
 def write_jsbsim(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
@@ -112,7 +111,7 @@ def write_jsbsim(folder: str | os.PathLike[str], model: PortableModel) -> list[P
 def _config(name: str, model: PortableModel) -> Element:
     """Return the file of an aircraft."""
     aircraft = model.aircraft
-    model, names = model.with_identifiers()
+    model = model.with_identifiers()
     controls = [r.name for r in model.regressors if not r.power and r.name not in SOURCES]
     has_engine = aircraft.propeller is not None and aircraft.propeller.speed_range is not None
     regressors = [
@@ -127,11 +126,10 @@ def _config(name: str, model: PortableModel) -> Element:
         for r, shift, scale in zip(model.regressor_names, model.shift, model.scale, strict=True)
     ]
     coefficients = [each for c in COEFFICIENTS for each in _coefficient(model, c)]
-    renamed = f"   Names: {text}\n" if (text := changes_text(names)) else ""
     settable = [*([] if has_engine else [THROTTLE]), *(f"fcs/{c}" for c in controls)]
     return element(
         "fdm_config",
-        ElementTree.Comment(NOTE + renamed),
+        ElementTree.Comment(NOTE),
         element(
             "fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")
         ),

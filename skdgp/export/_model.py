@@ -277,15 +277,15 @@ class PortableModel:
         """The different readouts of the parts."""
         return list({id(part.readout): part.readout for part in self.parts}.values())
 
-    def with_identifiers(self) -> tuple[PortableModel, dict[str, str]]:
-        """Return the model with identifiers for all names, and the identifier of each name."""
+    def with_identifiers(self) -> PortableModel:
+        """Return the model with identifiers for all names."""
         names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
         regressors = tuple(
             replace(each, name=names[each.name], sources=tuple(names[s] for s in each.sources))
             for each in self.regressors
         )
         outputs = tuple(names[name] for name in self.outputs)
-        return replace(self, regressors=regressors, outputs=outputs), names
+        return replace(self, regressors=regressors, outputs=outputs)
 
     def inside(self, X: Any) -> Any:
         """Return whether each row of X is within the range of every regressor, (n,)."""
@@ -484,13 +484,13 @@ class PortableModel:
         return found.hexdigest()
 
 
+# Arrays of a model
 NUMBERS = (
     *("shift", "scale", "center", "output_scale", "deviation_scale", "trend_center", "mixture"),
     *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
-"""Arrays of a model."""
+# Arrays with one row for each part
 OF_PARTS = ("trend_weights", "trend_scale", "prior_variance")
-"""Arrays with one row for each part."""
 
 
 def packed(triangle: Matrix) -> Vector:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from skdgp.dynamics import (
     propulsive_loads,
 )
 from skdgp.identification._flights import Flights, items_of
-from skdgp.io import FULL_THROW, Throw, is_log, names_servos, read_servos, reversed_of
+from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 
 THRUST_IN_COEFFICIENTS = (
     "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as "
@@ -74,22 +74,6 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
     return servos, *turned
 
 
-def with_throw_errors(aircraft: Aircraft, servos: Any) -> Aircraft:
-    """Return the aircraft, with the standard deviations of full throws in a servo file among its deviations."""
-    entries = read_servos(servos) if reversed_of(servos) is None else {}
-    factors = {
-        f"throw of the {name}": ScaleFactor(throw.std / throw.angle, {name: 1.0}, "given")
-        for name, throw in entries.items()
-        if isinstance(throw, Throw) and throw.std
-    }
-    return _with_deviations(aircraft, factors)
-
-
-def _with_deviations(aircraft: Aircraft, factors: Mapping[str, ScaleFactor]) -> Aircraft:
-    deviations = {**(aircraft.deviations or {}), **factors}
-    return replace(aircraft, deviations=deviations) if factors else aircraft
-
-
 def with_thrust_errors(
     aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str
 ) -> Aircraft:
@@ -112,7 +96,7 @@ def with_thrust_errors(
     effects = [coefficient + name for coefficient in COEFFICIENTS for name in names]
     added = dict(zip(effects, slopes.T.ravel().tolist(), strict=True))
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
-    return _with_deviations(aircraft, {"thrust": factor})
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
 
 
 def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:

@@ -226,7 +226,6 @@ def prepare(
     """
     aircraft = as_aircraft(aircraft)
     servos = _assumed.servos_for(reading.get("servos"), flights, test)
-    aircraft = _assumed.with_throw_errors(aircraft, servos)
     options = {**reading, "servos": servos, "needed": _flights.MEASURED}
     train = _flights.named_flights(flights, **options)
     _flights.check_controls(train, regressors)

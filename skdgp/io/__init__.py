@@ -7,7 +7,7 @@ from skdgp.io._autopilot import AUTOPILOTS, is_log
 from skdgp.io._inspect import LogSummary, inspect_log, names_servos, servo_template
 from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
 from skdgp.io._read import read_flight
-from skdgp.io._servos import FULL_THROW, Throw, read_servos, reversed_of
+from skdgp.io._servos import FULL_THROW, read_servos, reversed_of
 from skdgp.io._tables import FlightReadError
 
 __all__ = [
@@ -20,7 +20,6 @@ __all__ = [
     "LogSummary",
     "Rule",
     "ServoChannel",
-    "Throw",
     "Topic",
     "inspect_log",
     "is_log",

@@ -22,8 +22,7 @@ KEYS = {"channel", "points"}
 # 1; with ", reversed rudder" after it, some of the other sign than the autopilot's parameters say
 FULL_THROW = "full throw"
 REVERSED = ", reversed "
-NUMBER = r"(\d+\.?\d*|\.\d+)"
-THROW = re.compile(rf"{NUMBER}(?: ?(?:\+-|±) ?{NUMBER})? ?(deg|rad)")
+THROW = re.compile(r"(\d+\.?\d*|\.\d+) ?(deg|rad)")
 NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
 TEMPLATE = """\
 # Angles of the surfaces: replace each nan by the angle [rad], measured at the surface at this value of the channel.
@@ -50,22 +49,14 @@ class Servo(NamedTuple):
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
 
-class Throw(NamedTuple):
-    """The angle of a surface at full throw [rad], and its deviation; the autopilot's parameters name its servos."""
-
-    angle: float
-    std: float = 0.0
-
-
 def read_servos(
     servos: str | Path | Mapping[str, Any] | None,
-) -> dict[str, Servo | Throw]:
+) -> dict[str, Servo | float]:
     r"""Return a calibration, one entry for each surface, from a TOML file or a mapping.
 
     ``[elevator]`` has ``channel`` and ``points``, a list of pairs (value of the channel, angle in
-    rad), with straight lines between them and beyond. Or in one line the angle at full throw,
-    ``elevator = "25 deg"``, or with its standard deviation ``"25 +- 2 deg"``, of the servos that
-    the autopilot's parameters name.
+    rad), with straight lines between them and beyond. Or in one line the angle at full throw [rad],
+    ``elevator = "25 deg"``, of the servos that the autopilot's parameters name.
 
     Raises FlightReadError if the file is no TOML, or a surface or number makes no sense.
 
@@ -129,9 +120,9 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     }
 
 
-def with_throws(servos: Mapping[str, Servo | Throw], log: Log) -> dict[str, Control]:
+def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Control]:
     """Return the servos, throws by the parameters of the autopilot; FlightReadError if these lack a servo."""
-    throws = {name: entry.angle for name, entry in servos.items() if isinstance(entry, Throw)}
+    throws = {name: entry for name, entry in servos.items() if isinstance(entry, float)}
     named = full_throws(log) if throws else {}
     if lacking := sorted(set(throws) - set(named)):
         raise FlightReadError(
@@ -157,7 +148,7 @@ def _full_throw(name: str, servo: ServoChannel) -> Servo:
     return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
 
 
-def _servo(name, entry) -> Servo | Throw:
+def _servo(name, entry) -> Servo | float:
     if name not in MOVED:
         raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if isinstance(entry, str):
@@ -192,21 +183,15 @@ def _servo(name, entry) -> Servo | Throw:
     return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple(pairs[:, 1].tolist()))
 
 
-def _throw(name, text) -> Throw:
+def _throw(name, text) -> float:
     match = THROW.fullmatch(text.strip())
-    unit = {"deg": np.pi / 180, "rad": 1.0}[match[3]] if match else np.nan
-    angle, std = (float(match[k] or 0.0) * unit if match else np.nan for k in (1, 2))
+    angle = float(match[1]) * {"deg": np.pi / 180, "rad": 1.0}[match[2]] if match else np.nan
     if not 0 < angle <= np.pi / 2:
         raise FlightReadError(
             f"Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as "
-            f'in {name} = "25 deg" or "25 +- 2 deg".'
+            f'in {name} = "25 deg".'
         )
-    if std > 0 and name in ELEVONS:
-        raise FlightReadError(
-            f"Got {name} = {text!r}, but expected a standard deviation of elevator or aileron "
-            f"alone: an error of one elevon is of both controls."
-        )
-    return Throw(angle, std)
+    return float(angle)
 
 
 def template(log: Log) -> str:

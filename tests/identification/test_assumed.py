@@ -9,7 +9,6 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
     Aircraft,
-    relative_errors,
     stability_derivatives,
     trim,
 )
@@ -22,7 +21,6 @@ from skdgp.identification._assumed import (
     lacks_thrust,
     servos_for,
     with_signs_of_flights,
-    with_throw_errors,
 )
 from skdgp.identification._flights import check_controls
 from skdgp.io import FULL_THROW
@@ -87,16 +85,6 @@ class TestWords:
         assert "wing area 0.432 m^2 ± 35 %" in first
         assert "Iyy 0.208 kg m^2 ± 39 %" in first
         assert "mass" not in first
-
-
-class TestThrows:
-    def test_a_deviation_is_that_of_the_effects_of_its_control(self):
-        told = Aircraft(mass=3.0, inertia=np.eye(3), wing_area=0.5, span=1.8, chord=0.28)
-        aircraft = with_throw_errors(told, {"elevator": "25 +- 2 deg", "rudder": "30 deg"})
-        errors = relative_errors(aircraft.deviations, ("alpha", "elevator", "rudder"))
-        np.testing.assert_allclose(errors[0], np.tile([0.0, 0.0, -0.08, 0.0], (6, 1)))
-        assert assumptions(aircraft, servos="servos.toml", thrust_unknown=False) == []
-        assert with_throw_errors(told, "full throw") is told
 
 
 def quietly(*flights, **options):

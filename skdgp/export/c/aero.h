@@ -20,8 +20,7 @@ extern "C" {
 
 /* Sources, columns of a flight: ${sources}
  * Inputs, regressors:           ${inputs}
- * Outputs, coefficients:        ${outputs}
- * Names of the flights that are written in another way: ${renamed} */
+ * Outputs, coefficients:        ${outputs} */
 
 /* Smallest and largest value of each input in the training data: outside of them nothing was learned. */
 extern const double aero_limits[2][AERO_INPUTS];

@@ -217,8 +217,6 @@ def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tupl
 
 
 STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
-ALONG = {"north", "down", "u", "w", "theta", "q", "airspeed", "alpha", "ax", "az"}
-ACROSS = {"east", "v", "phi", "psi", "p", "r", "beta", "ay"}
 # States of the modes along and across the plane of symmetry
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
@@ -248,21 +246,6 @@ class LinearModel:
     paths: Matrices | None = None  #: A, B, C, D of each path of the posterior, (n_paths, ...)
 
     @property
-    def states(self) -> list[str]:
-        """Names of the states."""
-        return list(self.A.columns)
-
-    @property
-    def inputs(self) -> list[str]:
-        """Names of the inputs."""
-        return list(self.B.columns)
-
-    @property
-    def outputs(self) -> list[str]:
-        """Names of the outputs."""
-        return list(self.C.index)
-
-    @property
     def std(self) -> Matrices:
         """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
         if self.paths is None:
@@ -276,14 +259,6 @@ class LinearModel:
                 for path, mean in pairs
             )
         )
-
-    def longitudinal(self) -> LinearModel:
-        """Return the motion in the plane of symmetry, u w q theta, with all inputs but aileron and rudder."""
-        return self._without(ACROSS, {"aileron", "rudder"})
-
-    def lateral(self) -> LinearModel:
-        """Return the motion across the plane of symmetry, v p r phi, with all inputs but elevator and thrust."""
-        return self._without(ALONG, {"elevator", "thrust", "throttle", "propeller_speed"})
 
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
@@ -303,33 +278,11 @@ class LinearModel:
             of the paths: the upper one is infinite where some do not decay.
         """
         return _mode_table(
-            self.A.to_numpy(), self.states, None if self.paths is None else self.paths.A
+            self.A.to_numpy(), list(self.A), None if self.paths is None else self.paths.A
         )
 
     def _tables(self) -> tuple[pd.DataFrame, ...]:
         return self.A, self.B, self.C, self.D
-
-    def _without(self, names: set[str], inputs: set[str]) -> LinearModel:
-        """Return the part without these states and outputs, which stand still, and inputs."""
-        blocks = _block_names(
-            [name for name in self.states if name not in names],
-            [name for name in self.inputs if name not in inputs],
-            [name for name in self.outputs if name not in names],
-        )
-        tables = [t.loc[block] for t, block in zip(self._tables(), blocks, strict=True)]
-        paths = None
-        if self.paths is not None:
-            parts = zip(self.paths, self._tables(), tables, strict=True)
-            paths = Matrices(
-                *(
-                    values[:, x.index.get_indexer(part.index)][
-                        ..., x.columns.get_indexer(part.columns)
-                    ]
-                    for values, x, part in parts
-                )
-            )
-        A, B, C, D = tables
-        return LinearModel(A, B, C, D, self.state, self.controls, paths)
 
 
 def linearize(
@@ -413,18 +366,10 @@ def linearize(
         paths = _matrices(
             *_drawn(motion, state, controls, n_paths, random_state), controls, *chosen
         )
-    blocks = zip(
-        _matrices(motion, state, None, controls, *chosen), _block_names(*chosen), strict=True
-    )
-    A, B, C, D = (pd.DataFrame(values, rows, columns) for values, (rows, columns) in blocks)
+    mean = _matrices(motion, state, None, controls, *chosen)
+    names = [(rows, columns) for rows in chosen[::2] for columns in chosen[:2]]
+    A, B, C, D = (pd.DataFrame(values, *pair) for values, pair in zip(mean, names, strict=True))
     return LinearModel(A, B, C, D, state, controls, paths)
-
-
-def _block_names(
-    states: list[str], inputs: list[str], outputs: list[str]
-) -> list[tuple[list[str], list[str]]]:
-    """Return the names of rows and columns of A, B, C, D."""
-    return [(states, states), (states, inputs), (outputs, states), (outputs, inputs)]
 
 
 def check_paths(n_paths: int) -> int:

@@ -39,7 +39,7 @@ def make_identification_pipeline(
     *,
     regressors: str | Sequence[str] = "quasi-steady",
     reconstruction: Any = "auto",
-    cutoff: float | str | dict | None = "auto",
+    cutoff: float | str | None = "auto",
     mixer: Any = None,
     regressor: Any = None,
     memory: Any = None,
@@ -76,7 +76,7 @@ def make_identification_pipeline(
         aircraft=aircraft)``, which reconstructs the flights where their air data become more
         accurate than by smoothing alone, and estimates gusts and lag of the servos of flights
         without vanes.
-    cutoff : float, "auto", dict or None, default="auto"
+    cutoff : float, "auto" or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
         By default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an elevator or an

@@ -32,16 +32,17 @@ class FlightSmoother(TableTransformer):
 
     Parameters
     ----------
-    cutoff : {"auto"}, float, dict or None, default="auto"
+    cutoff : {"auto"}, float or None, default="auto"
         Wiener smoother; or the half-amplitude frequency [Hz] of a forward-backward Butterworth
-        filter; or one of these for each column by name (others: "auto"); or None for no smoothing.
+        filter; or None for no smoothing. For another cutoff of some columns, put a smoother of
+        these ``columns`` before.
     columns : "auto" or list of str, default="auto"
         Columns to smooth. "auto": airspeed, alpha, beta, rates and accelerations, where present.
     derivatives : "auto" or list of str, default="auto"
         Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A
         measured rate is kept.
     joint : {"rates", "inertial"} or None, default="rates"
-        Channels to smooth alpha and beta jointly with, if their cutoff is "auto": airspeed, p, q
+        Channels to smooth alpha and beta jointly with, if the cutoff is "auto": airspeed, p, q
         and r; "inertial" adds ax, ay and az. Their cross-spectra keep higher frequencies of the
         vanes than their own spectra do. "inertial" is more exact, but puts the forces that a model
         shall predict into its alpha and beta.
@@ -73,7 +74,7 @@ class FlightSmoother(TableTransformer):
     """
 
     _parameter_constraints: dict = {
-        "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), dict, None],
+        "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), None],
         "columns": [StrOptions({"auto"}), list, tuple],
         "derivatives": [StrOptions({"auto"}), list, tuple],
         "joint": [StrOptions(set(PARTNERS)), None],
@@ -97,19 +98,14 @@ class FlightSmoother(TableTransformer):
         wanted = _present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
         self.derivatives_ = [name for name in wanted if f"{name}_dot" not in table]
         check_columns(table, ["time", *self.columns_, *wanted])
-        if isinstance(self.cutoff, dict):
-            check_columns(table, self.cutoff)
         numeric(table, {*self.columns_, *wanted})
         check_radians(table, IN_RADIANS)
         used = {*self.columns_, *self.derivatives_}
-        self._vanes = [
-            name
-            for name in VANES
-            if self.joint and name in used and self._cutoff_of(name) == "auto"
-        ]
+        is_joint = self.joint and self.cutoff == "auto"
+        self._vanes = [name for name in VANES if is_joint and name in used]
         self.partners_ = _present(PARTNERS[self.joint], table) if self.joint and self._vanes else []
         levels: dict[str, tuple[float, float]] = {}
-        for names, partners, _ in self._groups(self.columns_):
+        for names, partners in self._groups(self.columns_):
             found = noise_level(
                 unwrapped(table, names + partners), **_clock(table), joint=bool(partners)
             )
@@ -133,28 +129,19 @@ class FlightSmoother(TableTransformer):
 
     def _apply(self, operation, names, table):
         new: dict[str, Vector] = {}
-        for group, partners, cutoff in self._groups(names):
+        for group, partners in self._groups(names):
             columns = unwrapped(table, group + partners)
-            values = operation(columns, cutoff=cutoff, joint=bool(partners), **_clock(table))
+            values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **_clock(table))
             new |= dict(
                 zip(group, values.T, strict=False)
             )  # without the partners, which are in other groups
         return {name: new[name] for name in names}
 
     def _groups(self, names):
-        """Return (columns to filter together, their partners, cutoff); every name is in one group."""
-        groups = (
-            [(self._vanes, self.partners_, "auto")]
-            if any(name in self._vanes for name in names)
-            else []
-        )
-        rest = {name: self._cutoff_of(name) for name in names if name not in self._vanes}
-        for cutoff in dict.fromkeys(rest.values()):
-            groups.append(([name for name in rest if rest[name] == cutoff], [], cutoff))
-        return groups
-
-    def _cutoff_of(self, name):
-        return self.cutoff.get(name, "auto") if isinstance(self.cutoff, dict) else self.cutoff
+        """Return (columns to filter together, their partners); every name is in one group."""
+        apart = [name for name in names if name not in self._vanes]
+        groups = [(self._vanes, self.partners_)] * any(name in self._vanes for name in names)
+        return groups + [(apart, [])] * bool(apart)
 
 
 def _present(names, table):

@@ -55,7 +55,7 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     """
     table = linear.modes()
     rows = {}
-    for name in linear.B:
+    for name in map(str, linear.B):
         modes = table[[str(mode).startswith(MODES.get(name, ())) for mode in table.index]]
         if modes.empty:
             raise ValueError(

@@ -278,7 +278,7 @@ class LinearModel:
             of the paths: the upper one is infinite where some do not decay.
         """
         return _mode_table(
-            self.A.to_numpy(), list(self.A), None if self.paths is None else self.paths.A
+            self.A.to_numpy(), [*map(str, self.A)], None if self.paths is None else self.paths.A
         )
 
     def _tables(self) -> tuple[pd.DataFrame, ...]:

@@ -11,7 +11,6 @@ import numpy as np
 from skdgp._cli import _options as opt
 from skdgp._cli._fly import read_model
 from skdgp._cli._output import Run
-from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.progress import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
@@ -20,7 +19,7 @@ from skdgp.dynamics import KINDS, Aircraft, Propeller
 from skdgp.identification import Identification
 from skdgp.identification import identify as learn
 from skdgp.identification import validate as judge
-from skdgp.io import inspect_log, servo_template
+from skdgp.io import inspect_log
 
 SIZES = {
     "mass": "[kg]",
@@ -49,19 +48,11 @@ def inspect(run: Run) -> None:
 
     For example:
       skdgp inspect log.ulg
-      skdgp inspect log.bin --servo-template servo.toml
+      skdgp inspect log.bin --servos servo.toml
     """
     options = run.options
     run.console.stage("reading")
     summary = inspect_log(options.log, servos=options.servos, rename=dict(options.rename))
-    if options.servo_template is not None:
-        path, text = Path(options.servo_template), servo_template(options.log)
-        if path.exists():
-            raise FileExistsError(
-                f"Got {str(path)!r} for the servo template, but it is there already: name another "
-                f"one."
-            )
-        write_atomically(path, text_writer(text))
     run.print(str(summary), summary.to_dict())
 
 
@@ -326,10 +317,6 @@ COMMANDS: opt.Commands = {
             "log": {"metavar": "LOG", "help": "the log"},
             "--servos": opt.SHARED["--servos"],
             "--rename": opt.SHARED["--rename"],
-            "--servo-template": {
-                "metavar": "FILE",
-                "help": "write such a file for this log, to be filled in with the angles",
-            },
         },
     },
     demo: {

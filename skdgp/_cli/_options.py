@@ -91,7 +91,7 @@ def regressors(text: str) -> str | list[str]:
 LOG: dict[str, dict[str, Any]] = {
     "--servos": {
         "metavar": "FILE",
-        "help": "TOML for logs of autopilots: servos and angles; inspect writes a template",
+        "help": "TOML for logs of autopilots: servos and angles, see docs/logs.md",
     },
     "--rename": {
         "metavar": "OLD=NEW",

@@ -1,10 +1,10 @@
 """Reading of flight logs into one flight table: standard column names, SI units, radians, one clock.
 
->>> from skdgp.io import read_flight, inspect_log, servo_template
+>>> from skdgp.io import read_flight, inspect_log
 """
 
 from skdgp.io._autopilot import AUTOPILOTS, is_log
-from skdgp.io._inspect import LogSummary, inspect_log, names_servos, servo_template
+from skdgp.io._inspect import LogSummary, inspect_log, names_servos
 from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
 from skdgp.io._read import read_flight
 from skdgp.io._servos import FULL_THROW, read_servos, reversed_of
@@ -27,5 +27,4 @@ __all__ = [
     "read_flight",
     "read_servos",
     "reversed_of",
-    "servo_template",
 ]

@@ -15,9 +15,8 @@ from skdgp._compute.files import plain
 from skdgp._flight.checks import unknown_columns_message
 from skdgp._flight.faults import find_faults, grouped_messages
 from skdgp._flight.physics import find_contradictions
-from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
+from skdgp.io._autopilot import flight_table, is_log, on_one_clock, read_log
 from skdgp.io._read import UNKNOWN, PathLike, read_flight
-from skdgp.io._servos import template
 from skdgp.io._tables import FlightReadError, reading
 
 WIDTH = 110
@@ -132,20 +131,6 @@ def inspect_log(
         flights=_flights(table),
         remarks=(*flown.remarks, *faults),
     )
-
-
-def servo_template(path: PathLike) -> str:
-    """Return the text of a servo file for a log of an autopilot, to be filled in with the angles of the surfaces.
-
-    Raises FlightReadError if the file cannot be read, is no such log, or holds nothing that was
-    sent to servos.
-    """
-    if not is_log(path):
-        raise FlightReadError(
-            f"Got {path}, but expected a log of an autopilot: {', '.join(AUTOPILOTS)}."
-        )
-    with reading(path):
-        return template(read_log(Path(path)))
 
 
 def names_servos(path: PathLike) -> bool:

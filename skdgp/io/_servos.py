@@ -1,4 +1,4 @@
-"""Servo files (TOML): pulse widths to surface angles; mixing by the autopilot's parameters; templates."""
+"""Servo files (TOML): pulse widths to surface angles; mixing by the autopilot's parameters."""
 
 from __future__ import annotations
 
@@ -24,11 +24,6 @@ FULL_THROW = "full throw"
 REVERSED = ", reversed "
 THROW = re.compile(r"(\d+\.?\d*|\.\d+) ?(deg|rad)")
 NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
-TEMPLATE = """\
-# Angles of the surfaces: replace each nan by the angle [rad], measured at the surface at this value of the channel.
-# elevator and elevons > 0: trailing edge down. aileron > 0: rolls right. rudder > 0: yaws left.
-# Signs follow the autopilot's own: move each stick, look, and exchange the signs where the sign above does not hold.
-"""
 
 
 class Servo(NamedTuple):
@@ -192,17 +187,6 @@ def _throw(name, text) -> float:
             f'in {name} = "25 deg".'
         )
     return float(angle)
-
-
-def template(log: Log) -> str:
-    """Return a calibration file without the angles; raise FlightReadError if the log does not name the servos."""
-    _check_names_servos(log)
-    entries = [TEMPLATE]
-    for surface, servo in log.servos.items():
-        first, last = ("nan", "-nan") if servo.turned else ("-nan", "nan")
-        points = f"[{servo.low:g}, {first}], [{servo.trim:g}, 0.0], [{servo.high:g}, {last}]"
-        entries.append(f'[{surface}]\nchannel = "{servo.channel}"\npoints = [{points}]\n')
-    return "\n".join(entries)
 
 
 def _check_names_servos(log: Log) -> None:

@@ -174,8 +174,6 @@ class Evaluation:
         Coefficients that least squares on the same rows predict.
     replay : DataFrame, optional
         Of `skdgp.dynamics.replay` for ``table``.
-    states : dict of str to DataFrame
-        Errors of the replay against "measured" and, where it is known, "truth".
     """
 
     name: str
@@ -190,7 +188,6 @@ class Evaluation:
     truth: Matrix | None = None
     baseline: Matrix | None = None
     replay: pd.DataFrame | None = None
-    states: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
     @cached_property
     def scores(self) -> dict[str, pd.DataFrame]:

@@ -111,22 +111,6 @@ class TestCommand:
         assert main(["inspect", str(whole), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"
 
-    def test_servo_template_to_table(self, whole, tmp_path, ulog, capsys):
-        t = np.arange(0, 20, 0.02)
-        log = ulog().topic(
-            "actuator_controls_0", t, control=("float[4]", np.column_stack([np.sin(t) ** 2] * 4))
-        )
-        path, servo = tmp_path / "log.ulg", tmp_path / "servo.toml"
-        path.write_bytes(bytes(log))
-        assert main(["inspect", str(path), "--servo-template", str(servo)]) == 0
-        servo.write_text(servo.read_text().replace("nan", "0.3"))
-        capsys.readouterr()
-        assert main(["inspect", str(path), "--servos", str(servo)]) == 0
-        assert "elevator" in capsys.readouterr().out
-        assert main(["inspect", str(path), "--servo-template", str(servo)]) == 1
-        assert "there already" in capsys.readouterr().err
-        assert "0.3" in servo.read_text()
-
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
         (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
         flights = named_flights([whole, tmp_path / "table.csv"], servos=SERVOS)

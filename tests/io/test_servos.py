@@ -1,14 +1,13 @@
 """Servo files: pulses to angles, refusals, templates, mixtures; the code of the page of logs."""
 
 import re
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from skdgp.design import Wavetrain, ardupilot_script, doublet
-from skdgp.io import FlightReadError, read_flight, read_servos, servo_template
+from skdgp.io import FlightReadError, read_flight, read_servos
 from skdgp.io._autopilot import read_log
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
@@ -72,11 +71,10 @@ class TestFullThrow:
     def test_of_ardupilot(self, tmp_path, ardupilot, flight):
         (tmp_path / "log.bin").write_bytes(ardupilot)
         table = read_flight(tmp_path / "log.bin", servos="full throw")
-        template = servo_template(tmp_path / "log.bin").replace("nan", "0.5")
-        (tmp_path / "servo.toml").write_text(template)
-        angles = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
-        for name in ("aileron", "elevator", "rudder"):
-            np.testing.assert_allclose(0.5 * table[name], angles[name], atol=1e-12)
+        # More pulse pitches up, rolls right, yaws right: of these only roll has the sign of the table
+        for name, sign in (("aileron", 1), ("elevator", -1), ("rudder", -1)):
+            pulses = sign * PULSE[name] * flight[name](table.time)
+            assert np.corrcoef(table[name][20:-20], pulses[20:-20])[0, 1] > 0.999
         assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
 
     def test_a_throw_in_one_line(self, tmp_path, ardupilot):
@@ -175,69 +173,29 @@ class TestFullThrow:
             read_flight(tmp_path / "log.ulg", servos="full throw")
 
 
-class TestTemplates:
-    """A template asks for the angles and for nothing else."""
+def test_reversed_outputs(tmp_path, dataflash):
+    log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0)
+    log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
+    (tmp_path / "log.bin").write_bytes(bytes(log))
+    turned = {name: servo.turned for name, servo in read_log(tmp_path / "log.bin").servos.items()}
+    assert turned == {"elevon_left": False, "elevon_right": True}
 
-    def filled(self, template, tmp_path):
-        text = template.replace("nan", "0.5")
-        (tmp_path / "servo.toml").write_text(text)
-        return tmp_path / "servo.toml"
 
-    def test_of_ardupilot(self, tmp_path, ardupilot, flight):
-        path = tmp_path / "log.bin"
-        path.write_bytes(ardupilot)
-        template = servo_template(path)
-        entries = tomllib.loads(template)
-        assert {name: entry["channel"] for name, entry in entries.items()} == {
-            "aileron": "RCOU.C1", "elevator": "RCOU.C2", "rudder": "RCOU.C4",
-        }  # fmt: skip
-        with pytest.raises(FlightReadError, match="measure the angle"):
-            read_servos(entries)
-        table = read_flight(path, servos=self.filled(template, tmp_path))
-        # More pulse pitches up, rolls right, yaws right: of these only roll has the sign of the
-        # flight table.
-        for name, sign in (("aileron", 1), ("elevator", -1), ("rudder", -1)):
-            assert (
-                np.corrcoef(
-                    table[name][20:-20], (sign * PULSE[name] * flight[name](table.time))[20:-20]
-                )[0, 1]
-                > 0.999
-            )
-
-    def test_reversed_outputs(self, tmp_path, dataflash):
-        log = dataflash(
-            SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0, SERVO2_TRIM=1480.0
-        )
-        log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
-        (tmp_path / "log.bin").write_bytes(bytes(log))
-        entries = tomllib.loads(servo_template(tmp_path / "log.bin"))
-        signs = {name: np.signbit(entry["points"][0][1]) for name, entry in entries.items()}
-        assert signs == {"elevon_left": True, "elevon_right": False}
-        assert entries["elevon_right"]["points"][1] == [1480, 0.0]
-
-    @pytest.mark.parametrize(
-        ("topic", "parameters", "channel"),
-        [
-            ("actuator_controls_0", {}, "actuator_controls_0.control[1]"),
-            (
-                "actuator_servos",
-                {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3},
-                "actuator_servos.control[1]",
-            ),
-        ],
-    )
-    def test_of_px4(self, tmp_path, ulog, topic, parameters, channel):
-        log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
-        (tmp_path / "log.ulg").write_bytes(bytes(log))
-        assert tomllib.loads(servo_template(tmp_path / "log.ulg"))["elevator"]["channel"] == channel
-
-    def test_nothing_to_make_one_of(self, tmp_path, ulog):
-        log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))
-        (tmp_path / "log.ulg").write_bytes(bytes(log))
-        with pytest.raises(FlightReadError, match="without parameters that name"):
-            servo_template(tmp_path / "log.ulg")
-        with pytest.raises(FlightReadError, match=r"expected a log of an autopilot: \.ulg"):
-            servo_template(tmp_path / "log.csv")
+@pytest.mark.parametrize(
+    ("topic", "parameters", "channel"),
+    [
+        ("actuator_controls_0", {}, "actuator_controls_0.control[1]"),
+        (
+            "actuator_servos",
+            {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3},
+            "actuator_servos.control[1]",
+        ),
+    ],
+)
+def test_servos_of_px4(tmp_path, ulog, topic, parameters, channel):
+    log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+    (tmp_path / "log.ulg").write_bytes(bytes(log))
+    assert read_log(tmp_path / "log.ulg").servos["elevator"].channel == channel
 
 
 # Signs of the pulses of the log that every column comes from

@@ -15,14 +15,10 @@ from skdgp._compute.files import Writer, csv_writer
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._flight.channels import (
     AIR_DATA,
-    ALL_SURFACES,
     EULER,
     RATES,
-    THRUST_FORCES,
-    THRUST_MOMENTS,
-    WIND,
 )
-from skdgp._flight.checks import check_columns, check_names
+from skdgp._flight.checks import check_names
 from skdgp.design import doublet
 from skdgp.dynamics import (
     REASONS,
@@ -44,7 +40,6 @@ from skdgp.identification import (
     usable_flights_of_model,
 )
 from skdgp.plotting import TimeHistoryDisplay
-from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, FlightSmoother, LagCorrector
 
 # Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
 # MIL-F-8785C
@@ -53,9 +48,6 @@ DURATION = 10.0
 # Start and length of the pulses of a doublet [s], about a quarter of a period of 1.5 rad/s; a guess
 PULSE = 1.0
 START = (*AIR_DATA, *EULER, *RATES, "altitude")
-THRUST = (*THRUST_FORCES, *THRUST_MOMENTS)
-# Steps of a pipeline that estimate the flight from its sensors
-MEASUREMENTS = (FlightCheck, LagCorrector, FlightPathReconstruction, FlightSmoother)
 
 
 def read_model(options) -> Bunch:
@@ -155,16 +147,16 @@ def _predictions(pipeline, flight: pd.DataFrame, include_noise: bool) -> pd.Data
 
 
 def simulate(run: Run) -> None:
-    """Fly a model, from a moment of a log with its controls from there on, or from a trim with its controls held.
+    """Fly a model from a trim with its controls held.
 
     The mean of the model is flown, and functions drawn from its posterior, each an aircraft that
-    the data allow: the band of 95 % of the paths shows how certain the trajectory is. From a trim,
+    the data allow: the band of 95 % of the paths shows how certain the trajectory is.
     --doublet AXIS=X moves a control by X about its trim, +X from 1 to 2 s and -X from 2 to 3 s.
-    Any other inputs: skdgp.dynamics.simulate.
+    Any other inputs, or the controls of a log: skdgp.dynamics.simulate. How well flights are
+    followed: skdgp validate.
 
-    The mean flies in still air, unless --wind says otherwise, or in the wind that is estimated from
-    the log. The drawn functions also meet gusts: as strong as in this wind, else as in the
-    training flights. --gusts none: none.
+    The mean flies in still air, unless --wind says otherwise. The drawn functions also meet gusts,
+    as strong as in the training flights. --gusts none: none.
 
     Writes into DIR, all or none:
       trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
@@ -174,18 +166,17 @@ def simulate(run: Run) -> None:
       simulation.json   the command, start, end, when it ended or left the training data
 
     For example:
-      skdgp simulate results/model.joblib --flight wednesday.csv --at 120 --duration 5 -o flown
       skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
       skdgp simulate results/model.joblib --trim 35 --doublet elevator=0.03 --paths 100 -o doublet
     """
     options = run.options
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
-    start = _start(options, model, thrust)
+    steady, controls = _trimmed(options, model, thrust)
     run.console.stage("simulating")
-    initial = (model.pipeline, model.aircraft, start.state, start.controls, options.dt)
-    conditions: dict[str, Any] = {"duration": start.duration, "thrust": thrust}
-    trajectory = simulate_flight(*initial, **conditions, air=Air(start.wind))
+    initial = (model.pipeline, model.aircraft, _state(steady), controls, options.dt)
+    conditions: dict[str, Any] = {"duration": options.duration, "thrust": thrust}
+    trajectory = simulate_flight(*initial, **conditions, air=Air(options.wind))
     sampled = None
     files = {"trajectory.csv": csv_writer(trajectory)}
     if options.paths:
@@ -194,42 +185,22 @@ def simulate(run: Run) -> None:
             sampled = simulate_flight(
                 *initial,
                 **conditions,
-                air=Air(start.wind, gusts=opt.none_of(options.gusts)),
+                air=Air(options.wind, gusts=opt.none_of(options.gusts)),
                 n_paths=options.paths,
                 random_state=options.seed,
             )
         files["bands.csv"] = csv_writer(trajectory_bands(sampled).drop(columns="start"))
-    numbers = _numbers(options, start, trajectory, sampled)
+    numbers = _numbers(options, steady, trajectory, sampled)
     drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
     files |= picture_writers(
-        "trajectory.png", TimeHistoryDisplay.from_trajectories, drawn, start.log, mean=mean
+        "trajectory.png", TimeHistoryDisplay.from_trajectories, drawn, mean=mean
     )
     written = run.write(files, "simulation.json", numbers, r"bands\.csv|trajectory\.png")
     run.print(_simulation_text(numbers, written), numbers)
 
 
-def _start(options, model, thrust) -> Bunch:
-    """Return state, controls, wind, duration, log and trim of a start; raise ValueError if options contradict."""
-    if (options.flight is None) == (options.trim is None):
-        raise ValueError(
-            "Got both or none of --flight and --trim, but expected one of them to start from."
-        )
-    origin = "flight" if options.flight is None else "trim"
-    belonging = {
-        "flight": ("at", "servos", "rename", "airborne"),
-        "trim": ("altitude", "climb", "bank", "doublet"),
-    }[origin]
-    names = [name for name in belonging if getattr(options, name) not in (None, [])]
-    if names:
-        options_of_other = ", ".join(f"--{name}" for name in names)
-        raise ValueError(
-            f"Got {options_of_other} without --{origin}, to which it belongs: leave it out."
-        )
-    return _trimmed(options, model, thrust) if options.flight is None else _logged(options, model)
-
-
-def _trimmed(options, model, thrust) -> Bunch:
-    """Start from a trim, with its controls, and doublets about them."""
+def _trimmed(options, model, thrust) -> tuple[Trim, pd.DataFrame]:
+    """Return the trim, and its controls over time with doublets about them."""
     climb = options.climb
     if thrust is not None and climb is None:  # without thrust it follows
         climb = 0.0
@@ -239,62 +210,24 @@ def _trimmed(options, model, thrust) -> Bunch:
         options.trim,
         climb=climb,
         bank=options.bank,
-        altitude=options.altitude or 0.0,
+        altitude=options.altitude,
         thrust=thrust,
     )
-    state = {
-        **{name: getattr(steady, name) for name in (*AIR_DATA, "phi", "theta", "altitude")},
-        **dict(zip(RATES, steady.rates, strict=True)),  # by the air, which the wind carries along
-    }
-    duration = options.duration or DURATION
-    time = np.arange(0.0, duration + options.dt, options.dt)
+    time = np.arange(0.0, options.duration + options.dt, options.dt)
     pulses = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}
     check_names(pulses, steady.controls, "trim's controls")
     controls = {name: value + pulses.get(name, 0.0) for name, value in steady.controls.items()}
-    table = pd.DataFrame({"time": time} | controls)
-    return Bunch(
-        state=state, controls=table, wind=options.wind, duration=duration, log=None, trim=steady
-    )
+    return steady, pd.DataFrame({"time": time} | controls)
 
 
-def _logged(options, model) -> Bunch:
-    """Start from a moment of a log, its noise removed and its wind estimated by the model's pipeline."""
-    if options.at is None:
-        raise ValueError(
-            "Got --flight without --at, but expected the moment to start from: --at SECONDS."
-        )
-    flights = named_flights(options.flight, **opt.reading(options, model))
-    spans = {
-        name: (table["time"].iloc[0], table["time"].iloc[-1]) for name, table in flights.items()
-    }
-    inside = [name for name, (first, last) in spans.items() if first <= options.at < last]
-    if len(inside) != 1:
-        times = ", ".join(f"{name} {span[0]:g} to {span[1]:g} s" for name, span in spans.items())
-        raise ValueError(
-            f"Got --at {options.at:g}, but expected a moment of exactly one flight of the log: "
-            f"{times}."
-        )
-    log = FlightCheck(bridge=0).fit_transform(flights[inside[0]])
-    commands = log[[name for name in ALL_SURFACES if name in log]]
-    for step in model.pipeline:
-        if isinstance(step, MEASUREMENTS):
-            log = step.transform(log)
-        if isinstance(step, FlightCheck):
-            commands = log[list(commands)]
-    log = log.assign(**commands)
-    check_columns(log, START)
-    log = log[log["time"] >= options.at].reset_index(drop=True)
-    if model.get("options", {}).get("thrust") == "propeller":
-        log = log.drop(columns=[name for name in THRUST if name in log])
-    wind = options.wind
-    if wind is None and set(WIND) <= set(log.columns):
-        wind = log[["time", *WIND]]
-    state = {name: float(log[name].iloc[0]) for name in (*START, "north", "east") if name in log}
-    duration = min(DURATION, np.ptp(log["time"])) if options.duration is None else options.duration
-    return Bunch(state=state, controls=log, wind=wind, duration=duration, log=log, trim=None)
+def _state(steady: Trim) -> dict[str, float]:
+    """Return the state of a trim, with rates by the air, which the wind carries along."""
+    names = (*AIR_DATA, "phi", "theta", "altitude")
+    rates = dict(zip(RATES, steady.rates, strict=True))
+    return {name: getattr(steady, name) for name in names} | rates
 
 
-def _numbers(options, start, trajectory, paths) -> dict:
+def _numbers(options, steady, trajectory, paths) -> dict:
     """Return the summary as numbers, SI units and radians."""
     flying = trajectory[trajectory["ended"] == ""]
     first, last = trajectory.iloc[0], pd.concat([trajectory[:1], flying]).iloc[-1]
@@ -307,8 +240,8 @@ def _numbers(options, start, trajectory, paths) -> dict:
     return {
         "model": options.model,
         "start": {name: first[name] for name in START},
-        "trim": None if start.trim is None else start.trim.controls | {"thrust": start.trim.thrust},
-        "duration": start.duration,
+        "trim": steady.controls | {"thrust": steady.thrust},
+        "duration": options.duration,
         "flown": last["time"] - first["time"],
         "ended": next((REASONS[why] for why in trajectory["ended"] if why), None),
         "beyond": beyond if len(outside) else None,
@@ -479,17 +412,15 @@ COMMANDS: opt.Commands = {
                 "metavar": ("N", "E", "D"),
                 "type": opt.number(),
                 "nargs": 3,
-                "help": (
-                    "velocity of the air [m/s], north, east, down (default: estimated from the "
-                    "log, else 0 0 0)"
-                ),
+                "help": "velocity of the air [m/s], north, east, down (default: 0 0 0)",
             },
             "--gusts": opt.SHARED["--gusts"]
             | {"help": "that the drawn functions meet (default: auto)"},
             "--duration": {
                 "metavar": "S",
                 "type": opt.positive("seconds"),
-                "help": "how long [s] (default: 10, or the rest of the log)",
+                "default": DURATION,
+                "help": "how long [s] (default: 10)",
             },
             "--dt": {
                 "metavar": "S",
@@ -502,20 +433,10 @@ COMMANDS: opt.Commands = {
                 "default": 30,
                 "help": "functions of the posterior to fly; 0: the mean alone (default: 30)",
             },
-        },
-        "start where a flight was": {
-            "--flight": {"metavar": "LOG", "help": "the log of the flight (or --trim)"},
-            "--at": {
-                "metavar": "S",
-                "type": opt.number(),
-                "help": "when, on the clock of the log [s]",
-            },
-            **opt.LOG,
-        },
-        "start from a trim": {
             "--trim": {
                 "metavar": "V",
                 "type": opt.positive("m/s"),
+                "required": True,
                 "help": "start from steady flight at this airspeed [m/s]",
             },
             "--doublet": opt.AXIS_VALUES
@@ -527,6 +448,7 @@ COMMANDS: opt.Commands = {
             "--altitude": {
                 "metavar": "M",
                 "type": opt.number(),
+                "default": 0.0,
                 "help": "of the trim [m] (default: 0)",
             },
             "--climb": {

@@ -32,6 +32,7 @@ from skdgp._flight.frames import air_data, air_data_slopes, cross, cross_matrix
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.preprocessing._air_motion_equations import (
     ARM,
+    BIASES,
     FAST,
     GUST,
     N_STATES,
@@ -100,6 +101,8 @@ DIVERGED = (
 BLOCK = 2.0  # s of scores that are summed before their covariance is taken
 LAG_ERROR = 0.1  # standard deviation by what a surface does between samples, in steps
 MODEL_ERROR = 0.03  # standard deviation of a derivative by what the model leaves out, relative
+# Of the scale of alpha and beta by a wrong spectrum of gusts, which an autopilot answers
+ANGLE_ERROR = 0.05
 
 
 @dataclass(frozen=True)
@@ -229,7 +232,8 @@ def estimate_air_motion(
     surfaces leaves part of this error. Noises maximise the likelihood of the innovations. Priors
     :math:`\Lambda` are wide; they bound what a flight does not tell. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
-    larger, and 3 % of each derivative are added for what a linear model leaves out.
+    larger, and 3 % of each derivative are added for what a linear model leaves out. All slopes by
+    alpha, and all by beta, share an error of 5 % of the scale of the angle.
 
     Parameters
     ----------
@@ -570,6 +574,11 @@ class _Fit:
         columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
         if self.known is None:
             covariance[:nd, :nd] += np.diag((MODEL_ERROR * self.x[:nd]) ** 2)
+            for vane in ("alpha", "beta"):
+                if not any(record.sampled[BIASES[f"{vane}_bias"]] for record in self.records):
+                    is_slope = self.layout.columns == STATE_TERMS.index(vane)
+                    scaled = ANGLE_ERROR * is_slope * self.x[:nd]
+                    covariance[:nd, :nd] += np.outer(scaled, scaled)
             columns["std"] = np.sqrt(np.diag(covariance))
             columns["std"][self.parameters.names.index("servo_lag")] += LAG_ERROR * float(
                 np.median(self.records[0].step)

@@ -181,12 +181,14 @@ class LatentFeatures(ValueFeatures):
         unit = np.eye(len(width))
         further = {"amplitude": unit, "feeds": unit, "length_scale": width}
         arrays: dict[str, Any] = {}
-        for name in ("amplitude", "length_scale", "shift", "feeds"):
+        for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
             value = kernel.value(name)
             shape = len(value), len(value), *value.shape[2:]
             added = np.broadcast_to(further.get(name, 0.0), shape)
             arrays[name] = np.concatenate([value, added], axis=1)
-        super().__init__(kernel, Z, ConvolvedGaussian(**arrays))
+        kind = "full" if kernel.covariance_type == "full" else "diag"
+        joint = ConvolvedGaussian(covariance_type=kind, **arrays)
+        super().__init__(kernel, Z, joint)
         self.arguments = Z, width
         self.blocks = [np.flatnonzero(fed).tolist() for fed in kernel.value("feeds").T]
 

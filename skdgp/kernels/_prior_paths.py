@@ -239,10 +239,15 @@ def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
             kernel.value(name)[m, i] for name in ("amplitude", "shift", "length_scale")
         )
         c, d = shift.shape
+        roots = (
+            kernel.roots()[m, i]
+            if kernel.covariance_type == "full"
+            else np.eye(d) / lengths[..., None]
+        )
         component = np.arange(F) % c
-        omega = random_state.standard_normal((S, F, d)) / lengths[component]
-        white = omega[:, :, None] * lengths
-        log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) + np.log(lengths).sum(axis=1)
+        omega = (roots[component] @ random_state.standard_normal((S, F, d, 1)))[..., 0]
+        white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
+        log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
         log_mixture = logsumexp(
             log_density, axis=2, b=np.bincount(component), keepdims=True
         )  # log(F q)

@@ -55,12 +55,19 @@ def test_initialize_fixes_the_others_in_their_units(given, data):
 
 
 @pytest.mark.parametrize(
-    "regressors",
-    [[3], [-1], [], [0.5], [[0]], ["alpha"]],
+    ("regressors", "kind", "message"),
+    [
+        ([3], "diag", "expected columns of X from 0 to 2"),
+        ([-1], "diag", "expected columns of X"),
+        ([], "diag", "expected columns of X"),
+        ([0.5], "diag", "expected columns of X"),
+        ([[0]], "diag", "expected columns of X"),
+        (["alpha"], "diag", "expected columns of X"),
+        ([0], "full", "expected 'diag' or 'tied'"),
+    ],
 )
-def test_wrong_columns(regressors, data):
-    kernel = ConvolvedGaussian(1, regressors=regressors)
-    message = "expected columns of X from 0 to 2"
+def test_wrong_columns(regressors, kind, message, data):
+    kernel = ConvolvedGaussian(1, regressors=regressors, covariance_type=kind)
     with pytest.raises(ValueError, match=message):
         kernel.initialize(*data, 0)
     with pytest.raises(ValueError, match=message):

@@ -291,7 +291,7 @@ def derivatives(run: Run) -> None:
 
     For example:
       skdgp derivatives results/model.joblib --airspeed 35
-      skdgp derivatives results/model.joblib --airspeed 30 35 40 --axes stability -o sweep
+      skdgp derivatives results/model.joblib --airspeed 30 35 40 -o sweep
     """
     options = run.options
     run.console.stage("reading")
@@ -304,13 +304,11 @@ def derivatives(run: Run) -> None:
     _warn_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
-    table = stability_derivatives(
-        model.pipeline, model.aircraft, trims, axes=options.axes, **spread
-    )
+    table = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
     run.console.stage("modes")
     modes = [_modes(linearize(model.pipeline, model.aircraft, point, **spread)) for point in trims]
     points: list[Any] = [(point, table.loc[k], modes[k]) for k, point in enumerate(trims)]
-    numbers = {name: getattr(options, name) for name in ("model", "axes", "altitude")}
+    numbers = {name: getattr(options, name) for name in ("model", "altitude")}
     numbers["points"] = [_point(*point) for point in points]
     blocks = [_derivatives_text(*point) for point in points]
     if run.folder is not None:
@@ -475,11 +473,6 @@ COMMANDS: opt.Commands = {
                 "type": opt.number(),
                 "default": 0.0,
                 "help": "of the trims [m] (default: 0)",
-            },
-            "--axes": {
-                "choices": ["body", "stability"],
-                "default": "body",
-                "help": "of forces, moments and rates (default: body)",
             },
             "--paths": opt.SHARED["--paths"]
             | {

@@ -12,7 +12,6 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
-from skdgp._flight.checks import check_choice
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
 from skdgp.dynamics._linearize import LAGS, check_paths, check_settled, flight_point, lag_of
@@ -20,9 +19,7 @@ from skdgp.dynamics._loads import Thrust
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._trim import Trim
 
-ROWS = {"body": (*COEFFICIENTS, "CL", "CD"), "stability": ("CL", "CY", "CD", "Cl", "Cm", "Cn")}
-# Rates about the x and the z axis, which turn with the axes
-TURNED = (("p", "r"), ("p_dot", "r_dot"))
+ROWS = (*COEFFICIENTS, "CL", "CD")
 # Columns whose squares add up to the square of ``std``
 PARTS = ("std_posterior", "std_random", "std_method")
 NORMAL_95 = 1.959963984540054
@@ -34,7 +31,6 @@ def stability_derivatives(
     point: Trim | Sequence[Trim] | ArrayLike,
     controls: Mapping[str, ArrayLike] | None = None,
     *,
-    axes: str = "body",
     n_paths: int = 200,
     random_state: Seed = 0,
     thrust: Thrust = "auto",
@@ -50,9 +46,8 @@ def stability_derivatives(
     .. math:: C_L = C_X \sin\alpha - C_Z \cos\alpha, \quad C_D = -C_X \cos\alpha - C_Z \sin\alpha, \quad
         C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
 
-    Stability axes are the body's, turned by the alpha of the flight and fixed there; moments and
-    the rates p and r are in them. Raises ValueError if axes are unknown, or the model is not
-    defined there, or rows are added to a model that does not hold its own.
+    Other coefficients and rates are in body axes. Raises ValueError if the model is not defined
+    there, or rows are added to a model that does not hold its own.
 
     Parameters
     ----------
@@ -61,8 +56,6 @@ def stability_derivatives(
     point : Trim, array-like of shape (13,), or several
         Trims, or states (`STATE_NAMES`) with their ``controls``.
     controls : mapping of str to float or array-like of shape (n,), optional
-    axes : {"body", "stability"}
-        "body": CX CY CZ Cl Cm Cn, and CL CD; "stability": CL CY CD Cl Cm Cn.
     n_paths : int
         Number of posterior functions that give the standard deviations, each with a relative error
         of 1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
@@ -125,7 +118,6 @@ def stability_derivatives(
     >>> table.loc[["CL", "CL_alpha", "CD", "Cm_q", "Cm_elevator"], "value"].round(3).to_dict()
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
-    check_choice("axes", axes, ROWS)
     motion = Motion(model, aircraft, thrust=thrust, air=air)
     if added is not None and motion.aerodynamics.slope_errors is None:
         raise ValueError(
@@ -135,7 +127,7 @@ def stability_derivatives(
     states, controls, single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)
-    X, frame = now.regressors, _Frame(motion, now, axes)
+    X, frame = now.regressors, _Frame(motion, now)
     values = frame(now.coefficients, motion.aerodynamics.gradient(X))
     if not np.isfinite(values).all():
         raise ValueError(
@@ -219,44 +211,25 @@ def _add_errors_of_aircraft(
 class _Frame:
     """Conversion of coefficients and slopes in body axes to rows and columns of the table of derivatives."""
 
-    def __init__(self, motion: Motion, now: Instant, axes: str):
-        self.rows, self.alpha, self.stability = ROWS[axes], now.alpha, axes == "stability"
-        self.turn = _axes(now.alpha, self.rows, self.stability)
+    def __init__(self, motion: Motion, now: Instant):
+        self.turn = _axes(now.alpha)
         self.columns = list(motion.regressors)
         self.scale = np.stack(
             [_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1
         )
-        self.added: list[str] = []
-        if self.stability:
-            columns = set(self.columns)
-            self.added = [
-                n for pair in TURNED if columns & set(pair) for n in pair if n not in columns
-            ]
-        self.columns += self.added
         self.units = motion.aerodynamics.units
 
     def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
         C = self.turn @ coefficients[..., None]
         S = self.turn @ (slopes * self.scale[:, None, :])
-        S = np.concatenate([S, np.zeros((*S.shape[:-1], len(self.added)))], axis=-1)
         if "alpha" in self.columns:
             lift, drag, k = (
-                *(self.rows.index(name) for name in ("CL", "CD")),
+                *(ROWS.index(name) for name in ("CL", "CD")),
                 self.columns.index("alpha"),
             )
             S[..., lift, k] -= C[..., drag, 0]
             S[..., drag, k] += C[..., lift, 0]
-        if self.stability:
-            sin, cos = np.sin(self.alpha)[:, None], np.cos(self.alpha)[:, None]
-            for pair in TURNED:
-                if set(pair) <= set(self.columns):
-                    x, z = map(self.columns.index, pair)
-                    about_x, about_z = S[..., x].copy(), S[..., z].copy()
-                    S[..., x], S[..., z] = (
-                        cos * about_x + sin * about_z,
-                        cos * about_z - sin * about_x,
-                    )
         return np.concatenate([C, S], axis=-1)
 
     def errors(self, errors: Array, apart: bool = False) -> Array:
@@ -269,7 +242,7 @@ class _Frame:
     def table(self, values: Array, parts: dict[str, Array]) -> pd.DataFrame:
         """Return the table of one point, of values and parts of their deviations (rows, 1 + columns)."""
         names = ["", *self.columns]
-        pairs = [(row, name) for row in self.rows for name in names]
+        pairs = [(row, name) for row in ROWS for name in names]
         table = pd.DataFrame(
             {"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs]
         )
@@ -305,15 +278,13 @@ def _points(
     return states, {n: np.array([row[n] for _, row in flights]) for n in names}, is_single
 
 
-def _axes(alpha: Array, rows: tuple[str, ...], stability: bool) -> Array:
+def _axes(alpha: Array) -> Array:
     """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
     sin, cos = np.sin(alpha), np.cos(alpha)
     parts: dict[str, dict[str, Any]] = {name: {name: 1.0} for name in COEFFICIENTS}
     parts |= {"CL": {"CX": sin, "CZ": -cos}, "CD": {"CX": -cos, "CZ": -sin}}
-    if stability:
-        parts |= {"Cl": {"Cl": cos, "Cn": sin}, "Cn": {"Cl": -sin, "Cn": cos}}
-    turn = np.zeros((len(alpha), len(rows), 6))
-    for k, row in enumerate(rows):
+    turn = np.zeros((len(alpha), len(ROWS), 6))
+    for k, row in enumerate(ROWS):
         for name, part in parts[row].items():
             turn[:, k, COEFFICIENTS.index(name)] = part
     return turn

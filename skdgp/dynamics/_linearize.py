@@ -245,21 +245,6 @@ class LinearModel:
     controls: dict[str, float]
     paths: Matrices | None = None  #: A, B, C, D of each path of the posterior, (n_paths, ...)
 
-    @property
-    def std(self) -> Matrices:
-        """Standard deviations of the entries over the paths, as tables; raises ValueError if there are no paths."""
-        if self.paths is None:
-            raise ValueError(
-                "Got a linear model without paths: linearize(..., n_paths=100) has them."
-            )
-        pairs = zip(self.paths, self._tables(), strict=True)
-        return Matrices(
-            *(
-                pd.DataFrame(path.std(axis=0, ddof=1), mean.index, mean.columns)
-                for path, mean in pairs
-            )
-        )
-
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
 
@@ -280,9 +265,6 @@ class LinearModel:
         return _mode_table(
             self.A.to_numpy(), [*map(str, self.A)], None if self.paths is None else self.paths.A
         )
-
-    def _tables(self) -> tuple[pd.DataFrame, ...]:
-        return self.A, self.B, self.C, self.D
 
 
 def linearize(
@@ -318,8 +300,8 @@ def linearize(
     inputs : sequence of str, optional
         By default the model's controls and the one that sets the thrust.
     n_paths : int
-        Number of posterior functions to linearise too, at the same point, for `LinearModel.std` and
-        the spread of the modes; with the other errors that
+        Number of posterior functions to linearise too, at the same point, for ``paths`` and the spread
+        of the modes; with the other errors that
         :func:`skdgp.dynamics.stability_derivatives` names.
     random_state : int, RandomState instance or None
         Of the paths.

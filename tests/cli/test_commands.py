@@ -298,13 +298,9 @@ class TestDerivatives:
             "100",
             "--paths",
             "10",
-            "--axes",
-            "stability",
         )
         at = trim(model.pipeline, model.aircraft, 35.0, altitude=100.0)
-        table = stability_derivatives(
-            model.pipeline, model.aircraft, at, axes="stability", n_paths=10
-        )
+        table = stability_derivatives(model.pipeline, model.aircraft, at, n_paths=10)
         (point,) = said["points"]
         assert point["alpha"] == pytest.approx(at.alpha)
         assert list(point["derivatives"]) == list(table.index)

@@ -431,11 +431,6 @@ class Wavetrain:
         return sum((signal(time - start) for start, signal in signals), np.zeros(time.shape))
 
     @property
-    def axes(self) -> list[str]:
-        """Names of the axes that have inputs."""
-        return list(self.inputs)
-
-    @property
     def duration(self) -> float:
         """When the last input ends [s]."""
         return max((start + signal.duration for _, start, signal in self.events()), default=0.0)
@@ -481,7 +476,7 @@ class Wavetrain:
                 )
         length = self.duration + pause
         time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate
-        columns = {axis: self(axis, time) for axis in self.axes}
+        columns = {axis: self(axis, time) for axis in self.inputs}
         for axis, values in columns.items():
             self._check_peak(f"overlapping inputs of the {axis}", axis, np.abs(values).max())
         if trim is not None:

@@ -80,27 +80,27 @@ def ardupilot_script(
             f"an RCn_OPTION of "
             f"{SWITCHES[0]} to {SWITCHES[-1]}."
         )
-    full = dict(full) | ({"throttle": 1.0} if "throttle" in train.axes else {})
-    mixes = surface_mixes(train.axes, full)
+    full = dict(full) | ({"throttle": 1.0} if "throttle" in train.inputs else {})
+    mixes = surface_mixes(list(train.inputs), full)
     _check_room(train.table(rate), mixes, full)
     axes = [
         {
             "name": axis, "amplitude": train.limits.get(axis, NO_LIMIT),
             "signals": [_parts(item) | {"start": t} for t, item in train.inputs[axis].items()],
         }
-        for axis in train.axes
+        for axis in train.inputs
     ]  # fmt: skip
     surfaces = [
         {
             "name": name, "servo": ARDUPILOT[name][0], "full": ARDUPILOT[name][1] * full[name],
             "range": name == "throttle", "scale": THROTTLE_SCALE if name == "throttle" else SURFACE_SCALE,
-            "parts": [mix.get(axis, 0.0) for axis in train.axes],
+            "parts": [mix.get(axis, 0.0) for axis in train.inputs],
         }
         for name, mix in mixes.items()
     ]  # fmt: skip
     plan = {
         "switch": switch, "period": int(1000.0 / rate), "duration": train.duration,
-        "labels": ",".join(["t", *train.axes]), "format": "f" * (1 + len(axes)), "axes": axes,
+        "labels": ",".join(["t", *train.inputs]), "format": "f" * (1 + len(axes)), "axes": axes,
         "surfaces": surfaces,
     }  # fmt: skip
     return SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))

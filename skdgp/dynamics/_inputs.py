@@ -551,25 +551,19 @@ def interpolated(
     }
 
 
-def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, wind: Any, dt: float) -> None:
-    """Warn of a start or a wind that carries another time than the first row of the controls, which is the start."""
-    spans = [tuple(table["time"].iloc[[0, -1]]) for table in tables_of(controls)]
-    if not spans:
+def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, dt: float) -> None:
+    """Warn of a start that carries another time than the first row of the controls, which is the start."""
+    firsts = [table["time"].iloc[0] for table in tables_of(controls)]
+    if not (firsts and isinstance(starts, pd.DataFrame) and "time" in starts):
         return
-    differences = []
-    if isinstance(starts, pd.DataFrame) and "time" in starts:
-        firsts = np.broadcast_to([first for first, _ in spans], (len(starts),))
-        for k, (time, first) in enumerate(zip(starts["time"], firsts, strict=True)):
-            if abs(time - first) > dt:
-                differences.append((f"start {k} is of time {time:g} s", first))
-    for begin, end in (table["time"].iloc[[0, -1]] for table in tables_of(wind)):
-        if any(abs(a - begin) > dt and max(a, begin) < min(b, end) for a, b in spans):
-            differences.append((f"the wind begins at time {begin:g} s", spans[0][0]))
-    if differences:
-        what, first = differences[0]
+    times = starts["time"].to_numpy(float)
+    begins = np.broadcast_to(firsts, times.shape)
+    k = int(np.argmax(np.abs(times - begins)))
+    if abs(times[k] - begins[k]) > dt:
         warn(
-            f"Got controls that begin at time {first:g} s, but {what}: the first row of each table "
-            f"counts as the start. Cut them alike, table[table['time'] >= start].",
+            f"Got controls that begin at time {begins[k]:g} s, but start {k} is of "
+            f"time {times[k]:g} s: the first row of each table counts as the start. Cut the "
+            f"controls, table[table['time'] >= start].",
             stacklevel=3,
         )
 

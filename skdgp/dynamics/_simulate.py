@@ -137,8 +137,8 @@ def simulate(
     SimulationWarning
         If a trajectory ends early, or leaves the training ranges.
     UserWarning
-        If start, controls and wind carry times that do not begin together, or a start does not fit
-        its wind.
+        If start and controls carry times that do not begin together, or a start does not fit its
+        wind.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def simulate(
     x0, start_std = x0 if isinstance(x0, UncertainStart) else (x0, None)
     starts = as_starts(x0)
     clock = Clock.of(dt, duration, tables_of(controls, described.wind))
-    warn_of_clocks(starts, controls, described.wind, clock.dt)
+    warn_of_clocks(starts, controls, clock.dt)
     local = wind_schedule(described.wind, clock, len(starts))
     commands = control_schedule(controls, clock, is_control(motion), len(starts))
     states = initial_states(starts, lambda start: local(0, start))

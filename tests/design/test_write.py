@@ -57,7 +57,7 @@ def flown(train, tmp_path_factory):
         command = [sys.executable, "-c", LUA, str(stub), str(path), str(jitter), str(off)]
         done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         rows = [line.split(",") for line in done.stdout.splitlines()]
-        names = ["time", *train.axes, *(f"servo{k}" for k in range(1, 12))]
+        names = ["time", *train.inputs, *(f"servo{k}" for k in range(1, 12))]
         return pd.DataFrame(rows, columns=names).astype(float), done.stderr
 
     return run
@@ -68,9 +68,9 @@ def test_the_script_gives_the_planned_signal(train, flown):
     table = train.table(50.0)
     assert "plan: complete" in said
     np.testing.assert_allclose(logged["time"][: len(table)], table["time"], atol=1e-12)
-    for axis in train.axes:
+    for axis in train.inputs:
         np.testing.assert_allclose(logged[axis][: len(table)], table[axis], atol=1e-6)
-    assert (logged[train.axes].iloc[len(table) :] == 0).all(axis=None)
+    assert (logged[list(train.inputs)].iloc[len(table) :] == 0).all(axis=None)
 
 
 @pytest.mark.parametrize("jitter", [0, 35])

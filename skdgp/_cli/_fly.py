@@ -10,7 +10,7 @@ import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp._cli import _options as opt
-from skdgp._cli._output import Run, picture_writers
+from skdgp._cli._output import Run
 from skdgp._compute.files import Writer, csv_writer
 from skdgp._compute.messages import warn, without_warnings
 from skdgp._flight.channels import (
@@ -39,7 +39,6 @@ from skdgp.identification import (
     predict_flight,
     usable_flights_of_model,
 )
-from skdgp.plotting import TimeHistoryDisplay
 
 # Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
 # MIL-F-8785C
@@ -122,18 +121,13 @@ def predict(run: Run) -> None:
     )
     run.write({output.name: csv_writer(table)})
     rows = {name: len(flight) for name, flight in flights.items()}
-    names = model.pipeline[-1].output_names_
-    summary = table[names].agg(["min", "max"]).T.set_axis(["lowest", "highest"], axis="columns")
-    summary["median_std"] = table[[f"{name}_std" for name in names]].median().to_numpy()
     numbers = {
         "model": options.model,
         "output": options.output,
         "flights": rows,
         "include_noise": options.include_noise,
-        "coefficients": summary.to_dict("index"),
     }
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
-    lines += ["", summary.to_string(float_format="{:.4g}".format)]
     run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
 
 
@@ -153,7 +147,7 @@ def simulate(run: Run) -> None:
     the data allow: the band of 95 % of the paths shows how certain the trajectory is.
     --doublet AXIS=X moves a control by X about its trim, +X from 1 to 2 s and -X from 2 to 3 s.
     Any other inputs, or the controls of a log: skdgp.dynamics.simulate. How well flights are
-    followed: skdgp validate.
+    followed: skdgp validate. Pictures: skdgp.plotting.TimeHistoryDisplay.from_trajectories.
 
     The mean flies in still air, unless --wind says otherwise. The drawn functions also meet gusts,
     as strong as in the training flights. --gusts none: none.
@@ -162,7 +156,6 @@ def simulate(run: Run) -> None:
       trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
                         "ended" says why a trajectory is over
       bands.csv         median, 2.5 % and 97.5 % of the paths over time
-      trajectory.png    a picture
       simulation.json   the command, start, end, when it ended or left the training data
 
     For example:
@@ -191,11 +184,7 @@ def simulate(run: Run) -> None:
             )
         files["bands.csv"] = csv_writer(trajectory_bands(sampled).drop(columns="start"))
     numbers = _numbers(options, steady, trajectory, sampled)
-    drawn, mean = (trajectory, None) if sampled is None else (sampled, trajectory)
-    files |= picture_writers(
-        "trajectory.png", TimeHistoryDisplay.from_trajectories, drawn, mean=mean
-    )
-    written = run.write(files, "simulation.json", numbers, r"bands\.csv|trajectory\.png")
+    written = run.write(files, "simulation.json", numbers, r"bands\.csv")
     run.print(_simulation_text(numbers, written), numbers)
 
 

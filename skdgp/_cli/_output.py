@@ -10,13 +10,10 @@ import sys
 import time
 import warnings
 from argparse import Namespace
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
-from skdgp._compute.messages import warn
 
 CLEAR = "\r\x1b[K"
 PERIOD = 0.2  # seconds between two states of the progress line
@@ -159,14 +156,3 @@ class Run:
         """Print the result: text, or on request JSON."""
         record = {"command": self.command_line} | numbers
         self.console.print(json_text(record).rstrip() if self.options.json else text)
-
-
-def picture_writers(name: str, draw: Callable, *data, **options) -> dict[str, Writer]:
-    """Return the writer of a figure of a display; none, and a warning, without matplotlib."""
-    if find_spec("matplotlib") is None:
-        warn('No picture: it needs pip install "skdgp[plot]".', stacklevel=2)
-        return {}
-    from matplotlib.figure import Figure
-
-    display = draw(*data, **options, ax=Figure(layout="constrained"))
-    return {name: lambda path: display.figure_.savefig(path, dpi=150)}

@@ -108,11 +108,6 @@ class Finding(NamedTuple):
         return f"{self.channel} {self.description} ({where}): {REMEDY[self.kind]}"
 
 
-def seconds_origin(time: np.ndarray) -> float:
-    """Return the origin of the times in messages [s]: 0, or the first time where the clock counts from 1970."""
-    return float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0
-
-
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
     """Return the faults of each flight in a table whose time increases within each; some columns are ignored."""
     ignored, time = set(ignore), table["time"].to_numpy(float)
@@ -123,7 +118,7 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
     used = [name for name in used if pd.api.types.is_numeric_dtype(table[name])]
     channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in used}
     findings = []
-    origin = seconds_origin(time)
+    origin = float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0  # counts from 1970
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
         flight_time = time[first:last]

@@ -88,7 +88,15 @@ def named_flights(
                     f"once: name a file once, rename one of two files, change the name in the "
                     f"column 'flight', or give a dict of names and tables."
                 )
-            by_name[name] = _checked_columns(part.assign(flight=name), needed, path)
+            try:
+                check_columns(part, needed)
+            except ValueError as error:
+                if not is_log(path):
+                    raise
+                raise ValueError(
+                    f"{error} What a log has, and why it lacks them: skdgp inspect {path}"
+                ) from None
+            by_name[name] = part.assign(flight=name)
             origin[name] = place
     return by_name
 
@@ -108,18 +116,6 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
         name: table.iloc[flight].reset_index(drop=True).assign(flight=name)
         for name, flight in rows.items()
     }
-
-
-def _checked_columns(table, needed, path=None) -> pd.DataFrame:
-    try:
-        check_columns(table, needed)
-    except ValueError as error:
-        if not is_log(path):
-            raise
-        raise ValueError(
-            f"{error} What a log has, and why it lacks them: skdgp inspect {path}"
-        ) from None
-    return table
 
 
 def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str | None]:

@@ -43,7 +43,6 @@ FILTER_ORDER = 4
 CUTOFF = 0.4  # corner of the low-pass in parts of the new rate: gain 1/2 there
 LEAST_RATIO = 1.2  # least ratio of rates of a channel that is low-passed
 LONGEST_PAUSE = (5.0, 50.0)  # in longer pauses, [s] and [usual steps], the clock has no rows
-MOST_ROWS_PER_SAMPLE = 20.0  # of the clock, per sample of the channel that it follows
 MOST_GAPS = 0.05  # larger fractions of gaps are the pauses between bursts; a guess
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
@@ -84,8 +83,8 @@ class Source(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """The usual rate [Hz]."""
-        return sampling_rate(self.time)
+        """The usual rate [Hz], NaN of less than two samples."""
+        return 1.0 / usual_step(np.diff(self.time)) if len(self.time) > 1 else np.nan
 
 
 class Part(NamedTuple):
@@ -117,11 +116,9 @@ def read_log(path: Path) -> Log:
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
-def on_one_clock(
-    path: Path, *, rate=None, servos=None, airborne=True, imu_position=None
-) -> FlightLog:
+def on_one_clock(path: Path, *, servos=None, airborne=True, imu_position=None) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
-    _check_options(rate, airborne, imu_position)
+    _check_options(airborne, imu_position)
     turned = reversed_of(servos)
     entries = read_servos(servos) if turned is None else {}
     with np.errstate(all="ignore"):  # damaged messages may hold any number
@@ -135,7 +132,7 @@ def on_one_clock(
         logged = [(part, *find_sources(log, part, servos)) for part in topics]
         for part, sources, unused in [entry for entry in logged if entry[1]] or logged[:1]:
             useless += unused
-            clock, chosen = follow(sources, rate)
+            clock, chosen = follow(sources)
             table, origins = to_table(sources, clock, chosen)
             if imu_position is not None:
                 table = at_centre_of_gravity(table, imu_position, chosen)
@@ -306,15 +303,13 @@ def _landed(time, log, topics):
     return (topics[name][field] == value)[np.maximum(last, 0)]
 
 
-def _check_options(rate, airborne, imu_position):
+def _check_options(airborne, imu_position):
     position = np.asarray(imu_position, float) if np.ndim(imu_position) == 1 else np.empty(0)
     checks = {
-        f"rate={rate!r}, but expected a sampling rate in Hz, above 0, at most 1000": rate is None
-        or (_is_positive(rate) and rate <= 1000),
         f"airborne={airborne!r}, but expected True, False, or an airspeed in m/s": isinstance(
             airborne, bool
         )
-        or _is_positive(airborne),
+        or (isinstance(airborne, Real) and float(airborne) > 0),
         f"imu_position={imu_position!r}, but expected x, y, z from the centre of gravity to the "
         f"accelerometer in body axes [m]": imu_position is None
         or (position.shape == (3,) and np.isfinite(position).all()),
@@ -322,10 +317,6 @@ def _check_options(rate, airborne, imu_position):
     for message, is_valid in checks.items():
         if not is_valid:
             raise FlightReadError(f"Got {message}.")
-
-
-def _is_positive(value):
-    return isinstance(value, Real) and not isinstance(value, bool) and float(value) > 0
 
 
 def find_sources(
@@ -364,7 +355,7 @@ def find_sources(
     return chosen + [surface for surface in surfaces if len(surface.time) > 1], list(useless)
 
 
-def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
+def follow(sources: list[Source]) -> tuple[Vector, float]:
     """Return the clock of the table and its rate [Hz], by the gyros or the next best source."""
     by_column = {name: source for source in sources for name in source.columns}
     leader = next((by_column[name] for name in ("p", "ax", "qw") if name in by_column), None)
@@ -374,7 +365,7 @@ def follow(sources: list[Source], rate: float | None) -> tuple[Vector, float]:
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
             "log these topics."
         )
-    rate = rate or float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
+    rate = float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
     return uniform_clock(leader.time, rate), rate
 
 
@@ -514,11 +505,6 @@ def _restarts(time) -> list[int]:
     return sorted(set(restarts) - {len(time)})
 
 
-def sampling_rate(time: Vector) -> float:
-    """Return the usual rate [Hz] of increasing times, NaN of less than two."""
-    return 1.0 / usual_step(np.diff(time)) if len(time) > 1 else np.nan
-
-
 def usual_step(step: Vector) -> float:
     """Return the usual step of a clock: the median, or the mean where messages come in bursts.
 
@@ -531,17 +517,12 @@ def usual_step(step: Vector) -> float:
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
-    """Return the multiples of 1 / rate [s] within the runs of a channel; FlightReadError if far more than samples."""
+    """Return the multiples of 1 / rate [s] within the runs of a channel."""
     step = np.diff(time)
     edges = np.flatnonzero(step > max(LONGEST_PAUSE[0], LONGEST_PAUSE[1] * np.median(step))) + 1
     starts, ends = time[np.r_[0, edges]], time[np.r_[edges, len(time)] - 1]
     first, last = np.ceil(starts * rate - 1e-6), np.floor(ends * rate + 1e-6)
     counts = np.maximum(last - first + 1, 0).astype(int)
-    if counts.sum() > MOST_ROWS_PER_SAMPLE * len(time) * max(1.0, rate * np.median(step)):
-        raise FlightReadError(
-            f"Got {len(time)} samples over {(ends - starts).sum():.6g} s, but expected a clock "
-            f"without so many gaps: is the clock of the log sound?"
-        )
     return np.concatenate([a + np.arange(n) for a, n in zip(first, counts, strict=True)]) / rate
 
 

@@ -38,7 +38,7 @@ UNKNOWN = "unknown_columns"
 TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat,
 }  # fmt: skip
-DEFAULTS = {"rate": None, "servos": None, "airborne": True, "imu_position": None}
+DEFAULTS = {"servos": None, "airborne": True, "imu_position": None}
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
@@ -46,7 +46,6 @@ def read_flight(
     path: PathLike,
     *,
     flight: str | None = None,
-    rate: float | None = None,
     servos: PathLike | Mapping[str, Any] | None = None,
     airborne: bool | float = True,
     imu_position: Sequence[float] | None = None,
@@ -72,13 +71,10 @@ def read_flight(
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
-    rate : float, optional
-        Rate of the clock [Hz]. By default that of the gyros, at most 50 Hz. This and the following:
-        autopilots only.
     servos : path or mapping, optional
-        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. Without it
-        the table has no surfaces. ``"full throw"``: parts of their full throw, -1 to 1, of the
-        servos that the parameters name.
+        Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. This and the
+        two following: autopilots only. Without it the table has no surfaces. ``"full throw"``:
+        parts of their full throw, -1 to 1, of the servos that the parameters name.
     airborne : bool or float, default=True
         Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8
         m/s if none is), or above this number [m/s], and not landed by the autopilot's own account.
@@ -116,7 +112,7 @@ def read_flight(
     0  0.00  sortie_7  1.571  0.1
     1  0.02  sortie_7  0.785  0.2
     """
-    options = {"rate": rate, "servos": servos, "airborne": airborne, "imu_position": imu_position}
+    options = {"servos": servos, "airborne": airborne, "imu_position": imu_position}
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")

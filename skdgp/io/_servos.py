@@ -99,8 +99,13 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     these are elevator, aileron and rudder of any tail and wing. Raises FlightReadError if there are
     none.
     """
-    if not log.mixing:
-        _check_names_servos(log)
+    if not (log.mixing or log.servos):
+        raise FlightReadError(
+            f"Got outputs {[name for name in log.outputs if name in log.topics]} without "
+            f"parameters that name their surfaces, but expected some of {list(log.outputs)}, and "
+            f"SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed "
+            f"mixer (actuator_controls_0): log them, or write the servo file by hand."
+        )
     channels: dict[str, tuple[tuple[float, ServoChannel], ...]] = {
         name: ((1.0, channel),)
         for name, channel in log.servos.items()
@@ -187,13 +192,3 @@ def _throw(name, text) -> float:
             f'in {name} = "25 deg".'
         )
     return float(angle)
-
-
-def _check_names_servos(log: Log) -> None:
-    if not log.servos:
-        raise FlightReadError(
-            f"Got outputs {[name for name in log.outputs if name in log.topics]} without "
-            f"parameters that name their surfaces, but expected some of {list(log.outputs)}, and "
-            f"SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed "
-            f"mixer (actuator_controls_0): log them, or write the servo file by hand."
-        )

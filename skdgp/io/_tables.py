@@ -78,17 +78,6 @@ def room_for(n_bytes: int) -> int:
     return ROOM + ROOM_PER_BYTE * n_bytes
 
 
-def check_room(needed: int, room: int) -> None:
-    """Raise a FlightReadError if unpacked data take more bytes than there is room for."""
-    if needed > room:
-        raise FlightReadError(
-            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most "
-            f"{room / 2**20:.0f} "
-            f"MiB (256 MiB and {ROOM_PER_BYTE} times its size): write each flight into a file of "
-            f"its own."
-        )
-
-
 def base_name(column: str) -> str:
     """Return the name of the vocabulary of a column of simulated truth."""
     return column.removesuffix(TRUTH_SUFFIX)
@@ -335,7 +324,13 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
                 f"or write one column for each value."
             )
         packed = sum(size.row_group(g).total_byte_size for g in range(size.num_row_groups))
-        check_room(max(8 * size.num_rows * len(fields), packed), room_for(path.stat().st_size))
+        needed, room = max(8 * size.num_rows * len(fields), packed), room_for(path.stat().st_size)
+        if needed > room:
+            raise FlightReadError(
+                f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at "
+                f"most {room / 2**20:.0f} MiB (256 MiB and {ROOM_PER_BYTE} times its size): write "
+                f"each flight into a file of its own."
+            )
         table = file.read(columns=[field.name for field in fields]).replace_schema_metadata(None)
     return table.to_pandas()
 

@@ -13,7 +13,6 @@ from skdgp._display.style import (
     PALETTE,
     ROLES,
     axis_label,
-    check_matplotlib,
     display_unit,
     draw_curve,
     symbol,
@@ -133,8 +132,6 @@ class EffectsDisplay(Display):
     @classmethod
     def from_model(cls, model: BaseEstimator, *, ax: Any = None) -> Self:
         """Draw the :func:`skdgp.effects` and the interactions of a model."""
-        if ax is not False:
-            check_matplotlib(cls.__name__)
         terms = effects(model)
         display = cls(
             curves=terms.curves,

@@ -76,16 +76,6 @@ class TestEveryChannelComesBack:
         assert set(table.columns) == names | {"time", "flight"}
         assert_is(table, flight, names)
 
-    @pytest.mark.parametrize("rate", [10.0, 40.0, 160.0])
-    def test_at_any_rate(self, write, px4, flight, rate):
-        table = read_flight(write("sortie.ulg", px4), rate=rate)
-        np.testing.assert_allclose(np.diff(table.time), 1 / rate, rtol=1e-9)
-        assert_is(
-            table,
-            flight,
-            ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi", "v_north", "v_east"],
-        )
-
     def test_sources_are_told(self, write, px4, ardupilot):
         sources = read_flight(write("a.ulg", px4)).attrs["sources"]
         assert sources["p"] == "vehicle_angular_velocity.xyz[0..2]"
@@ -300,8 +290,6 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            ({"rate": 0}, "rate=0, but expected a sampling rate"),
-            ({"rate": "fast"}, "rate='fast'"),
             ({"airborne": -1.0}, "airborne=-1.0, but expected True"),
             ({"imu_position": [0.1, 0.2]}, "expected x, y, z"),
             ({"servos": {"flap": {}}}, "'flap' in the servo file"),
@@ -435,16 +423,11 @@ class TestStamps:
     def test_a_short_log_far_from_zero_keeps_its_messages(self, read, n):
         assert len(read(1e4 + 0.1 * np.arange(n), np.zeros(n))) == n
 
-    def test_a_clock_has_no_more_rows_than_its_samples_tell_of(self, read):
-        steps = np.tile([0.001, 0.001, 4.9], 500)
-        with pytest.raises(FlightReadError, match="a clock without so many gaps"):
-            read(np.cumsum(steps), np.zeros(1500), rate=50.0)
-
 
 class TestRates:
     def sine(self, read, frequency, own):
         time = np.arange(0, 20, 1 / own)
-        table = read(time, np.sin(2 * np.pi * frequency * time), rate=50.0)
+        table = read(time, np.sin(2 * np.pi * frequency * time))
         table = table[(table["time"] > 2) & (table["time"] < 18)]
         return table["p"], np.sin(2 * np.pi * frequency * table["time"])
 
@@ -467,7 +450,7 @@ class TestRates:
         time = np.arange(0, 10, 1 / own)
         logged = (time < 3) | (time > 5)
         logged[np.searchsorted(time, 8.0)] = False
-        table = read(time[logged], time[logged], rate=50.0)
+        table = read(time[logged], time[logged])
         ends = time[logged][time[logged] < 4].max(), time[logged][time[logged] > 4].min()
         inside = (table["time"] > ends[0] + 1e-9) & (table["time"] < ends[1] - 1e-9)
         assert table["p"][inside].isna().all()
@@ -481,5 +464,5 @@ def test_signs_of_quaternions_do_not_matter(tmp_path, ulog):
     q = signs * np.column_stack([np.cos(half), np.sin(half), 0 * half, 0 * half])
     log = ulog().topic("vehicle_attitude", time, q=("float[4]", q))
     (tmp_path / "log.ulg").write_bytes(bytes(log))
-    table = read_flight(tmp_path / "log.ulg", airborne=False, rate=35.0)
+    table = read_flight(tmp_path / "log.ulg", airborne=False)
     np.testing.assert_allclose(table["phi"], 0.2 * table["time"], atol=1e-3)

@@ -174,7 +174,7 @@ def _limits(plan: Plan) -> str:
         else "<p><b>Nothing limits this flight, not even a floor.</b> Agree before the flight when "
         "to abort: inputs off, and back to the trim by hand.</p>"
     )
-    expected: Any = plan.expected(range(len(plan.manoeuvres))).to_dict("index")
+    expected: Any = plan.expected.to_dict("index")
     ends: Any = limits.reindex(QUANTITIES)[["low", "high"]].astype(float).to_dict("index")
     rows = []
     for name in QUANTITIES:

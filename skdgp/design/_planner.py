@@ -115,12 +115,14 @@ class Plan:
         events = self.train.events()
         return {axis: signal for axis, start, signal in events if np.isclose(start, begin)}
 
-    def expected(self, rows: Sequence[int]) -> pd.DataFrame:
-        """Return the ``low`` and ``high`` ends that some rows of ``manoeuvres`` are expected to reach."""
-        flight = self.flight[self.flight["flight"].isin(list(rows))]
-        means = quantities(flight)
+    @property
+    def expected(self) -> pd.DataFrame:
+        """The ``low`` and ``high`` ends that the quantities are expected to reach."""
+        means = quantities(self.flight)
         ends = {
-            end: pd.DataFrame({name: flight.get(f"{name}_{end}", means[name]) for name in means})
+            end: pd.DataFrame(
+                {name: self.flight.get(f"{name}_{end}", means[name]) for name in means}
+            )
             for end in ("low", "high")
         }
         return pd.DataFrame({"low": ends["low"].min(), "high": ends["high"].max()})

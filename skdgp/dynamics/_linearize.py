@@ -262,9 +262,28 @@ class LinearModel:
             ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which hold 95 %
             of the paths: the upper one is infinite where some do not decay.
         """
-        return _mode_table(
-            self.A.to_numpy(), [*map(str, self.A)], None if self.paths is None else self.paths.A
-        )
+        states = [*map(str, self.A)]
+        families = [family for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states)]
+        core = [name for family in families for name in family] or states
+        rows = [states.index(name) for name in core]
+        eigenvalues, left, right = eig(self.A.to_numpy()[np.ix_(rows, rows)], left=True)
+        participation = np.abs(left.conj() * right)
+        participation = pd.DataFrame(participation / participation.sum(axis=0), core)
+        named = _named(_units(eigenvalues), participation, eigenvalues)
+        roots = {name: eigenvalues[list(unit)] for name, unit in named.items()}
+        table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
+        if self.paths is None:
+            return table
+        drawn: Any = np.linalg.eigvals(self.paths.A[:, rows][:, :, rows])
+        # in the order of the eigenvalues that they lie nearest to
+        drawn = [x[linear_sum_assignment(np.abs(eigenvalues[:, None] - x))[1]] for x in drawn]
+        values = np.array([[_values(x[list(unit)]) for unit in named.values()] for x in drawn])
+        table["frequency_std"], table["damping_std"] = values[..., :2].std(axis=0, ddof=1).T
+        least, most = np.quantile(values[..., 2], [0.025, 0.975], axis=0)
+        with np.errstate(divide="ignore"):
+            table["time_constant_lower"] = np.where(most > 0, 1.0 / most, -np.inf)
+            table["time_constant_upper"] = np.where(least > 0, 1.0 / least, np.inf)
+        return table
 
 
 def linearize(
@@ -433,31 +452,6 @@ def _matrices(
     rate = rate[..., rows, :]
     output = output[..., [(*ALL_STATES, *OUTPUTS).index(name) for name in outputs], :]
     return Matrices(rate[..., rows], rate[..., n:], output[..., rows], output[..., n:])
-
-
-def _mode_table(A: np.ndarray, states: list[str], paths: np.ndarray | None = None) -> pd.DataFrame:
-    r"""Return a row for each mode of A, with the spread over ``paths`` (n_paths, n, n): see `LinearModel.modes`."""
-    families = [family for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states)]
-    core = [name for family in families for name in family] or states
-    rows = [states.index(name) for name in core]
-    eigenvalues, left, right = eig(A[np.ix_(rows, rows)], left=True)
-    participation = np.abs(left.conj() * right)
-    participation = pd.DataFrame(participation / participation.sum(axis=0), core)
-    named = _named(_units(eigenvalues), participation, eigenvalues)
-    roots = {name: eigenvalues[list(unit)] for name, unit in named.items()}
-    table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
-    if paths is None:
-        return table
-    drawn: Any = np.linalg.eigvals(paths[:, rows][:, :, rows])
-    # in the order of the eigenvalues that they lie nearest to
-    drawn = [x[linear_sum_assignment(np.abs(eigenvalues[:, None] - x))[1]] for x in drawn]
-    values = np.array([[_values(x[list(unit)]) for unit in named.values()] for x in drawn])
-    table["frequency_std"], table["damping_std"] = values[..., :2].std(axis=0, ddof=1).T
-    least, most = np.quantile(values[..., 2], [0.025, 0.975], axis=0)
-    with np.errstate(divide="ignore"):
-        table["time_constant_lower"] = np.where(most > 0, 1.0 / most, -np.inf)
-        table["time_constant_upper"] = np.where(least > 0, 1.0 / least, np.inf)
-    return table
 
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:

@@ -275,13 +275,6 @@ class Simulator:
         """Since the reset [s]."""
         return self._steps * self.dt
 
-    @property
-    def state(self) -> Array:
-        """The state (13,), see `STATE_NAMES`; NaN after the end."""
-        if self._state is None:
-            raise ValueError("Got no start yet: call reset(x0) first.")
-        return np.full(13, np.nan) if self.ended else self._state[0]
-
     def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, float]:
         """Begin a flight, and return ``time``, position, velocities, angles, rates, air data, altitude.
 

@@ -92,10 +92,7 @@ def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
             return LocalAir(0.5 * (ahead + behind), (ahead - behind) / (2 * WIND_STEP))
 
         return field
-    if isinstance(wind, Mapping | pd.Series):
-        check_names(dict(wind), WIND, "names of a constant wind")
-        wind = [wind.get(name, 0.0) for name in WIND]
-    constant = np.asarray(wind, dtype=float)
+    constant = as_floats(wind)
     if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
         raise ValueError(
             f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "

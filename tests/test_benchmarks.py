@@ -110,12 +110,3 @@ class TestPeers:
         Y = X @ [[1.0, 2.0], [3.0, -1.0]] + 5 + 1e-3 * np.sin(9 * X)
         model = script("_peers").OnTrend(script("_peers").trees()).fit(X, Y)
         assert model.predict(X) == pytest.approx(Y, abs=0.01)
-
-
-def test_jsbsim_agrees_where_its_earth_is_accounted_for(script):
-    pytest.importorskip("jsbsim", reason="flies JSBSim, which is not installed")
-    earth = script("_jsbsim_earth")
-    flight, aircraft = script("_jsbsim_flight").fly("c172p", 2.5, 1200)
-    assert abs(earth.acceleration_errors(flight, aircraft)).max() < 1e-9
-    errors = earth.trajectory(flight, aircraft, 2.0)
-    assert max(errors.values()) < 1e-5

@@ -1,4 +1,4 @@
-"""Shared by the benchmarks: arguments, turns on the clock, memory of a process, and the results that are kept."""
+"""Shared by the benchmarks: arguments, turns on the clock, and the results that are kept."""
 
 import argparse
 import contextlib
@@ -6,7 +6,6 @@ import json
 import os
 import platform
 import subprocess
-import sys
 import time
 from importlib.metadata import distributions
 from pathlib import Path
@@ -48,29 +47,6 @@ def interleaved(functions, repeats):
                 function()
                 times[name].append(time.perf_counter() - start)
     return {name: min(taken) for name, taken in times.items()}
-
-
-def extra_memory(function):
-    """Return by how many bytes the process grew at its peak while the function ran (Linux)."""
-    resident = _kilobytes("VmRSS")
-    Path("/proc/self/clear_refs").write_text("5")  # forget earlier peaks
-    function()
-    return 1024 * max(0, _kilobytes("VmHWM") - resident)
-
-
-def _kilobytes(name):
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
-
-
-def in_own_process(script, *words):
-    """Run a script and return what it printed last, as JSON; None where it failed."""
-    command = [sys.executable, str(script), *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        print(f"{' '.join(command)}: {done.stderr[-200:]}", file=sys.stderr)
-        return None
-    return json.loads(done.stdout.strip().splitlines()[-1])
 
 
 def machine():

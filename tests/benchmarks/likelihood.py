@@ -4,23 +4,15 @@
 
 The paper's size: 755 samples of six outputs, six latent processes, 15 regressors, a width for each.
 LAPACK's potrf and potri of the same N x N matrix are what every exact method needs. Ratios, not
-times, are the result: all take turns on the same machine. Memory is what the evaluation adds to a
-process of its own, at its peak.
+times, are the result: all take turns on the same machine.
 """
 
-import json
 import os
 import sys
 from typing import NamedTuple
 
 import numpy as np
-from _common import (
-    extra_memory,
-    finish,
-    in_own_process,
-    interleaved,
-    parser_of,
-)
+from _common import finish, interleaved, parser_of
 from scipy.linalg import lapack
 
 from skdgp.inference import Data, log_likelihood
@@ -130,24 +122,13 @@ def ready(case):
     return found
 
 
-def memory(case, name):
-    """Return the bytes that one evaluation adds to its process."""
-    CONTENDERS[name](Case(20, case.P, case.M, case.d))()  # libraries take their buffers
-    return extra_memory(CONTENDERS[name](case))
-
-
 def compare(case, repeats):
-    """Return a row for each contender: seconds, over LAPACK, memory."""
-    functions = ready(case)
-    seconds = interleaved(functions, repeats)
-    functions.clear()
-    rows = []
-    for name, time in seconds.items():
-        row = {"what": name, "seconds": time, "over LAPACK": time / seconds[FLOOR]}
-        peak = in_own_process(__file__, "--memory", name, *case)
-        row["peak memory / N^2 doubles"] = None if peak is None else peak / (8 * case.N**2)
-        rows.append(row)
-    return rows
+    """Return a row for each contender: seconds, over LAPACK."""
+    seconds = interleaved(ready(case), repeats)
+    return [
+        {"what": name, "seconds": time, "over LAPACK": time / seconds[FLOOR]}
+        for name, time in seconds.items()
+    ]
 
 
 def main(words=None):
@@ -157,7 +138,4 @@ def main(words=None):
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--memory"]:
-        print(json.dumps(memory(Case(*map(int, sys.argv[3:])), sys.argv[2])))
-    else:
-        main()
+    main()

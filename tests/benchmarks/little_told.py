@@ -38,8 +38,10 @@ JSBSIM = {"c182": "conventional", "DHC6": "twin", "A4": "delta"}
 WITHHELD = ("nothing", "sizes", "thrust", "angles")
 SURFACES = ("elevator", "aileron", "rudder")
 REGRESSORS = STEADY[:-1]
-SIGNS = ("CZ_alpha", "Cm_alpha", "Cm_q", "Cl_p", "Cn_beta", "Cm_elevator", "Cl_aileron")
-SIGNS += ("Cn_rudder",)
+SIGNS = (
+    *("CZ_alpha", "Cm_alpha", "Cm_q", "Cl_p"),
+    *("Cn_beta", "Cm_elevator", "Cl_aileron", "Cn_rudder"),
+)
 SAMPLES = 755  # to learn from
 NORMAL_95 = 1.96
 

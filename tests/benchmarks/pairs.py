@@ -12,7 +12,6 @@ Each run is kept as OUT/pairs/PAIR-SEED.json, and not run again while that file 
 """
 
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -141,9 +140,7 @@ def result(task, seed):
     """Return what the average and each member are worth."""
     pipeline = make_identification_pipeline(task.aircraft)
     pipeline[-1].set_params(n_latent=2, random_state=seed)
-    start = time.process_time()
     pipeline.fit(task.train, task.targets)
-    seconds = time.process_time() - start
     last = pipeline[-1]
     X, ratio = flight_regressors(pipeline, task.test)
     mean, std = last.predict(X, return_std=True, include_noise=True, include_input_noise=ratio)
@@ -152,7 +149,6 @@ def result(task, seed):
     least_squares = LinearRegression().fit(np.asarray(known)[trusted], task.targets[trusted])
     some = slice(None, None, BANDS_EVERY)
     found = {
-        "seconds": seconds,
         "least squares": float(normalized_rmse(task.measured, least_squares.predict(X))),
         "average": float(normalized_rmse(task.measured, mean)),
         "coverage": float(interval_coverage(task.measured[some], mean[some], std[some])),

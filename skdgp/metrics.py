@@ -134,12 +134,6 @@ def interval_coverage(
     return _aggregate(_by_output(np.mean, inside, target), multioutput)
 
 
-def output_names(y: object) -> list:
-    """Return the outputs' names of a DataFrame, or of a Series that has one; else an empty list."""
-    name = getattr(y, "name", None)
-    return list(getattr(y, "columns", [] if name is None or name == "" else [name]))
-
-
 def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
     """Return targets, means and deviations as (n, P) floats; deviations are positive."""
     target = np.asarray(y_true, dtype=float)

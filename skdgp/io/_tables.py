@@ -164,16 +164,15 @@ def read_csv(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
 
 def _csv_table(file, file_name, rename):
-    lines = (
-        (number, line)
+    header = (
+        number
         for number, line in enumerate(file)
         if line.strip(" \t\r\n,;") and not ABOVE.match(line)
     )
-    above, header = next(lines, (0, ""))
-    if not header:
+    if (above := next(header, None)) is None:
         expected = "a header line, and a row for each sample under it"
         raise FlightReadError(f"Got a file that is empty, but expected {expected}.")
-    separator = max(",;\t", key=header.count)
+    separator = _separator(file, above)
     records = _records(file, above, separator)
     names, units = _split_headings(next(records), rename)
     check_width(len(names))
@@ -216,6 +215,19 @@ def _forward(file, n_lines):
 def _records(file, n_lines, separator):
     _forward(file, n_lines)
     return csv.reader(file, delimiter=separator, skipinitialspace=True)
+
+
+def _separator(file, above) -> str:
+    """Return the separator that gives the header most names of the vocabulary, then most names."""
+
+    def n_names(separator):
+        try:
+            names, _ = _split_headings(next(_records(file, above, separator)), {})
+        except csv.Error:  # a wide header without this separator is one long cell
+            return 0, 0
+        return sum(base_name(name) in CHANNELS for name in names), len(names)
+
+    return max(",;\t", key=n_names)
 
 
 def _split_headings(headings, rename):

@@ -115,33 +115,36 @@ class Record(NamedTuple):
         return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
-class Servos:
-    r"""Servos of the control surfaces with a first-order lag: :math:`T \dot\delta = c - \delta`, commands c.
+class Servos(NamedTuple):
+    r"""Servos of the control surfaces with a first-order lag T: :math:`T \dot\delta = c - \delta`, commands c."""
 
-    Called with the controls by name, and the time since the beginning of a step, where it must be
-    called first; exact for commands that are linear within a step. They begin at rest.
-    """
+    lag: float  #: T [s]
+    surfaces: frozenset[str]  #: The controls that they move
 
-    def __init__(self, motion: Motion) -> None:
+    @classmethod
+    def of(cls, motion: Motion) -> Servos:
+        """Return the servos of an aircraft; they move nothing where its model has no lag."""
         model = motion.aerodynamics
         moved = {*motion.controls, *(() if model.mixing is None else model.mixing.surfaces)}
-        self.lag = model.servo_lag
-        self.surfaces = moved - {*PROPULSION, "gust"} if self.lag > 0 else set()
-        self._reached: dict[str, Array] = {}
+        surfaces = moved - {*PROPULSION, "gust"} if model.servo_lag > 0 else ()
+        return cls(model.servo_lag, frozenset(surfaces))
 
-    def __call__(self, controls: Mapping[str, Array], elapsed: float) -> dict[str, Array]:
-        """Return the controls by name, with the deflections of the surfaces."""
-        if elapsed == 0:
-            self._first = controls
-            commanded = {name: c for name, c in controls.items() if name in self.surfaces}
-            self._begun = commanded | self._reached
-            return {**controls, **self._begun}
-        decay = np.exp(-elapsed / self.lag) if self._begun else 0.0
-        for name, begun in self._begun.items():
-            behind = self.lag / elapsed * (controls[name] - self._first[name])
-            late = begun - self._first[name] + behind
-            self._reached[name] = controls[name] - behind + late * decay
-        return {**controls, **self._reached}
+    def deflected(
+        self, commands: Mapping, elapsed: float, first: Mapping, begun: Mapping
+    ) -> dict[str, Array]:
+        """Return the controls, with the deflections of the surfaces, ``elapsed`` [s] after a step began.
+
+        Commands were ``first`` then, and are linear since; ``begun`` are the deflections then, by
+        default the commands.
+        """
+        controls = dict(commands)
+        decay = np.exp(-elapsed / self.lag) if self.surfaces else 0.0
+        for name in self.surfaces & commands.keys():
+            change = commands[name] - first[name]
+            behind = self.lag / elapsed * change if elapsed > 0 else 0.0
+            late = begun.get(name, first[name]) - first[name] + behind
+            controls[name] = commands[name] - behind + late * decay
+        return controls
 
 
 def fly_record(
@@ -176,43 +179,50 @@ def fly_record(
     ended, end = np.full(state.shape[:-1], FLYING, dtype=object), np.full(state.shape[:-1], n)
     flown: list[tuple[Array, Instant, dict, Array | None]] = []
 
-    servos = Servos(motion)
+    servos = Servos.of(motion)
 
-    def instant(step, part, state, last):
+    def commanded(step, stage, state, wind):
+        return motion.mixed(commands(step, stage, lambda: channels(state, wind)))
+
+    def instant(step, part, state, last, begin):
         stage = 2 * step + part
         local = air(stage, state)
         wind = None if local is None else local.wind
-        commanded = motion.mixed(commands(step, stage, lambda: channels(state, wind)))
-        controls = servos(commanded, 0.5 * clock.dt * part)
+        commands_now = commanded(step, stage, state, wind)
+        first, begun = begin or (commands_now, reached)
+        controls = servos.deflected(commands_now, 0.5 * clock.dt * part, first, begun)
         drift = 0.0 if drifts is None else drifts[stage]
-        return (
-            motion.at(state, controls, local, None if last is None else last.implicit, drift),
-            controls,
-            wind,
-        )
+        now = motion.at(state, controls, local, None if last is None else last.implicit, drift)
+        return now, controls, wind, commands_now
 
-    def slope(step, now, t, state):
-        stage = round(2 * t / clock.dt)
-        return now.derivative if stage == 0 else instant(step, stage, state, now)[0].derivative
+    def slope(step, now, begin, t, state):
+        part = round(2 * t / clock.dt)
+        return now.derivative if part == 0 else instant(step, part, state, now, begin)[0].derivative
 
-    now = None
+    now, reached = None, {}  # and the deflections at the end of the last step
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(n):
-            now, controls, wind = instant(k, 0, state, now)
+            now, controls, wind, first = instant(k, 0, state, now, None)
             over = end_reasons(state, now)
             for reason, where in over.items():
-                first = np.broadcast_to(where, ended.shape) & (ended == FLYING)
-                ended[first], end[first] = reason, k
+                just = np.broadcast_to(where, ended.shape) & (ended == FLYING)
+                ended[just], end[just] = reason, k
             if not (ended == FLYING).any():
                 break
             if over:
                 state = np.where(
                     (ended == FLYING)[..., None], state, start
                 )  # flown on from there, never shown
-                now, controls, wind = instant(k, 0, state, None)
+                now, controls, wind, first = instant(k, 0, state, None, None)
             flown.append((state, now, controls, wind))
             if k < clock.n_steps:
-                state = rk4_step(partial(slope, k, now), 0.0, state, clock.dt)
+                begin = first, controls
+                state = rk4_step(partial(slope, k, now, begin), 0.0, state, clock.dt)
+                if servos.surfaces:
+                    local = air(2 * k + 2, state)
+                    wind = None if local is None else local.wind
+                    last = commanded(k, 2 * k + 2, state, wind)
+                    reached = servos.deflected(last, clock.dt, *begin)
     return _record(motion, clock.dt * np.arange(n), flown, ended, end)
 
 

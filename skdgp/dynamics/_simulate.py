@@ -292,7 +292,8 @@ class Simulator:
         self._state = states
         self._steps = 0
         self._implicit: Any = None
-        self._servos = Servos(self.motion)
+        self._servos = Servos.of(self.motion)
+        self._reached: dict[str, Array] = {}
         self.ended = FLYING
         self.beyond = ""
         return self._seen()
@@ -307,7 +308,7 @@ class Simulator:
         controls, begin = self.motion.mixed(controls), self.time
 
         def at(t, state):
-            deflections = self._servos(controls, t - begin)
+            deflections = self._servos.deflected(controls, t - begin, controls, self._reached)
             now = self.motion.at(state, deflections, self._air(t, state), self._implicit)
             self._implicit = now.implicit
             return now
@@ -316,6 +317,7 @@ class Simulator:
             state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
             self._steps += 1
             now = at(self.time, state)
+            self._reached = self._servos.deflected(controls, self.dt, controls, self._reached)
             reasons = [reason for reason, where in end_reasons(state, now).items() if np.any(where)]
         self.ended = next(iter(reasons), FLYING)
         self.beyond = ["", *self.motion.regressors][int(beyond(self.motion, now.regressors)[0])]

@@ -322,7 +322,7 @@ class TestIdentify:
                 | change
             )
 
-    @pytest.mark.filterwarnings("always")
+    @pytest.mark.filterwarnings("ignore")
     def test_an_unknown_thrust_is_part_of_the_coefficients(self, example):
         aircraft, train, test = example
         train, test = (

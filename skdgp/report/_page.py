@@ -212,7 +212,7 @@ def _next_flight(content: ReportContent) -> str:
     flown = sum(float(np.ptp(table["time"])) for table in content.train.values())
     more = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
-        "Inputs to excite, and the derivatives that they tell whose 95 % bands are wider than half "
+        "Inputs to excite, and the derivatives that they determine whose 95 % bands are wider than half "
         "their values, widest first. Errors from noise are halved by three times as many seconds "
         f"again{more} of flight as before, and by fewer with such inputs: <code>skdgp plan</code> "
         "on the model proposes manoeuvres, their seconds and the errors that they leave."
@@ -297,7 +297,7 @@ def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
         caption += " Derivatives by q and r include the effect of alpha_dot and beta_dot."
     if "full throw" in set(derivatives.get("per", ())):
         caption += " Those by surfaces are by their full throw."
-    note = _note(f"Not told by these flights: {unknown}." if unknown else "")
+    note = _note(f"Not determined by these flights: {unknown}." if unknown else "")
     numbers = table([*columns], rows, caption=caption, classes="numbers named") if rows else ""
     return f"<div>{numbers}{note}</div>"
 

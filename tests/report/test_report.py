@@ -283,7 +283,7 @@ class TestWords:
         assert "C m α −0.200 ± 0.050 −0.2" in words
         assert "C m q ▼ −1.00 ± 0.70 −1" in words
         assert "C l aileron 0.30 ± 0.10" in words
-        assert "Not told by these flights: C m throttle ." in words
+        assert "Not determined by these flights: C m throttle ." in words
         first = words[words.rindex("What to fly next") :]
         assert "elevator: 3-2-1-1 with a unit of 0.22 s C m q ± 137 %" in first  # half of pi / 7.0
         assert "aileron: 3-2-1-1 with a unit of 0.31 s C l aileron ± 65 %" in first

@@ -54,9 +54,9 @@ class TestScikitLearnContract:
         [
             DependentGPRegressor(max_iter=2),
             DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
-            DependentGPRegressor(max_iter=2, trend="constant", covariance_type="full", n_latent=1),
+            DependentGPRegressor(max_iter=2, trend="constant", covariance_type="tied", n_latent=1),
         ],
-        ids=["exact", "sparse", "full"],
+        ids=["exact", "sparse", "tied"],
     )
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):

@@ -76,7 +76,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. None:
         two, or without ``time`` and with missing targets half as many as outputs, two to four.
-    covariance_type : {"diag", "full", "tied"}
+    covariance_type : {"diag", "tied"}
         Widths of the filters, see ``ConvolvedGaussian``.
     structure : {"average", "joint", "additive", "trend"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor

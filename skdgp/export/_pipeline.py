@@ -224,7 +224,7 @@ def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
     (regressors,) = original.term_regressors()
     unused = np.setdiff1d(np.arange(X.shape[1]), regressors)
     for gain, root, shift in zip(pair.gain, pair.F, pair.mu, strict=True):
-        F = np.array(root if root.ndim == 2 else np.diag(root))
+        F = np.diag(root)
         F[unused] = 0.0
         F = F[:, F.any(axis=0)]
         if len(X):

@@ -17,19 +17,19 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
-from skdgp.kernels._gaussian_filters import FilterPair, precision
+from skdgp.kernels._gaussian_filters import FilterPair
 
 CONSTANT_LENGTH = 1e9  # length scale over the standard deviation of a regressor without effect:
 # it changes 1e-18 of the variance, below rounding
 ADDITIVE_AMPLITUDE = (
     0.3  # starting amplitude of a term of few regressors, over the amplitude of a kernel of all
 )
-PARAMETERS = ("amplitude", "length_scale", "shift", "shear")
+PARAMETERS = ("amplitude", "length_scale", "shift")
 SPACING = "spacing"  # of length_scale_bounds
 NOISE_AMPLITUDE = (
     0.1  # below this fraction of its starting amplitude an output was explained as noise
 )
-COVARIANCE_TYPES = ("diag", "full", "tied")  # also those of DependentGPRegressor
+COVARIANCE_TYPES = ("diag", "tied")  # also those of DependentGPRegressor
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
 # Fraction of an output's variance that starts in the shared latents (guess; 0.1 ends alike)
 SHARED_VARIANCE = 0.5
@@ -62,15 +62,14 @@ class ConvolvedGaussian(MultiOutputKernel):
         Number of latent processes that all outputs share.
     private_latents : bool
         Whether each output also has a private latent process.
-    covariance_type : {"diag", "full", "tied"}
-        Widths of the filters: "diag" one width for each regressor, "full" a full matrix, "tied" one
-        width for each regressor, equal for all outputs of a latent (with zero shifts this is the
-        linear model of coregionalisation).
+    covariance_type : {"diag", "tied"}
+        Widths of the filters, one for each regressor: "tied" has equal ones for all outputs of a
+        latent (with zero shifts this is the linear model of coregionalisation).
     regressors : sequence of int or None
         Columns of X that the outputs depend on, for additive models: a sum of kernels of few
         regressors each. Length scales of the others are fixed at 1e9 times their standard deviation
         (at least at 1e9), whatever ``length_scale`` is given, so that they have no effect in double
-        precision. For "diag" and "tied". None: all columns.
+        precision. None: all columns.
     feeds : array (M, P) of bool or None
         Whether latent m contributes to output i, for example one latent for the lateral outputs
         only. It replaces ``n_latent`` and ``private_latents``.
@@ -79,9 +78,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         data.
     length_scale : array (M, P, d) or None
         Positive, in the units of the regressors. The last axis defines d. None: from the data.
-    shear : array (M, P, d (d - 1) / 2) or float
-        For "full": the strictly lower part of the unit-triangular C in A = 2 D^-1 C C^T D^-1, D =
-        diag(length_scale).
     shift : array (M, P, d) or float
         mu, in the units of the regressors. Only differences between outputs matter, so the first
         output has zero.
@@ -110,7 +106,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         feeds: Any = None,
         amplitude: Any = None,
         length_scale: Any = None,
-        shear: Any = 0.0,
         shift: Any = 0.0,
         amplitude_bounds: Any = None,
         length_scale_bounds: Any = None,
@@ -123,7 +118,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.feeds = feeds
         self.amplitude = amplitude
         self.length_scale = length_scale
-        self.shear = shear
         self.shift = shift
         self.amplitude_bounds = amplitude_bounds
         self.length_scale_bounds = length_scale_bounds
@@ -168,7 +162,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             "feeds": feeds,
             "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
             "length_scale": lengths,
-            "shear": as_shape("shear", self.shear, (M, P, d * (d - 1) // 2)),
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
 
@@ -181,10 +174,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         if not (whole and set(columns) <= set(range(d))):
             raise ValueError(
                 f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}."
-            )
-        if self.covariance_type == "full":
-            raise ValueError(
-                "Got regressors with covariance_type='full', but expected 'diag' or 'tied'."
             )
         return ~np.isin(np.arange(d), columns)
 
@@ -297,12 +286,11 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def coarse(self) -> MultiOutputKernel:
         if (
-            self.covariance_type in ("diag", "full")
+            self.covariance_type == "diag"
             and self.length_scale is None
             and self._widths_from_data()
         ):
-            default = {"shear": 0.0, "shift": 0.0, "shift_bounds": "fixed"}
-            return clone(self).set_params(covariance_type="tied", **default)
+            return clone(self).set_params(covariance_type="tied", shift=0.0, shift_bounds="fixed")
         return self
 
     def single_output(self) -> MultiOutputKernel:
@@ -323,7 +311,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def _free_parameters(self):
         feeds = self.value("feeds").astype(bool)
         M, P, d = self.value("shift").shape
-        pairs = self.value("shear").shape[-1]
         latent, output = np.indices((M, P))
         # One filter for each latent and output, or for each latent if "tied".
         filters = latent * P + output
@@ -335,7 +322,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         length_bounds = None if self._widths_from_data() else self.length_scale_bounds
         lengths = renumber(width[..., None] * d + np.arange(d), feeds[..., None] & matters)
         shifts = renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters)
-        free = [
+        return [
             FreeParameter(
                 "amplitude",
                 renumber(filters, feeds),
@@ -345,20 +332,14 @@ class ConvolvedGaussian(MultiOutputKernel):
             FreeParameter("length_scale", lengths, True, or_default(length_bounds, (1e-3, 1e3))),
             FreeParameter("shift", shifts, False, or_default(self.shift_bounds, (-1e2, 1e2))),
         ]
-        if self.covariance_type == "full":
-            index = renumber(filters[..., None] * pairs + np.arange(pairs), feeds[..., None])
-            free.append(FreeParameter("shear", index, False, (-10.0, 10.0)))
-        return free
 
     # -- parameters of the paper
     # -----------------------------------------------------------------------
 
     @property
     def A(self) -> Array:
-        """Filter precisions, (M, P, d) or, for "full", (M, P, d, d)."""
-        if self.covariance_type != "full":
-            return 2.0 / self.value("length_scale") ** 2
-        return precision(self.roots())
+        """Diagonals of the filter precisions, (M, P, d)."""
+        return 2.0 / self.value("length_scale") ** 2
 
     @property
     def mu(self) -> Array:
@@ -368,17 +349,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     @property
     def v(self) -> Matrix:
         """Filter gains, (M, P), zero where a latent feeds no output: ``v = w |A|^(1/4) / pi^(d/4)``."""
-        lengths = self.value("length_scale")
-        logdet = np.log(2.0 / lengths**2).sum(axis=-1)  # for "full" too: C is unit triangular
-        return self.value("amplitude") * np.exp(logdet / 4) / np.pi ** (lengths.shape[-1] / 4)
-
-    def roots(self) -> Array:
-        """Return R, (M, P, d, d), with A = 2 R R^T and R = D^-1 C."""
-        lengths = self.value("length_scale")
-        d = lengths.shape[-1]
-        C = np.broadcast_to(np.eye(d), (*lengths.shape, d)).copy()
-        C[..., *np.tril_indices(d, -1)] = self.value("shear")
-        return C / lengths[..., :, None]
+        return self.value("amplitude") * np.exp(0.25 * np.log(self.A / np.pi).sum(axis=-1))
 
     # -- the equations
     # ---------------------------------------------------------------------------------
@@ -393,11 +364,9 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def _pair(self, i, j):
         latents = self._common(i, j)
-        full = self.covariance_type == "full"
-        widths = self.roots() if full else self.value("length_scale")
         w, widths, mu = (
             np.stack([values[latents, i], values[latents, j]])
-            for values in (self.value("amplitude"), widths, self.value("shift"))
+            for values in map(self.value, PARAMETERS)
         )
         return FilterPair(w, widths, mu[0] - mu[1])
 
@@ -415,8 +384,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
         pair = self.pair(i, i)
-        variance = sum(gain * np.diag(pair.Sigma(m)) for m, gain in enumerate(pair.gain))
-        return np.broadcast_to(variance, np.shape(Xi))
+        return np.broadcast_to(pair.gain @ pair.Sigma, np.shape(Xi))
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if not self.couples(i, j):
@@ -424,8 +392,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self._theta_gradient(i, j, self.pair(i, j).moments(Xi, Xj, W))
 
     def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
-        if self.covariance_type == "full":
-            return super().at_pairs(i, pairs)
         columns: Any = slice(None)  # needs no copy
         if self.regressors is not None:
             columns = np.flatnonzero(~self.without_effect(self.n_features))
@@ -439,14 +405,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         gradients = {name: np.zeros_like(self.value(name)) for name in PARAMETERS}
         for k, output in enumerate((i, j)):
             gradients["amplitude"][latents, output] += by_w[k]
-            if self.covariance_type != "full":
-                gradients["length_scale"][latents, output] += by_widths[k]
-                continue
-            R = self.roots()[latents, output]  # R = D^-1 C: by log D and by C below its diagonal
-            gradients["length_scale"][latents, output] -= (by_widths[k] * R).sum(axis=-1)
-            by_C = by_widths[k] / self.value("length_scale")[latents, output, :, None]
-            below = np.tril_indices(R.shape[-1], -1)
-            gradients["shear"][latents, output] += by_C[:, *below]
+            gradients["length_scale"][latents, output] += by_widths[k]
         gradients["shift"][latents, i] += by_mu
         gradients["shift"][latents, j] -= by_mu
         return self.theta_gradient(gradients)

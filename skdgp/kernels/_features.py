@@ -181,14 +181,12 @@ class LatentFeatures(ValueFeatures):
         unit = np.eye(len(width))
         further = {"amplitude": unit, "feeds": unit, "length_scale": width}
         arrays: dict[str, Any] = {}
-        for name in ("amplitude", "length_scale", "shift", "shear", "feeds"):
+        for name in ("amplitude", "length_scale", "shift", "feeds"):
             value = kernel.value(name)
             shape = len(value), len(value), *value.shape[2:]
             added = np.broadcast_to(further.get(name, 0.0), shape)
             arrays[name] = np.concatenate([value, added], axis=1)
-        kind = "full" if kernel.covariance_type == "full" else "diag"
-        joint = ConvolvedGaussian(covariance_type=kind, **arrays)
-        super().__init__(kernel, Z, joint)
+        super().__init__(kernel, Z, ConvolvedGaussian(**arrays))
         self.arguments = Z, width
         self.blocks = [np.flatnonzero(fed).tolist() for fed in kernel.value("feeds").T]
 
@@ -290,11 +288,9 @@ def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
 @inducing_features.register
 def _(kernel: ConvolvedGaussian, Z):
     w = kernel.value("amplitude")
-    A = kernel.A
-    lengths = np.sqrt(2.0 / (np.einsum("mpkk->mpk", A) if A.ndim == 4 else A))
     weight = np.maximum(w**2, 1e-12) * kernel.value("feeds")
     weight /= weight.sum(axis=1, keepdims=True)
-    width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(lengths)))
+    width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(kernel.value("length_scale"))))
     Z = _thinned(Z, kernel.without_effect(Z.shape[1]))
     return LatentFeatures(kernel, [Z] * len(w), width)
 

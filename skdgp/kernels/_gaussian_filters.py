@@ -12,8 +12,8 @@ covariance of outputs i and j is
 
 The amplitude w = v pi^(d/4) |A|^(-1/4) replaces v, so that cov_ii(0) = sum_m w_mi^2. The factor of
 the exponential is then the gain w_mi w_mj c, where c depends on the two widths alone and is 1 for
-equal ones. Sigma is used through its root F, Sigma = F F^T. The first axis of all arrays runs over
-the latent processes, (m, ...).
+equal ones. A is diagonal, so Sigma is too; it is used through its root F. The first axis of all
+arrays runs over the latent processes, (m, ...).
 
 Exponentials of squared distances and their sums are computed in strips of rows that fit the cache.
 """
@@ -36,12 +36,12 @@ FAR = 1e9  # |a|^2 / 2 or |b|^2 / 2 above which cancellation, about 1e-16 of the
 class Moments(NamedTuple):
     """Sums of G = W * exp(...) over all pairs of rows, for each latent: of G, G (delta - mu), G (delta - mu)^2.
 
-    ``zeroth`` (m,), ``first`` (m, d), ``second`` (m, d), or (m, d, d) of outer products.
+    ``zeroth`` (m,), ``first`` (m, d), ``second`` (m, d).
     """
 
     zeroth: Vector
     first: Matrix
-    second: Array
+    second: Matrix
 
 
 class FilterPair:
@@ -51,8 +51,8 @@ class FilterPair:
     ----------
     w : array (2, m)
         Amplitudes of output i and of output j.
-    widths : array (2, m, d) or (2, m, d, d)
-        Length scales l with A = 2 diag(l^-2), or lower triangular roots R with A = 2 R R^T.
+    widths : array (2, m, d)
+        Length scales l with A = 2 diag(l^-2).
     mu : array (m, d)
         mu_mi - mu_mj.
 
@@ -60,14 +60,17 @@ class FilterPair:
     ----------
     c, gain : array (m,)
         Factor of the exponential for unit amplitudes, and for the amplitudes w.
-    F : array (m, d) or (m, d, d)
-        Root of Sigma = F F^T, or its diagonal.
+    F, Sigma : array (m, d)
+        Diagonals of Sigma and of its root.
     """
 
     def __init__(self, w: Array, widths: Array, mu: Matrix) -> None:
         self.w, self.widths, self.mu = w, widths, mu
-        self.full = widths.ndim == 4
-        self.c, self.F = (_full_factors if self.full else _diagonal_factors)(*widths)
+        li, lj = widths
+        self.squares = li**2 + lj**2
+        self.c = np.sqrt(2 * li * lj / self.squares).prod(axis=1)
+        self.F = np.sqrt(2 / self.squares)
+        self.Sigma = self.F**2
         self.gain = self.c * w[0] * w[1]
 
     def exponents(self, Xi: Matrix, Xj: Matrix) -> list[Exponent]:
@@ -76,9 +79,7 @@ class FilterPair:
         b = Xj - middle
         exponents = []
         for mu, F in zip(self.mu, self.F, strict=True):
-            a = Xi - (mu + middle)
-            rows = (a @ F, b @ F) if self.full else (a * F, b * F)
-            exponents.append(Exponent.between(*rows))
+            exponents.append(Exponent.between((Xi - (mu + middle)) * F, b * F))
         return exponents
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
@@ -98,7 +99,7 @@ class FilterPair:
     def at_pairs(
         self, pairs: RowPairs, columns: slice | Array
     ) -> tuple[Vector, Callable[[Vector], Moments]]:
-        """Return equation 16 at pairs of rows, (n_pairs,), for mu = 0 and a diagonal Sigma.
+        """Return equation 16 at pairs of rows, (n_pairs,), for mu = 0.
 
         Also return the function from weights (n_pairs,) to moments. ``columns`` are the regressors
         that matter.
@@ -118,19 +119,13 @@ class FilterPair:
     # -- derivatives by the inputs
     # ---------------------------------------------------------------------------------------
 
-    def Sigma(self, m: int) -> Matrix:
-        """Return Sigma of one latent, (d, d)."""
-        F = self.F[m]
-        return F @ F.T if self.full else np.diag(F**2)
-
     def derivative(self, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov_ij / d Xi, (d, n_i, n_j)."""
         middle = _middle(Xj)
         D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
         for m, exponent in enumerate(self.exponents(Xi, Xj)):
-            Sigma = self.Sigma(m)
-            a = (Xi - middle - self.mu[m]) @ Sigma
-            b = (Xj - middle) @ Sigma
+            a = (Xi - middle - self.mu[m]) * self.Sigma[m]
+            b = (Xj - middle) * self.Sigma[m]
             E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
             E *= self.gain[m]
             for slope, a_k, b_k in zip(D, a.T, b.T, strict=True):  # one that fits the cache
@@ -149,84 +144,24 @@ class FilterPair:
         for mu, (rows, columns, Gb) in zip(self.mu, sums, strict=True):
             a = Xi - (mu + middle)
             first = rows @ a - columns @ b
-            if self.full:
-                cross = a.T @ Gb
-                second = (a.T * rows) @ a + (b.T * columns) @ b - cross - cross.T
-            else:
-                second = rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
+            second = rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
             parts.append((rows.sum(), first, second))
         return Moments(*(np.array(part) for part in zip(*parts, strict=True)))
 
     def gradient(self, moments: Moments) -> tuple[Array, Array, Matrix]:
         """Return the derivatives of sum(W * cov_ij) by the parameters of both outputs, from the moments of W.
 
-        By the amplitudes (2, m); by the logarithms of the length scales (2, m, d), or by the roots
-        R (2, m, d, d); and by mu_i - mu_j (m, d).
+        By the amplitudes (2, m), by the logarithms of the length scales (2, m, d), and by mu_i -
+        mu_j (m, d).
         """
         by_w = self.c * moments.zeroth * self.w[::-1]
         zeroth = self.gain * moments.zeroth
-        first = self.gain[:, None] * moments.first
-        if self.full:
-            second = self.gain[:, None, None] * moments.second
-            by_widths = _full_slopes(zeroth, second, self.F, self.widths)
-            return by_w, by_widths, np.einsum("mkl,mpl,mp->mk", self.F, self.F, first)
-        by_widths = _diagonal_slopes(zeroth, self.gain[:, None] * moments.second, *self.widths)
-        return by_w, by_widths, self.F**2 * first
-
-
-def _diagonal_factors(li, lj):
-    """Return c (m,) and the diagonal of F (m, d) of equation 16, for length scales (m, d)."""
-    total = li**2 + lj**2
-    return np.sqrt(2 * li * lj / total).prod(axis=1), np.sqrt(2 / total)
-
-
-def _full_factors(Ri, Rj):
-    """Return c (m,) and F (m, d, d) of equation 16, for roots (m, d, d).
-
-    A_i + A_j and A_i^-1 + A_j^-1 are sums of squares. Their roots come from QR factorisations,
-    which are stable for length scales of very different size.
-    """
-    log_i, log_j, log_sum = (
-        np.log(np.abs(np.einsum("mkk->mk", B))).sum(axis=1) for B in (Ri, Rj, _root_of_sum(Ri, Rj))
-    )
-    c = np.exp(0.5 * Ri.shape[-1] * np.log(2.0) + 0.5 * (log_i + log_j) - log_sum)
-    # Sigma = (A_i^-1 + A_j^-1)^-1 = U^-1 U^-T with U^T U = A_i^-1 + A_j^-1, A^-1 = (R^-T R^-1) / 2.
-    inverses = (np.swapaxes(np.linalg.inv(R), -1, -2) / np.sqrt(2) for R in (Ri, Rj))
-    return c, np.linalg.inv(_root_of_sum(*inverses))
-
-
-def _root_of_sum(Ri, Rj):
-    """Return the upper triangle U (m, d, d) with U^T U = R_i R_i^T + R_j R_j^T."""
-    return np.linalg.qr(np.swapaxes(np.concatenate([Ri, Rj], axis=-1), -1, -2), mode="r")
-
-
-def precision(R: Array) -> Array:
-    """Return A = 2 R R^T, (..., d, d)."""
-    return 2.0 * R @ np.swapaxes(R, -1, -2)
-
-
-def _diagonal_slopes(zeroth, second, li, lj):
-    """Return d/dlog l_i and d/dlog l_j of sum(W cov_ij), (2, m, d), from moments times the gain."""
-    total = li**2 + lj**2
-    by_exponent = 2 * second / total**2  # of -delta^2 / (l_i^2 + l_j^2)
-    by_factor = 0.5 * zeroth[:, None] * (lj**2 - li**2) / total  # of sqrt(2 l_i l_j / total)
-    return np.stack([by_exponent * li**2 + by_factor, by_exponent * lj**2 - by_factor])
-
-
-def _full_slopes(zeroth, second, F, roots):
-    """Return d/dR_i and d/dR_j of sum(W cov_ij), (2, m, d, d), from moments times the gain.
-
-    dSigma = Sigma A^-1 dA A^-1 Sigma, and dlog c = tr((1/4 A^-1 - 1/2 (A_i + A_j)^-1) dA).
-    """
-    of_sum = np.linalg.inv(precision(roots[0]) + precision(roots[1]))
-    slopes = []
-    for R in roots:
-        inverse = np.linalg.inv(precision(R))
-        T = inverse @ F @ np.swapaxes(F, -1, -2)
-        G = -0.5 * T @ second @ np.swapaxes(T, -1, -2)
-        G += zeroth[:, None, None] * (0.25 * inverse - 0.5 * of_sum)
-        slopes.append(4.0 * G @ R)  # A = 2 R R^T
-    return np.stack(slopes)
+        li, lj = self.widths
+        # of -delta^2 / (l_i^2 + l_j^2), and of the factor sqrt(2 l_i l_j / (l_i^2 + l_j^2))
+        by_exponent = 2 * (self.gain[:, None] * moments.second) / self.squares**2
+        by_factor = 0.5 * zeroth[:, None] * (lj**2 - li**2) / self.squares
+        by_widths = np.stack([by_exponent * li**2 + by_factor, by_exponent * lj**2 - by_factor])
+        return by_w, by_widths, self.Sigma * (self.gain[:, None] * moments.first)
 
 
 def _middle(X):
@@ -310,25 +245,21 @@ class CovarianceColumns:
     """Equation 16 of all outputs with given values of others, term by term, for few rows at a time.
 
     ``pairs`` are (FilterPair, Z) of an output and another one at inputs Z (k, d); each latent of a
-    pair has k columns of its own, gain exp(-1/2 |F^T (x - mu - z)|^2). With x relative to a central
-    point, the exponents of all columns are one product: of x_i x_j, where some Sigma_ij is not
-    zero, of x and of 1, with a matrix.
+    pair has k columns of its own, gain exp(-1/2 |F (x - mu - z)|^2). With x relative to a central
+    point, the exponents of all columns are one product: of x^2, x and 1 with a matrix.
     """
 
     def __init__(self, n_features: int, pairs: list[tuple[FilterPair, Matrix]]) -> None:
         pairs = [(pair, Z) for pair, Z in pairs if len(Z)]
         self.middle = _middle(np.concatenate([np.empty((0, n_features)), *(Z for _, Z in pairs)]))
         terms = [(pair, m, Z) for pair, Z in pairs for m in range(len(pair.gain))]
-        uses = sum((np.triu(pair.Sigma(m)) != 0 for pair, m, _ in terms), np.eye(n_features) > 0)
-        self.i, self.j = i, j = np.nonzero(uses)
-        columns = [np.empty((0, len(i) + n_features + 1))]
+        columns = [np.empty((0, 2 * n_features + 1))]
         for pair, m, Z in terms:
-            Sigma = pair.Sigma(m)
             b = Z - self.middle + pair.mu[m]
-            quadratic = np.where(i == j, -0.5, -1.0) * Sigma[i, j]
-            constant = -0.5 * np.einsum("kd,kd->k", b, b @ Sigma)
-            same = np.broadcast_to(quadratic, (len(Z), len(i)))
-            columns.append(np.column_stack([same, b @ Sigma, constant]))
+            linear = b * pair.Sigma[m]
+            squares = np.broadcast_to(-0.5 * pair.Sigma[m], Z.shape)
+            constant = -0.5 * np.einsum("kd,kd->k", b, linear)
+            columns.append(np.column_stack([squares, linear, constant]))
         self.matrix = np.concatenate(columns).T
         self.far = -self.matrix[-1].min(initial=0.0) > FAR
         gains = [np.full(len(Z), pair.gain[m]) for pair, m, Z in terms]
@@ -337,16 +268,13 @@ class CovarianceColumns:
     def __call__(self, X: Matrix) -> Matrix:
         """Return all columns at X (n, d), (n, C)."""
         x = X - self.middle
-        squares = x[:, self.i] * x[:, self.j]
-        E = np.hstack([squares, x, np.ones((len(x), 1))]) @ self.matrix
+        E = np.hstack([x * x, x, np.ones((len(x), 1))]) @ self.matrix
         np.exp(E, out=E)
         E *= self.gain
         return E
 
     def slopes(self, X: Array, weighted: Array, columns: slice) -> Array:
         """Return d/dX, (..., n, d), of sums over some columns, ``weighted`` (..., n, c) at X (..., n, d)."""
-        x, unit = X - self.middle, np.eye(X.shape[-1])
+        d = X.shape[-1]
         sums = weighted @ self.matrix[:, columns].T
-        products, linear = sums[..., : len(self.i)], sums[..., len(self.i) : -1]
-        slopes = linear + (products * x[..., self.j]) @ unit[self.i]
-        return slopes + (products * x[..., self.i]) @ unit[self.j]
+        return sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle)

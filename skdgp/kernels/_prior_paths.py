@@ -218,9 +218,9 @@ class Waves(PathBundle):
 
 
 def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
-    r"""Return sample paths of a ConvolvedGaussian: F waves for each of S paths of every latent, A_i = 2 R_i R_i^T.
+    r"""Return sample paths of a ConvolvedGaussian: F waves for each of S paths of every latent, A_i = 2 L_i^-2.
 
-    The spectral density of h_i * x is the Gaussian N_i = N(0, R_i R_i^T), so samples are
+    The spectral density of h_i * x is the Gaussian N_i = N(0, L_i^-2), so samples are
 
     .. math:: w_i \sum_k \sqrt{\frac{N_i(\omega_k)}{F q(\omega_k)}}
               \big(g_k \cos \omega_k^T (s - \mu_i) + g'_k \sin \omega_k^T (s - \mu_i)\big),
@@ -239,15 +239,9 @@ def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
             kernel.value(name)[m, i] for name in ("amplitude", "shift", "length_scale")
         )
         c, d = shift.shape
-        roots = (
-            kernel.roots()[m, i]
-            if kernel.covariance_type == "full"
-            else np.eye(d) / lengths[..., None]
-        )
         component = np.arange(F) % c
-        omega = (roots[component] @ random_state.standard_normal((S, F, d, 1)))[..., 0]
-        white = np.tensordot(omega, np.linalg.inv(roots), axes=(2, 2))
-        log_density = -0.5 * np.einsum("sfck,sfck->sfc", white, white) - np.linalg.slogdet(roots)[1]
+        omega = random_state.standard_normal((S, F, d)) / lengths[component]
+        log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
         log_mixture = logsumexp(
             log_density, axis=2, b=np.bincount(component), keepdims=True
         )  # log(F q)

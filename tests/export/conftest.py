@@ -24,7 +24,6 @@ AVERAGE = {"kernel": ALONE + ConvolvedGaussian(1, private_latents=False)}
 KINDS = {
     "average": AVERAGE,
     "joint": JOINT,
-    "full": JOINT | {"covariance_type": "full"},
     "additive": JOINT | {"kernel": LinearTrend() + ALONE, "trend": None},
     "trend": {"structure": "trend"},
     "constant": JOINT | {"trend": "constant"},

@@ -45,7 +45,6 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
         covariance_type=kind,
         amplitude=rng.normal(size=(2 + P, P)) * np.r_[np.ones((2, P)), np.eye(P)],
         length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (2 + P, P, d)),
-        shear=rng.normal(0, 0.4, (2 + P, P, d * (d - 1) // 2)) if kind == "full" else 0.0,
         shift=rng.normal(0, 0.3, (2 + P, P, d))
         * (np.arange(2 + P) < 2)[:, None, None]
         * (np.arange(P) > 0)[:, None],
@@ -66,7 +65,7 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
     )
 
 
-@pytest.fixture(params=["diag", "full", "tied", "diag without trend"])
+@pytest.fixture(params=["diag", "tied", "diag without trend"])
 def problem(request):
     return make_problem(request.param.split()[0], "without" not in request.param)
 

@@ -25,7 +25,7 @@ from skdgp.kernels import (
 def convolved(
     n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds
 ):
-    """A kernel whose every amplitude, width, shear and, on request, shift is different."""
+    """A kernel whose every amplitude, width and, on request, shift is different."""
     rng = np.random.default_rng(seed)
     M = n_latent + P * private
     widths = {"tied": (M, 1, d)}.get(covariance_type, (M, P, d))
@@ -39,7 +39,6 @@ def convolved(
         covariance_type=covariance_type,
         amplitude=rng.normal(0, 1.0, (M, P)) * feeds,
         length_scale=np.broadcast_to(rng.uniform(0.6, 1.8, widths), (M, P, d)),
-        shear=rng.normal(0, 0.5, (M, P, d * (d - 1) // 2)) if covariance_type == "full" else 0.0,
         shift=mu,
         **({"shift_bounds": (-3.0, 3.0)} if shift else {}),
         **bounds,
@@ -55,13 +54,11 @@ def trend(P=3, d=2, seed=1):
 
 KERNELS = {
     **{
-        f"{kind}, shifted": convolved(covariance_type=kind, shift=True)
-        for kind in ("diag", "full", "tied")
+        f"{kind}, shifted": convolved(covariance_type=kind, shift=True) for kind in ("diag", "tied")
     },
-    "full in three regressors": convolved(1, 2, 3, "full", shift=True),
     "without private latents": convolved(2, private=False, shift=True),
     "one output": convolved(1, P=1),
-    "one regressor, full": convolved(1, d=1, covariance_type="full"),
+    "one regressor": convolved(1, d=1),
     "of one regressor, named twice": convolved(1, d=3, regressors=[2, 2]),
     "of few regressors, tied and shifted": convolved(
         1, covariance_type="tied", shift=True, regressors=[1]
@@ -82,7 +79,7 @@ KERNELS = {
 FEW = (
     *(
         "tied, shifted",
-        "full, shifted",
+        "diag, shifted",
         "without private latents",
         "one output",
         "of one regressor, named twice",

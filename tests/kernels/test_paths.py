@@ -15,16 +15,14 @@ X = np.random.default_rng(0).normal(0, 1.2, (4, 2))
 Z = np.random.default_rng(1).normal(0, 1.2, (3, 2))
 
 
-def make_kernel(covariance_type="diag", shifted=True, P=3, d=2, seed=0):
+def make_kernel(shifted=True, P=3, d=2, seed=0):
     """Two shared latents and one for each output, all different."""
     rng = np.random.default_rng(seed)
     M = 2 + P
     return ConvolvedGaussian(
         2,
-        covariance_type=covariance_type,
         amplitude=rng.normal(size=(M, P)) * np.r_[np.ones((2, P)), np.eye(P)],
         length_scale=rng.uniform(0.6, 1.8, (M, P, d)),
-        shear=rng.normal(0, 0.5, (M, P, d * (d - 1) // 2)) if covariance_type == "full" else 0.0,
         shift=rng.normal(0, 0.6, (M, P, d)) if shifted else 0.0,
     )
 
@@ -36,7 +34,6 @@ def trend():
 
 FEATURES = {
     "smoothed latents": inducing_features(make_kernel(), Z),
-    "smoothed latents, full": inducing_features(make_kernel("full"), Z),
     "trend": inducing_features(trend(), Z),
     "trend and smoothed latents": inducing_features(trend() + make_kernel(), Z),
 }

@@ -251,13 +251,13 @@ class Identification:
 def air_of(pipeline: Pipeline) -> str:
     """Return gusts and steady wind of the training flights, as reconstruction found them; empty where it did not."""
     step = pipeline["flightpathreconstruction"]
-    if not getattr(step, "tells_gusts_", False):
+    if not getattr(step, "used_", False):
         return ""
     if step.air_motion_ is not None:
         return step.air_motion_.summary
     parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
     winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
-    for name, row in winds.iterrows() if {"wind_north", "wind_east"} <= {*winds} else ():
+    for name, row in winds.iterrows():
         north, east = row[["wind_north", "wind_east"]]
         way = np.rad2deg(np.arctan2(-east, -north)) % 360
         parts.append(f"steady wind of {name} {np.hypot(north, east):.2g} m/s from {way:.0f} deg")

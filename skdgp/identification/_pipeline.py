@@ -72,10 +72,9 @@ def make_identification_pipeline(
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(incomplete="pass", inconsistent="pass",
-        aircraft=aircraft)``, which reconstructs the flights where their air data become more
-        accurate than by smoothing alone, and estimates gusts and lag of the servos of flights
-        without vanes.
+        "auto": ``FlightPathReconstruction(optional=True, aircraft=aircraft)``, which reconstructs
+        the flights if no sensor is missing or contradicts the others, and estimates gusts and lag
+        of the servos of flights without vanes.
     cutoff : float, "auto" or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer or "passthrough", optional
@@ -113,9 +112,7 @@ def make_identification_pipeline(
     """
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
-        reconstruction = FlightPathReconstruction(
-            incomplete="pass", inconsistent="pass", aircraft=aircraft
-        )
+        reconstruction = FlightPathReconstruction(optional=True, aircraft=aircraft)
     derivatives = list(
         DIFFERENTIATED
     )  # all for a named set, so that a search may choose; of a list its own
@@ -142,8 +139,8 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than in the fit.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
-    proportional to the variance of the gusts. Where `FlightPathReconstruction` finds no contradiction of
-    sensors, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio of
+    proportional to the variance of the gusts. Where `FlightPathReconstruction` reconstructs
+    flights, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio of
     variances (n,) is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
@@ -157,7 +154,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
-        if isinstance(step, FlightPathReconstruction) and step.tells_gusts_ and "gust" in flight:
+        if isinstance(step, FlightPathReconstruction) and step.used_:
             ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (
                 step.gust_std_**2 + SENSOR_GUST**2
             )

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from skdgp._compute.messages import warn, without_warnings
-from skdgp._compute.sklearn_compat import Interval, StrOptions
+from skdgp._compute.messages import warn
+from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import (
     AIR_DATA,
@@ -25,8 +25,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp._flight.checks import check_columns, check_radians, numeric
-from skdgp._flight.clock import flight_codes
-from skdgp._flight.faults import AIR_UNKNOWN, FlightDataWarning
+from skdgp._flight.faults import AIR_UNKNOWN
 from skdgp._flight.frames import air_data
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
@@ -36,10 +35,8 @@ from skdgp.preprocessing._path import (
     GUSTS,
     INERTIAL,
     MEAN_WIND,
-    MIN_AIRSPEED,
     NEEDED,
     NOISE,
-    SENSORS,
     Estimate,
     FlightPath,
     Log,
@@ -49,7 +46,6 @@ from skdgp.preprocessing._path import (
     flight_logs,
     missing_channels,
 )
-from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import (
     TableTransformer,
     has_values,
@@ -62,34 +58,25 @@ MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EA
 _PATH = tuple(name for name in MADE if name not in ("alpha_dot", "beta_dot"))
 # Weight of the gusts of the fit [seconds of flight]: 2 and 5 have the best median scores
 OPINION = 2.0
-KINEMATIC_LAGS = ("attitude_lag", "velocity_lag")
-KINEMATIC_SECONDS = (
-    120.0  # of each flight [s], from which lags of attitude and GPS are known to the millisecond
-)
-# a constant is observable if its standard deviation is less than this share of the prior one
-OBSERVABLE = 0.5
-MAX_RATIO = (
-    1.05  # largest error of reconstruction, relative to that of smoothing, with which it is used
-)
-MAX_AIR_NOISE = (
-    1.4  # residual of an air data sensor over its own noise, above which the latter counts as zero
-)
+MAX_AIR_NOISE = 1.4  # residual over the noise of a sensor of air data, above which it contradicts
 MAX_INERTIAL_NOISE = (
-    4.0  # residual of an inertial sensor over its own noise, above which the reason names it
+    6.0  # as above, of an inertial sensor; half a minute of sound ones shows up to 4.4
 )
 DIFFERENCES = (
-    3  # order of the differences that show noise; the sum of squares of their coefficients is 20
+    3  # order of the differences that show noise: the squares of their coefficients add up to 20
 )
 OVERLAP = 32  # of the rows of a part of a long flight, one in so many is added on either side
-PROBE = 0.3  # size of the random change that shows the slope of a smoother, in units of noise
-UNITS = {"airspeed": ("m/s", 1.0), "alpha": ("deg", 180 / np.pi), "beta": ("deg", 180 / np.pi)}
-# What contradicts itself if the residual of a sensor is large, its unit and its factor
+GUST_TIME = 10.0  # correlation time of gusts [s]
+# By sensor: columns of a log, what contradicts if its residual is large, its unit and factor
 FOLLOWS = {
-    "gyro": ("the attitude does not follow the gyros", "deg/s", 180 / np.pi),
-    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
-    **{name: (f"{name} does not follow the motion", *unit) for name, unit in UNITS.items()},
-}
+    "gyro": ("rate", slice(3), "the attitude does not follow the gyros", "deg/s", 180 / np.pi),
+    "accelerometer": ("force", slice(3), "the velocity does not follow the accelerometers", "m/s2", 1.0),
+    "airspeed": ("air", 0, "airspeed does not follow the motion", "m/s", 1.0),
+    "alpha": ("air", 1, "alpha does not follow the motion", "deg", 180 / np.pi),
+    "beta": ("air", 2, "beta does not follow the motion", "deg", 180 / np.pi),
+}  # fmt: skip
 
+FREE = (*INERTIAL, *MEAN_WIND)  # constants that are estimated
 Flights = list[tuple[Any, Indices, Log, Estimate]]
 
 
@@ -102,36 +89,23 @@ class FlightPathReconstruction(TableTransformer):
     .. math:: \dot v = R f + g, \quad \dot R = R [\omega]_\times, \quad v_a = R^T (v - w),
     .. math:: V = |v_a|, \quad \alpha = \arctan(w_a / u_a), \quad \beta = \arcsin(v_a / V),
 
-    and gusts of correlation time ``gust_time`` (Mulder et al. 1999; Klein & Morelli 2006, chapter
-    10; Jategaonkar 2006, chapter 10), as one sparse least-squares problem. Vanes are optional.
-    ``fit`` learns the noise of each sensor, by maximum likelihood, and, on request, scale factors,
-    biases and lags. ``transform`` uses these, and estimates biases of inertial sensors, wind and
-    gusts separately for each flight. Raises ValueError if time, a rate, specific force, attitude,
-    v_north, v_east, v_down or airspeed is missing, or has no value throughout a flight; if time
-    does not increase within a flight; if angles are not radians.
+    and gusts of a correlation time of 10 s (Mulder et al. 1999; Klein & Morelli 2006, chapter 10;
+    Jategaonkar 2006, chapter 10), as one sparse least-squares problem. Vanes are optional. ``fit``
+    learns the noise of each sensor, by maximum likelihood. ``transform`` uses it, and estimates
+    biases of inertial sensors, wind and gusts separately for each flight. Raises ValueError if
+    time, a rate, specific force, attitude, v_north, v_east, v_down or airspeed is missing, or has
+    no value throughout a flight; if time does not increase within a flight; if angles are not
+    radians.
 
     Parameters
     ----------
-    calibrate : {"inertial", "all"} or list of str, default="inertial"
-        Errors to estimate and remove. "inertial": ax_bias, ay_bias, az_bias, p_bias, q_bias,
-        r_bias, in each flight. "all", or a list of names: also airspeed_scale, alpha_bias,
-        alpha_scale, beta_bias, beta_scale, and, relative to the inertial sensors, airspeed_lag,
-        vane_lag, velocity_lag, attitude_lag [s], learned in ``fit``. Measured is (1 + scale) truth
-        + bias. Errors of air data need calm air, as the response to gusts resembles a scale.
-    gust_time : float, default=10.0
-        Correlation time of gusts [s]. A longer one allows more steady vertical wind in place of a
-        vane's bias.
-    incomplete : {"raise", "pass"}, default="raise"
-        For flights without a needed channel: raise ValueError, or pass them on. If flights of
-        ``fit`` lack one (``missing_``), all tables pass unchanged; if only flights of ``transform``
-        do, `FlightSmoother` smooths them.
-    inconsistent : {"use", "pass"}, default="use"
-        For flights whose sensors contradict each other: reconstruct them all the same; or let
-        ``fit`` decide. With "pass" all tables pass (``used_`` is False), unchanged but for the column
-        ``gust``, if the expected errors of airspeed, alpha and beta are larger than those of
-        `FlightSmoother` (``errors_``). A log without alpha or beta is always reconstructed.
+    optional : bool, default=False
+        Whether all tables pass unchanged, if the flights of ``fit`` lack a needed channel
+        (``missing_``), or a sensor contradicts the others: its residuals are larger than its noise,
+        6 times of an inertial sensor, 1.4 times of airspeed, alpha and beta. A log without alpha or
+        beta is reconstructed all the same.
     max_rows : int, default=65536
-        Rows of a flight that are estimated at a time, of 15 kB each: a longer flight is estimated
+        Rows of a flight that are estimated at a time, of 20 kB each: a longer flight is estimated
         in parts of equal length that overlap, each with its own biases, wind and gusts.
     aircraft : Aircraft, optional
         For flights without alpha or beta. None: angles from attitude, velocity and steady wind, so
@@ -146,13 +120,6 @@ class FlightPathReconstruction(TableTransformer):
     ----------
     used_, reason_ : bool, str
         Whether ``transform`` reconstructs flights, or passes them unchanged, and why.
-    tells_gusts_ : bool
-        Whether transformed tables have a column ``gust``: also flights that pass, if no sensor
-        contradicts the others.
-    errors_ : DataFrame or None
-        Of ``inconsistent="pass"``, by sensor: ``noise`` (by the sensor itself), ``residual`` (noise
-        learned with the path), and of air data the expected errors of ``reconstruction`` and
-        ``smoothing``, and their ``deviation``.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
     converged_ : dict of str to bool
@@ -171,17 +138,9 @@ class FlightPathReconstruction(TableTransformer):
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds that of each flight.
-    sensors_ : dict of str to float
-        Errors of the other sensors, from all flights of ``fit``; zero where not estimated.
     calibration_ : DataFrame
-        The constants of each flight of ``fit``, or of each part of a long one, estimated from that
-        flight alone: columns ``flight``, ``constant``, ``estimate``, ``std`` and ``observable``
-        (std below half of its prior one).
-
-    Warns
-    -----
-    FlightDataWarning
-        In ``transform``, where flights are smoothed although those of ``fit`` were reconstructed.
+        Biases of inertial sensors and mean wind of each flight of ``fit``, or of each part of a
+        long one: columns ``flight``, ``constant``, ``estimate`` and ``std``.
 
     Examples
     --------
@@ -199,10 +158,7 @@ class FlightPathReconstruction(TableTransformer):
     """
 
     _parameter_constraints: dict = {
-        "calibrate": [StrOptions({"inertial", "all"}), list, tuple],
-        "gust_time": [Interval(Real, 0, None, closed="neither")],
-        "incomplete": [StrOptions({"raise", "pass"})],
-        "inconsistent": [StrOptions({"use", "pass"})],
+        "optional": ["boolean"],
         "max_rows": [Interval(Integral, 1, None, closed="left")],
         "aircraft": [Aircraft, None],
         "thrust": [str, None],
@@ -211,18 +167,12 @@ class FlightPathReconstruction(TableTransformer):
     def __init__(
         self,
         *,
-        calibrate: Any = "inertial",
-        gust_time: float = 10.0,
-        incomplete: str = "raise",
-        inconsistent: str = "use",
+        optional: bool = False,
         max_rows: int = 65536,
         aircraft: Aircraft | None = None,
         thrust: str | None = "auto",
     ) -> None:
-        self.calibrate = calibrate
-        self.gust_time = gust_time
-        self.incomplete = incomplete
-        self.inconsistent = inconsistent
+        self.optional = optional
         self.max_rows = max_rows
         self.aircraft = aircraft
         self.thrust = thrust
@@ -234,14 +184,9 @@ class FlightPathReconstruction(TableTransformer):
         return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
 
     def _fit_table(self, table):
-        errors = self._error_names()
-        self.missing_ = missing_channels(table) if self.incomplete == "pass" else []
-        self.used_, self.errors_, self.reason_ = (
-            not self.missing_,
-            None,
-            "asked for, without a check",
-        )
-        self.tells_gusts_ = self.used_
+        self.missing_ = missing_channels(table) if self.optional else []
+        self.used_ = not self.missing_
+        self.reason_ = "no sensor contradicts the others"
         self.air_motion_: AirMotion | None = None
         self.doubt_ = ""
         self.converged_: dict[Any, bool] = {}
@@ -249,12 +194,13 @@ class FlightPathReconstruction(TableTransformer):
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
-        if not has_values(table, *AIR_DATA):
+        has_vanes = has_values(table, *AIR_DATA)
+        if not has_vanes:
             self._fit_air_motion(table)
         if self.air_motion_ is not None:
             return
         self.noise_std_ = dict(NOISE)
-        estimates = self._estimates(table, free=errors, learn=NOISE | GUSTS, sensors={})
+        estimates = self._estimates(table, learn=NOISE | GUSTS)
         for name, _, _, each in estimates:
             self.converged_[name] = self.converged_.get(name, True) and each.converged
         samples = [len(log.time) for _, _, log, _ in estimates]
@@ -269,29 +215,10 @@ class FlightPathReconstruction(TableTransformer):
             np.average([each.air_std**2 for *_, each in estimates], axis=0, weights=samples)
         )
         self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
-        self.sensors_ = dict.fromkeys(SENSORS, 0.0) | _pooled(estimates, errors)
-        self.calibration_ = _calibration(estimates, errors)
-        shown = (
-            self.calibration_.groupby("constant", sort=False).observable.any().drop(list(MEAN_WIND))
-        )
-        if not isinstance(self.calibrate, str) and not shown.all():
-            warn(
-                f"The flights hardly show {', '.join(shown.index[~shown])}: their estimates stay "
-                f"near the prior, zero "
-                "(see calibration_). Fly turns and manoeuvres that excite them, or leave them out "
-                "of calibrate.",
-                stacklevel=3,
-            )
-        if self.inconsistent == "pass":
-            self._decide(table, estimates)
-
-    def _decide(self, table: pd.DataFrame, estimates: Flights) -> None:
-        """Set whether the reconstruction is used, and why."""
-        if not has_values(table, *AIR_DATA):
-            self.reason_ = "the flights lack a vane of alpha or beta"
-        else:
-            self.errors_ = expected_errors(table, estimates, self.noise_std_)
-            self.used_, self.tells_gusts_, self.reason_ = decision(self.errors_)
+        self.calibration_ = _calibration(estimates)
+        if contradictions := _contradictions(estimates, self.noise_std_):
+            self.reason_ = "; ".join(contradictions)
+            self.used_ = not (self.optional and has_vanes)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
@@ -310,7 +237,6 @@ class FlightPathReconstruction(TableTransformer):
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
         self.error_std_ = {name: float(mean[f"{name}_std"].item()) for name in AIR_DATA}
-        self.sensors_ = dict.fromkeys(SENSORS, 0.0)
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: Any = None
@@ -356,35 +282,19 @@ class FlightPathReconstruction(TableTransformer):
         return {name: new[name] for name in order if name in new}
 
     def _transform_table(self, table):
-        missing = missing_channels(table) if self.incomplete == "pass" else []
-        if not self.tells_gusts_ or (missing and not self.used_):
+        if not self.used_:
             return table
-        if missing:
-            warn(
-                f"Got flights without {missing}, which those of the fit had: they are smoothed "
-                f"channel by channel "
-                "(FlightSmoother), not reconstructed. Expect larger errors than with those "
-                "sensors.",
-                FlightDataWarning,
-                stacklevel=3,
-            )
-            return FlightSmoother().fit_transform(table)
         self._check(table)
         known = self.air_motion_
         new = self._path_of(table) if known is None else self._motion_of(table, known)
-        if not self.used_:
-            return with_columns(table, {"gust": new["gust"]})
         for name in EULER:
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
     def _path_of(self, table: pd.DataFrame) -> dict[str, Vector]:
         """Return the columns of flights by their most likely paths."""
-        inertial = [name for name in self._error_names() if name in INERTIAL]
         new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
-        for _, rows, log, solved in self._estimates(
-            table, free=inertial, learn=GUSTS, sensors=self.sensors_
-        ):
+        for _, rows, log, solved in self._estimates(table, learn=GUSTS):
             for name, values in _channels(solved.path, log).items():
                 new[name][rows] = values
             new["gust"][rows] = self._gust_of(solved, np.ptp(log.time))
@@ -398,18 +308,8 @@ class FlightPathReconstruction(TableTransformer):
         return float(np.sqrt(np.average(squares, weights=[seconds, OPINION])))
 
     def _columns_out(self, names):
-        made = [*(MADE if self.used_ else ()), *(["gust"] if self.tells_gusts_ else ())]
+        made = [*MADE, "gust"] if self.used_ else []
         return names + [name for name in made if name not in names]
-
-    def _error_names(self) -> list[str]:
-        """Return the names of the sensors' errors to estimate."""
-        known = INERTIAL | SENSORS
-        if isinstance(self.calibrate, str):
-            return list(INERTIAL if self.calibrate == "inertial" else known)
-        strange = [name for name in self.calibrate if name not in known]
-        if strange:
-            raise ValueError(f"Got {strange} in calibrate, but expected some of {list(known)}.")
-        return list(dict.fromkeys(self.calibrate))
 
     def _check(self, table):
         check_columns(table, ["time", *NEEDED])
@@ -417,27 +317,16 @@ class FlightPathReconstruction(TableTransformer):
             table, ("theta", *RATES, "alpha", "beta")
         )  # roll and heading may have been unwrapped
 
-    def _estimates(
-        self,
-        table: pd.DataFrame,
-        *,
-        free: list[str],
-        learn: Mapping[str, float],
-        sensors: Mapping[str, float],
-    ) -> Flights:
+    def _estimates(self, table: pd.DataFrame, *, learn: Mapping[str, float]) -> Flights:
         """Return (name, rows, log, estimate) of every flight, of each part of a long one."""
         estimates = []
-        constants = np.array([sensors.get(name, 0.0) for name in CONSTANTS])
         noise = self.noise_std_ | GUSTS
-        names = [*free, *MEAN_WIND]
         contradictory: dict[Any, None] = {}
         for name, rows, whole in flight_logs(table):
             for part, inner in _parts(len(rows), self.max_rows):
                 log = whole.part(part.start, part.stop)
-                start = first_guess(log, constants)
-                each = estimate(
-                    log, start, noise, learn=learn, free=names, gust_time=self.gust_time
-                )
+                start = first_guess(log, np.zeros(len(CONSTANTS)))
+                each = estimate(log, start, noise, learn=learn, free=FREE, gust_time=GUST_TIME)
                 path = each.path.part(inner.start, inner.stop)
                 kept = rows[part][inner], log.part(inner.start, inner.stop)
                 estimates.append((name, *kept, each._replace(path=path)))
@@ -460,21 +349,6 @@ def _parts(n: int, most: int) -> list[tuple[slice, slice]]:
         start = max(first - margin, 0)
         parts.append((slice(start, min(last + margin, n)), slice(first - start, last - start)))
     return parts
-
-
-def kinematic_lags(table: pd.DataFrame) -> dict[str, tuple[float, float]]:
-    """Return the lags [s] of attitude and GPS velocity against gyros and accelerometers, with standard deviations.
-
-    Vanes are left out, as gusts would resemble a lag.
-    """
-    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
-    since = table["time"] - table.groupby(codes)["time"].transform("min")
-    inertial = table[since < KINEMATIC_SECONDS].drop(columns=["alpha", "beta"], errors="ignore")
-    with without_warnings():  # of unobservable constants; their std shows it
-        path = FlightPathReconstruction(calibrate=["p_bias", "q_bias", "r_bias", *KINEMATIC_LAGS])
-        path.fit(inertial)
-    precision = (path.calibration_.set_index("constant")["std"] ** -2).groupby(level=0).sum()
-    return {name: (path.sensors_[name], float(precision[name] ** -0.5)) for name in KINEMATIC_LAGS}
 
 
 def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
@@ -517,144 +391,39 @@ def _gust(solved: Estimate) -> float:
     return float(np.sqrt(np.mean([solved.noise[name] ** 2 for name in GUSTS])))
 
 
-def _pooled(estimates: Flights, errors: list[str]) -> dict[str, float]:
-    """Return the errors of sensors over all flights: estimates weighted by precision, with the prior counted once."""
-    names = [name for name in errors if name in SENSORS]
-    places = [errors.index(name) for name in names]
-    prior = np.diag([CONSTANTS[name] ** -2 for name in names])
-    precision, weighted = prior.copy(), np.zeros(len(names))
-    for *_, each in estimates:
-        of_flight = np.linalg.inv(each.covariance[np.ix_(places, places)])
-        weighted += of_flight @ each.path.constant(*names)
-        precision += of_flight - prior
-    return dict(zip(names, np.linalg.solve(precision, weighted).tolist(), strict=True))
-
-
-def _calibration(estimates: Flights, errors: list[str]) -> pd.DataFrame:
+def _calibration(estimates: Flights) -> pd.DataFrame:
     """Return a row per flight and constant."""
-    names = [*errors, *MEAN_WIND]
-    prior, parts = np.array([CONSTANTS[name] for name in names]), []
-    for flight, _, _, each in estimates:
-        std = np.sqrt(np.diag(each.covariance))
-        part = {
-            "flight": flight,
-            "constant": names,
-            "estimate": each.path.constant(*names),
-            "std": std,
-            "observable": std < OBSERVABLE * prior,
-        }
-        parts.append(pd.DataFrame(part))
+    parts = [
+        pd.DataFrame(
+            {
+                "flight": flight,
+                "constant": FREE,
+                "estimate": each.path.constant(*FREE),
+                "std": np.sqrt(np.diag(each.covariance)),
+            }
+        )
+        for flight, _, _, each in estimates
+    ]
     return pd.concat(parts, ignore_index=True)
 
 
-def expected_errors(
-    table: pd.DataFrame, estimates: Flights, noise: Mapping[str, float]
-) -> pd.DataFrame:
-    r"""Return noise, residual and expected errors of the sensors of a table, by the paths estimated from it.
-
-    An estimate x of a channel from samples y of white noise :math:`\sigma` has the mean squared
-    error
-
-    .. math:: \overline{(y - x)^2} - \sigma^2 + 2 \sigma^2\, \overline{\partial x / \partial y}
-
-    without knowledge of the truth (Stein 1981). The mean slope of the path is its variance over
-    that of the noise; the slope of the smoother follows from a small random change of the samples
-    (Ramani, Blu & Unser 2008). A constant error of a sensor, or a lag, is not seen. Third
-    differences contain a little motion, so :math:`\sigma` is zero where the residual exceeds 1.4
-    times the noise. Of n samples the first term has the standard error :math:`\sigma^2 \sqrt{2 /
-    n}`: a mean squared error below it cannot be told from zero. Columns are those of
-    ``FlightPathReconstruction.errors_``.
-    """
-    raw = numeric(table, AIR_DATA)
-    path, slope = _path_air(raw.shape, estimates)
-    known = np.isfinite(raw) & np.isfinite(path)
-    squares = {kind: _noise_squares(kind, estimates) for kind in ("air", "rate", "force")}
-    stds = np.sqrt(squares["air"])
-    learned = np.array([noise[name] for name in AIR_DATA])
-    variance = np.where(learned > MAX_AIR_NOISE * stds, 0.0, stds**2)
-    smoothed, smoother_slope = _smoothed(table, raw, stds)
-    rows = {}
-    for row, name in enumerate(AIR_DATA):
-        here = known[:, row]
-        measured = raw[here, row]
-        errors = [
-            np.mean((measured - estimate[here, row]) ** 2) + variance[row] * (2 * gain[row] - 1)
-            for estimate, gain in ((path, slope), (smoothed, smoother_slope))
-        ]
-        least = variance[row] * np.sqrt(2 / max(len(measured), 1))
-        rows[name] = (stds[row], noise[name], *np.sqrt(np.maximum(errors, least)), measured.std())
-    for name, kind in (("gyro", "rate"), ("accelerometer", "force")):
-        rows[name] = (float(np.sqrt(np.mean(squares[kind]))), noise[name], np.nan, np.nan, np.nan)
-    columns = ["noise", "residual", "reconstruction", "smoothing", "deviation"]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis("sensor")
-
-
-def decision(errors: pd.DataFrame) -> tuple[bool, bool, str]:
-    """Return whether the reconstruction is used, whether no sensor contradicts the others, and why, in words.
-
-    It is if the mean square of expected error / deviation of airspeed, alpha, beta is at most
-    1.05^2 that of smoothing.
-    """
-    air = errors.loc[list(AIR_DATA)]
-    weights = np.divide(
-        1.0, air.deviation**2, out=np.zeros(len(air)), where=air.deviation.to_numpy() > 0
-    )
-    path, smoothing = (
-        float(np.sqrt(weights @ air[name] ** 2)) for name in ("reconstruction", "smoothing")
-    )
-    used = path <= MAX_RATIO * smoothing
-    words = [
-        f"expected errors {_listed(air.reconstruction)}; of smoothing {_listed(air.smoothing)}"
-    ]
-    for name, (what, unit, factor) in FOLLOWS.items() if not used else ():
-        residual, noise = factor * errors.residual[name], factor * errors.noise[name]
+def _contradictions(estimates: Flights, residuals: Mapping[str, float]) -> list[str]:
+    """Return the sensors whose residuals, learned with the path, exceed their noise, in words."""
+    words = []
+    for name, (kind, columns, what, unit, factor) in FOLLOWS.items():
+        residual, noise = factor * residuals[name], factor * _noise(kind, columns, estimates)
         if residual > (MAX_AIR_NOISE if name in AIR_DATA else MAX_INERTIAL_NOISE) * noise:
             words.append(f"{what} (residual {residual:.2g} {unit}, noise {noise:.2g})")
-    return used, used or len(words) == 1, "; ".join(words)
+    return words
 
 
-def _listed(errors: pd.Series) -> str:
-    return ", ".join(
-        f"{name} {round(factor * errors[name], 6):.2g} {unit}"
-        for name, (unit, factor) in UNITS.items()
-    )
-
-
-def _path_air(shape: tuple[int, ...], estimates: Flights) -> tuple[Matrix, Vector]:
-    """Return what airspeed and vanes should measure on the paths (n, 3), and the mean slope by their own samples."""
-    values, slope = np.full(shape, np.nan), np.zeros(3)
-    for _, rows, _, each in estimates:
-        air = np.column_stack(air_data(each.path.air_velocity()))
-        air[air[:, 0] < MIN_AIRSPEED] = np.nan
-        scale = 1 + each.path.constant("airspeed_scale", "alpha_scale", "beta_scale")
-        values[rows] = scale * air + [0.0, *each.path.constant("alpha_bias", "beta_bias")]
-        learned = np.array([each.noise[name] for name in AIR_DATA])
-        slope += len(rows) / shape[0] * (scale * each.air_std / learned) ** 2
-    return values, slope
-
-
-def _noise_squares(kind: str, estimates: Flights) -> Vector:
-    """Return the variance of white noise in the columns of each flight's log, from their third differences."""
-    total, count = np.zeros(3), np.zeros(3)
+def _noise(kind: str, columns: Any, estimates: Flights) -> float:
+    """Return the white noise in columns of each flight's log, from their third differences."""
+    squares = []
     for _, _, log, _ in estimates:
-        for place, column in enumerate(getattr(log, kind).T):
+        for column in getattr(log, kind).T[columns].reshape(-1, len(log.time)):
             rows = np.flatnonzero(np.isfinite(column))
-            if len(rows) > DIFFERENCES:
-                joined = log.segment[rows[DIFFERENCES:]] == log.segment[rows[:-DIFFERENCES]]
-                squares = np.diff(column[rows], DIFFERENCES)[joined] ** 2 / 20
-                total[place], count[place] = (
-                    total[place] + squares.sum(),
-                    count[place] + len(squares),
-                )
-    return total / np.maximum(count, 1)
-
-
-def _smoothed(table: pd.DataFrame, raw: Matrix, noise: Vector) -> tuple[Matrix, Vector]:
-    """Return smoothed air data (n, 3), and their mean slope by their own samples."""
-    probe = np.random.default_rng(0).standard_normal(raw.shape)
-    moved = table.assign(**dict(zip(AIR_DATA, (raw + PROBE * noise * probe).T, strict=True)))
-    with without_warnings():  # of flights too short to smooth: the pipeline's smoother says it
-        smoother = FlightSmoother(columns=list(AIR_DATA), derivatives=[])
-        before, after = (numeric(smoother.fit_transform(one), AIR_DATA) for one in (table, moved))
-    response = np.nanmean((after - before) * probe, axis=0)
-    return before, np.divide(response, PROBE * noise, out=np.ones(3), where=noise > 0)
+            joined = log.segment[rows[DIFFERENCES:]] == log.segment[rows[:-DIFFERENCES]]
+            squares.append(np.diff(column[rows], DIFFERENCES)[joined] ** 2 / 20)
+    values = np.concatenate(squares)
+    return float(np.sqrt(values.mean())) if len(values) else np.nan

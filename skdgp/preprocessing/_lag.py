@@ -28,9 +28,24 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
-from skdgp._flight.clock import check_clock, flight_segments, runs_by_flight, uniform_grid
-from skdgp.preprocessing._flight_path import kinematic_lags
-from skdgp.preprocessing._path import missing_channels
+from skdgp._flight.clock import (
+    check_clock,
+    flight_codes,
+    flight_segments,
+    runs_by_flight,
+    uniform_grid,
+)
+from skdgp.preprocessing._flight_path import GUST_TIME
+from skdgp.preprocessing._path import (
+    CONSTANTS,
+    GUSTS,
+    MEAN_WIND,
+    NOISE,
+    estimate,
+    first_guess,
+    flight_logs,
+    missing_channels,
+)
 from skdgp.preprocessing._table import (
     TableTransformer,
     has_values,
@@ -55,6 +70,7 @@ PADDING = 64
 MIN_SIGNIFICANCE = 3.0  # standard deviations
 MIN_LAG = 0.01  # lags below this [s] do not change a model
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
+KINEMATIC_SECONDS = 120.0  # of each flight, which show these lags to the millisecond
 BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
 # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
 STEADY = 0.2
@@ -83,12 +99,12 @@ class LagCorrector(TableTransformer):
     r"""Estimate the lags of air data, surfaces, attitude and GPS against the inertial unit, and remove them.
 
     A channel with lag tau shows at t its value at t - tau, so it is replaced by its value at t +
-    tau, segment by segment; beyond the end of a segment the last value is repeated. Sensors are
-    shifted in the frequency domain, which keeps white noise white for :class:`FlightSmoother`;
-    controls, and channels of a jittered clock, by cubic splines. Use full-rate flights, before
-    smoothing.
+    tau, segment by segment. Beyond the end of a segment attitude and GPS are NaN, and the last value
+    of others is repeated. Sensors are shifted in the frequency domain, which keeps white noise white
+    for :class:`FlightSmoother`; controls, and channels of a jittered clock, by cubic splines. Use
+    full-rate flights, before smoothing.
 
-    Attitude and GPS follow from gyros and accelerometers by kinematics, through
+    Attitude and GPS follow from gyros and accelerometers by kinematics, as in
     :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear
     model, without assumed derivatives: at the same time
 
@@ -145,12 +161,7 @@ class LagCorrector(TableTransformer):
             if complete and not has_values(table, *VANES):
                 found["surfaces"] = UNKNOWN  # a parameter of the motion of the air
             if complete:
-                of_path = kinematic_lags(
-                    table
-                )  # attitude and GPS against integrated gyros and accelerometers
-                found |= {
-                    group: Lag(*of_path[constant], np.nan) for group, constant in KINEMATIC.items()
-                }
+                found |= _lags_of_path(table)
             rows = {group: (*lag, *_applied(lag)) for group, lag in found.items()}
         else:
             lags = self.lags or {}
@@ -184,14 +195,17 @@ class LagCorrector(TableTransformer):
             for name in GROUPS.get(group, (group,)):
                 if lag and name in table:
                     values, noisy = unwrapped(table, [name])[:, 0], name not in CONTROLS
-                    new[name] = _shifted(time, values, lag, table.get("flight"), noisy=noisy)
+                    channel = time, values, lag, table.get("flight")
+                    new[name] = _shifted(*channel, noisy=noisy, repeats=group not in KINEMATIC)
                     if name in WRAPPED:
                         new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
 
-def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bool) -> Vector:
-    """Return a channel without its lag, on the rows where it was sampled."""
+def _shifted(
+    time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bool, repeats: bool
+) -> Vector:
+    """Return a channel without its lag, on the rows where it was sampled; beyond its end the last value, or NaN."""
     out, rows = values.copy(), np.flatnonzero(np.isfinite(values))
     for run in flight_segments(time[rows], None if flight is None else np.asarray(flight)[rows]):
         here = rows[run]
@@ -204,7 +218,8 @@ def _shifted(time: Vector, values: Vector, lag: float, flight: Any, *, noisy: bo
             shifted = _advanced(values[here], lag * (len(grid) - 1) / (grid[-1] - grid[0]))
         else:
             shifted = CubicSpline(clock, values[here])(np.clip(later, clock[0], clock[-1]))
-        shifted[later > clock[-1]], shifted[later < clock[0]] = values[here[-1]], values[here[0]]
+        shifted[later > clock[-1]] = values[here[-1]] if repeats else np.nan
+        shifted[later < clock[0]] = values[here[0]] if repeats else np.nan
         out[here] = shifted
     return out
 
@@ -301,6 +316,31 @@ def segments_of(table: pd.DataFrame) -> list[Segment]:
         for run in runs
         if np.ptp(time[run]) > SHORTEST and has_values(table.iloc[run], *INERTIAL)
     ]
+
+
+def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
+    """Return the lags of attitude and GPS velocity against gyros and accelerometers, over all flights.
+
+    Vanes are left out, as gusts would resemble a lag. Flights are weighted by their precision, with
+    the prior counted once.
+    """
+    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
+    since = table["time"] - table.groupby(codes)["time"].transform("min")
+    inertial = table[since < KINEMATIC_SECONDS].drop(columns=[*VANES], errors="ignore")
+    lags, biases = list(KINEMATIC.values()), ("p_bias", "q_bias", "r_bias")
+    free = [*biases, *lags, *MEAN_WIND]
+    at = slice(len(biases), len(biases) + len(lags))
+    prior = np.diag([CONSTANTS[name] ** -2 for name in lags])
+    precision, weighted = prior.copy(), np.zeros(len(lags))
+    for _, _, log in flight_logs(inertial):
+        start, noise = first_guess(log, np.zeros(len(CONSTANTS))), NOISE | GUSTS
+        solved = estimate(log, start, noise, learn=noise, free=free, gust_time=GUST_TIME)
+        of_flight = np.linalg.inv(solved.covariance[at, at])
+        weighted += of_flight @ solved.path.constant(*lags)
+        precision += of_flight - prior
+    values, stds = np.linalg.solve(precision, weighted), np.diag(np.linalg.inv(precision)) ** 0.5
+    rows = zip(KINEMATIC, values.tolist(), stds.tolist(), strict=True)
+    return {group: Lag(value, std, np.nan) for group, value, std in rows}
 
 
 def _lags_of_motion(segments: list[Segment]) -> dict[str, Lag]:

@@ -7,8 +7,8 @@ sample.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -44,21 +44,11 @@ VELOCITY, ATTITUDE, GUST = slice(0, 3), slice(3, 6), slice(6, 9)
 INERTIAL = {
     "ax_bias": 0.3, "ay_bias": 0.3, "az_bias": 0.3, "p_bias": 0.02, "q_bias": 0.02, "r_bias": 0.02,
 }  # fmt: skip
-SENSORS = {
-    "airspeed_scale": 0.1, "alpha_bias": 0.03, "alpha_scale": 0.2, "beta_bias": 0.03, "beta_scale": 0.2,
-    "airspeed_lag": 0.1, "vane_lag": 0.1, "velocity_lag": 0.1, "attitude_lag": 0.1,
-}  # fmt: skip
 MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
-# Prior deviations (SI) of: (1 + scale) truth + bias; truth a lag [s] ago; the mean wind
-CONSTANTS = INERTIAL | SENSORS | MEAN_WIND
+# Prior deviations (SI) of: truth + bias; truth a lag [s] ago; the mean wind
+CONSTANTS = INERTIAL | {"velocity_lag": 0.1, "attitude_lag": 0.1} | MEAN_WIND
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
-LAGS = (
-    "airspeed_lag",
-    "vane_lag",
-    "vane_lag",
-    *["velocity_lag"] * 3,
-    *["attitude_lag"] * 3,
-)  # of the measurements
+LAGS = (*["velocity_lag"] * 3, *["attitude_lag"] * 3)  # of the measurements after air data
 GRAVITY = np.array(
     [0.0, 0.0, STANDARD_GRAVITY]
 )  # NED; what it is more here is in the accelerometers' biases
@@ -97,7 +87,6 @@ PRIOR_COUNT = 10
 START_PRECISION = np.repeat(
     [1e-4, 1.0], 3
 )  # prior precision of velocity [m/s] and attitude [rad] at a segment's begin
-WINDOW = 4096  # samples whose equations are in memory at a time
 # Gauss-Newton steps in which lags may change by whole samples; then these are fixed, to converge
 DELAY_STEPS = 6
 MAX_STEPS = 40
@@ -107,7 +96,7 @@ TOLERANCE = 0.02
 N_DRAWS = 32
 MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 # As MIRROR, the signs of a state's errors in a mirror at the x-z plane: odd constants
-ODD = frozenset(("ay_bias", "p_bias", "r_bias", "beta_bias", "wind_east"))
+ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
 
 
 class Equations(NamedTuple):
@@ -118,15 +107,17 @@ class Equations(NamedTuple):
     d_next: Array | None  # (n, m, s); None for measurement equations
     d_constants: Array  # (n, m, c)
 
-    def part(self, first: int, last: int) -> Equations:
-        """Return the equations of the samples from first to before last."""
-        return Equations._make(None if values is None else values[first:last] for values in self)
+    def whitened(self, noise: Matrix, places: list[int]) -> Equations:
+        """Return the equations in units of their noise, (n, m), by the constants at some places."""
+        each = noise[..., None]
+        d_next = None if self.d_next is None else self.d_next / each
+        d_constants = self.d_constants[..., places] / each
+        return Equations(self.residual / noise, self.d_state / each, d_next, d_constants)
 
     def changes(self, states: Array, constants: Matrix) -> Array:
         """Return the changes of the residuals, (n, m, k), by k sets of states (N, s, k) and constants (c, k)."""
-        n = len(self.d_state)
-        total = self.d_state @ states[:n] + self.d_constants @ constants
-        return total if self.d_next is None else total + self.d_next @ states[1 : n + 1]
+        total = self.d_state @ states[: len(self.d_state)] + self.d_constants @ constants
+        return total if self.d_next is None else total + self.d_next @ states[1:]
 
 
 class Log(NamedTuple):
@@ -140,7 +131,7 @@ class Log(NamedTuple):
     velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
     attitude: Rotation  # n attitudes, body to NED
     attitude_sampled: Mask  # (n,) where the attitude was sampled
-    delays: tuple[int, ...] = (0,) * 9  # lag of each measurement in whole samples
+    delays: tuple[int, ...] = (0,) * 6  # `LAGS` in whole samples
 
     def part(self, first: int, last: int) -> Log:
         """Return the samples from first to before last."""
@@ -322,46 +313,31 @@ def measurement_equations(path: FlightPath, log: Log) -> Equations:
     than a step, the prediction is continued by its rate of change.
     """
     n = len(log.time)
-    later, offset = _lagged_rows(log, path.constant(*LAGS))
-    scale = 1 + path.constant("airspeed_scale", "alpha_scale", "beta_scale")
-    bias = np.array([0.0, *path.constant("alpha_bias", "beta_bias")])
-    acceleration, turning = (
-        path.attitude.apply(path.force(log)) + GRAVITY,
-        path.attitude.apply(path.rate(log)),
-    )
-    rates = np.concatenate([scale * air_data_rates(path, log), acceleration, turning], axis=1)
-    residual, d_state, d_constants = (
-        np.zeros((n, 9)),
-        np.zeros((n, 9, 9)),
-        np.zeros((n, 9, len(CONSTANTS))),
-    )
+    residual, d_state = np.zeros((n, 9)), np.zeros((n, 9, 9))
+    d_constants = np.zeros((n, 9, len(CONSTANTS)))
 
     air = air_data_equations(path)
-    residual[:, :3] = (
-        scale * air.residual + bias - np.take_along_axis(log.air, later[:, :3], axis=0)
-    )
+    residual[:, :3] = air.residual - log.air
     residual[air.residual[:, 0] < MIN_AIRSPEED, 1:3] = np.nan
-    d_state[:, :3] = scale[:, None] * air.d_state
-    d_constants[:, :3] = scale[:, None] * air.d_constants
-    for row, name in enumerate(AIR_DATA):
-        d_constants[:, row, PLACE[f"{name}_scale"]] = air.residual[:, row]
-    d_constants[:, 1, PLACE["alpha_bias"]] = d_constants[:, 2, PLACE["beta_bias"]] = 1.0
+    d_state[:, :3], d_constants[:, :3] = air.d_state, air.d_constants
 
-    residual[:, 3:6] = path.velocity - np.take_along_axis(log.velocity, later[:, 3:6], axis=0)
+    later, offset = _lagged_rows(log, path.constant(*LAGS))
+    residual[:, 3:6] = path.velocity - np.take_along_axis(log.velocity, later[:, :3], axis=0)
     d_state[:, 3:6, VELOCITY] = np.eye(3)
-    angle = (path.attitude * log.attitude[later[:, 6]].inv()).as_rotvec()
+    angle = (path.attitude * log.attitude[later[:, 3]].inv()).as_rotvec()
     residual[:, 6:9] = angle
-    residual[~log.attitude_sampled[later[:, 6]], 6:9] = np.nan
+    residual[~log.attitude_sampled[later[:, 3]], 6:9] = np.nan
     d_state[:, 6:9, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
-
-    residual += offset * rates
+    acceleration = path.attitude.apply(path.force(log)) + GRAVITY
+    rates = np.concatenate([acceleration, path.attitude.apply(path.rate(log))], axis=1)
+    residual[:, 3:] += offset * rates
     for row, name in enumerate(LAGS):
-        d_constants[:, row, PLACE[name]] = -rates[:, row]
+        d_constants[:, 3 + row, PLACE[name]] = -rates[:, row]
     return _without(Equations(residual, d_state, None, d_constants), np.isnan(residual))
 
 
 def _lagged_rows(log: Log, lag: Vector) -> tuple[Indices, Matrix]:
-    """Return the row of the log for each measurement, (n, 9), and its offset in time, NaN where there is none."""
+    """Return the row of the log for each of `LAGS`, (n, 6), and its offset in time, NaN where there is none."""
     later = np.arange(len(log.time))[:, None] + np.array(log.delays)
     inside = np.clip(later, 0, len(log.time) - 1)
     offset = log.time[inside] - log.time[:, None] - lag
@@ -382,10 +358,6 @@ def _without(equations: Equations, missing: Mask) -> Equations:
         if values is not None:
             values[missing] = 0.0
     return equations
-
-
-# Number of the first state, process and measurement equations of consecutive windows
-Windows: TypeAlias = Iterable[tuple[int, Equations, Equations]]
 
 
 class Prior(NamedTuple):
@@ -432,12 +404,13 @@ def estimate(
     channel's variance is the sum of its squared residuals over its redundancy, the number of
     samples minus the trace of J P J^T. At its fixed point the gradient of the marginal likelihood
     is zero (Searle, Casella & McCulloch 1992, section 8.3). The traces are those of draws from the
-    posterior. The constants of ``start`` are their prior means; those in ``free`` are estimated.
-    ``noise`` holds the initial standard deviations, by the names in NOISE and GUSTS.
+    posterior. The constants in ``free`` are estimated, with prior means of zero. ``noise`` holds
+    the initial standard deviations, by the names in NOISE and GUSTS.
     """
     path, places = start, [PLACE[name] for name in free]
     draws = _mirrored_pairs(len(log.time), free)
-    offset = pull = last = np.zeros(len(places))
+    process_names = _process_names(log)
+    last = np.zeros(len(places))
     stride = 1.0
     interval = np.median(np.diff(log.time)) if len(log.time) > 1 else np.inf
     for step in range(MAX_STEPS):
@@ -445,9 +418,10 @@ def estimate(
             log = log._replace(
                 delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist())
             )
-        problem = _Problem(path, log, noise, places, gust_time)
-        posterior = solve(problem, problem.prior(offset, pull), draws)
-        sums = _residual_sums(_process_names(log), problem, posterior)
+        equations = _equations(path, log, noise, places, gust_time)
+        prior = _prior(path, log, noise, places, gust_time)
+        posterior = solve(*equations, prior, draws)
+        sums = _residual_sums((*process_names, *MEASUREMENTS), equations, posterior)
         move = posterior.constants / np.sqrt(
             np.diag(posterior.covariance)
         )  # the full step, in standard deviations
@@ -457,8 +431,6 @@ def estimate(
         change = np.zeros(len(CONSTANTS))
         change[places] = stride * posterior.constants
         path = path.moved(stride * posterior.states, change)
-        offset = (path.constants - start.constants)[places]
-        pull = _scale_gradient(path, sums)[places]
         before, noise = (
             noise,
             noise | _variance_components(sums, noise, learn, min(1.0, 10 / (step + 1))),
@@ -473,7 +445,7 @@ def estimate(
         if converged:
             break
     noise = noise | {
-        kind: noise[alike] for kind, alike in zip(PROCESS[6:], _process_names(log)[6:], strict=True)
+        kind: noise[alike] for kind, alike in zip(PROCESS[6:], process_names[6:], strict=True)
     }
     return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, places), converged)
 
@@ -489,7 +461,7 @@ def _mirrored_pairs(n_states: int, free: Sequence[str]) -> Matrix:
     return np.column_stack([half, sign[:, None] * half])
 
 
-def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
+def solve(process: Equations, measurements: Equations, prior: Prior, draws: Matrix) -> Posterior:
     r"""Return the least-squares solution of process and measurement equations.
 
     With the states x (n s) and constants c, the normal equations
@@ -505,7 +477,7 @@ def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
     ``draws`` are standard normal numbers, (n s + c, k).
     """
     n, s = prior.states.shape
-    band, border, corner, g, h = _normal_equations(windows, prior)
+    band, border, corner, g, h = _normal_equations(process, measurements, prior)
     factor = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
     solved = cho_solve_banded((factor, True), np.column_stack([border, g]), check_finite=False)
     inner, shift = solved[:, :-1], solved[:, -1]
@@ -522,29 +494,25 @@ def solve(windows: Windows, prior: Prior, draws: Matrix) -> Posterior:
 
 
 def _normal_equations(
-    windows: Windows, prior: Prior
+    process: Equations, measurements: Equations, prior: Prior
 ) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
     """Return A in lower banded storage, B, C, g and h."""
     (n, s), c = prior.states.shape, len(prior.constants)
-    diagonal, coupling = prior.states[:, :, None] * np.eye(s), np.zeros((max(n - 1, 0), s, s))
-    right, small = np.zeros((n, s, c + 1)), np.zeros((c, c + 1))
-    right[..., -1] = prior.states * prior.states_offset
-    small[:, :c], small[:, c] = np.diag(prior.constants), prior.constants * prior.constants_offset
     this, after, rest = slice(0, s), slice(s, 2 * s), slice(2 * s, None)
-    for first, process, measurements in windows:
-        measured, linked = _gram(measurements), _gram(process)
-        at = slice(first, first + len(measured))
-        here, there = slice(first, first + len(linked)), slice(first + 1, first + 1 + len(linked))
-        diagonal[at] += measured[:, this, this]
-        diagonal[here] += linked[:, this, this]
-        diagonal[there] += linked[:, after, after]
-        coupling[here] = linked[:, this, after]
-        right[at] += measured[:, this, s:]
-        right[here] += linked[:, this, rest]
-        right[there] += linked[:, after, rest]
-        small += measured[:, s:-1, s:].sum(axis=0) + linked[:, 2 * s : -1, rest].sum(axis=0)
+    measured, linked = _gram(measurements), _gram(process)
+    diagonal = prior.states[:, :, None] * np.eye(s) + measured[:, this, this]
+    diagonal[:-1] += linked[:, this, this]
+    diagonal[1:] += linked[:, after, after]
+    right = measured[:, this, s:].copy()
+    right[:-1] += linked[:, this, rest]
+    right[1:] += linked[:, after, rest]
+    right[..., -1] += prior.states * prior.states_offset
+    small = measured[:, s:-1, s:].sum(axis=0) + linked[:, 2 * s : -1, rest].sum(axis=0)
+    small[:, :c] += np.diag(prior.constants)
+    small[:, c] += prior.constants * prior.constants_offset
     flat = right.reshape(n * s, c + 1)
-    return _banded(diagonal, coupling), flat[:, :c], small[:, :c], flat[:, c], small[:, c]
+    band = _banded(diagonal, linked[:, this, after])
+    return band, flat[:, :c], small[:, :c], flat[:, c], small[:, c]
 
 
 def _gram(rows: Equations) -> Array:
@@ -571,110 +539,55 @@ def _process_names(log: Log) -> tuple[str, ...]:
     return PROCESS if np.isfinite(log.air[:, 1]).any() else (*PROCESS[:-1], "gust_horizontal")
 
 
-class _Problem:
-    """Process and measurement equations in units of their noise, by windows (a single one computed once), and prior."""
-
-    def __init__(
-        self,
-        path: FlightPath,
-        log: Log,
-        noise: Mapping[str, float],
-        places: list[int],
-        gust_time: float,
-    ) -> None:
-        self.path, self.log, self.noise, self.places, self.gust_time = (
-            path,
-            log,
-            noise,
-            places,
-            gust_time,
-        )
-        self.single: tuple[int, Equations, Equations] | None = None
-
-    def __iter__(self) -> Iterator[tuple[int, Equations, Equations]]:
-        n = len(self.log.time)
-        if n > WINDOW:
-            yield from (
-                self._window(first, min(first + WINDOW, n)) for first in range(0, n, WINDOW)
-            )
-        else:
-            self.single = self.single or self._window(0, n)
-            yield self.single
-
-    def _window(self, first: int, last: int) -> tuple[int, Equations, Equations]:
-        margin = 1 + max(map(abs, self.log.delays))
-        start, stop = max(first - margin, 0), min(last + margin, len(self.log.time))
-        path, log = self.path.part(start, stop), self.log.part(start, stop)
-        step = np.diff(log.time)
-        correlation = np.exp(-step / self.gust_time)
-        scale = np.array([self.noise[name] for name in _process_names(self.log)]) * np.ones(
-            (len(step), 1)
-        )
-        scale[:, 6:] *= np.sqrt(self.gust_time / 2 * (1 - correlation**2))[:, None]
-        process = self._whitened(process_equations(path, log, correlation), scale)
-        noise = np.array([self.noise[name] for name in MEASUREMENTS])
-        measurements = self._whitened(measurement_equations(path, log), noise)
-        return (
-            first,
-            process.part(first - start, last - start),
-            measurements.part(first - start, last - start),
-        )
-
-    def _whitened(self, rows: Equations, scale: Array) -> Equations:
-        each = scale[..., None]
-        d_next = None if rows.d_next is None else rows.d_next / each
-        return Equations(
-            rows.residual / scale,
-            rows.d_state / each,
-            d_next,
-            rows.d_constants[..., self.places] / each,
-        )
-
-    def prior(self, offset: Vector, pull: Vector) -> Prior:
-        """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
-        first = np.concatenate([[True], ~self.log.joined])[:, None]
-        gusts = np.array([self.noise[name] for name in _process_names(self.log)[6:]]) * np.sqrt(
-            self.gust_time / 2
-        )
-        precision = first * np.concatenate([START_PRECISION, gusts**-2])
-        states_offset = np.zeros_like(precision)
-        states_offset[:, 6:] = self.path.gust
-        stiffness = np.array(list(CONSTANTS.values()))[self.places] ** -2
-        return Prior(precision, states_offset, stiffness, offset + pull / stiffness)
+def _equations(
+    path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
+) -> tuple[Equations, Equations]:
+    """Return process and measurement equations in units of their noise, by the constants at some places."""
+    step = np.diff(log.time)
+    correlation = np.exp(-step / gust_time)
+    scale = np.tile([noise[name] for name in _process_names(log)], (len(step), 1))
+    scale[:, GUST] *= np.sqrt(gust_time / 2 * (1 - correlation**2))[:, None]
+    sensors = np.array([noise[name] for name in MEASUREMENTS])
+    return (
+        process_equations(path, log, correlation).whitened(scale, places),
+        measurement_equations(path, log).whitened(sensors, places),
+    )
 
 
-class Sums(NamedTuple):
-    """Sums over the samples of a channel, in units of its noise."""
-
-    squares: float  # of the residuals
-    trace: float  # of J P J^T, the number of samples that the path fits
-    n_samples: int
+def _prior(
+    path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
+) -> Prior:
+    """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
+    first = np.concatenate([[True], ~log.joined])[:, None]
+    gusts = np.array([noise[name] for name in _process_names(log)[GUST]]) * np.sqrt(gust_time / 2)
+    precision = first * np.concatenate([START_PRECISION, gusts**-2])
+    states_offset = np.zeros_like(precision)
+    states_offset[:, GUST] = path.gust
+    stiffness = np.array(list(CONSTANTS.values()))[places] ** -2
+    return Prior(precision, states_offset, stiffness, path.constants[places])
 
 
 def _residual_sums(
-    process_names: Sequence[str], windows: Windows, posterior: Posterior
-) -> dict[str, Sums]:
-    """Return the sums of each channel."""
-    total = {name: np.zeros(3) for name in (*process_names, *MEASUREMENTS)}
-    for first, process, measurements in windows:
-        for names, rows in ((process_names, process), (MEASUREMENTS, measurements)):
-            change = rows.changes(posterior.states[first:, :, None], posterior.constants[:, None])[
-                ..., 0
-            ]
-            spread = np.square(
-                rows.changes(posterior.state_draws[first:], posterior.constant_draws)
-            ).mean(axis=-1)
-            used = np.any(rows.d_state != 0, axis=2)
-            squares = np.sum((rows.residual + change) ** 2, axis=0)
-            for name, sums in zip(
-                names, np.column_stack([squares, spread.sum(axis=0), used.sum(axis=0)]), strict=True
-            ):
-                total[name] += sums
-    return {name: Sums(*sums) for name, sums in total.items()}
+    names: Sequence[str], equations: tuple[Equations, Equations], posterior: Posterior
+) -> dict[str, Vector]:
+    """Return of each channel, in units of its noise, the sum of squared residuals, the trace of J P J^T, the samples.
+
+    The trace is the number of samples that the path fits.
+    """
+    sums = []
+    for rows in equations:
+        change = rows.changes(posterior.states[..., None], posterior.constants[:, None])[..., 0]
+        spread = rows.changes(posterior.state_draws, posterior.constant_draws)
+        fitted = np.square(spread).mean(axis=-1).sum(axis=0)
+        sampled = np.any(rows.d_state != 0, axis=2).sum(axis=0)
+        squares = np.sum((rows.residual + change) ** 2, axis=0)
+        sums += np.column_stack([squares, fitted, sampled]).tolist()
+    total = pd.DataFrame(sums, index=list(names)).groupby(level=0).sum()
+    return dict(zip(total.index, total.to_numpy(), strict=True))
 
 
 def _variance_components(
-    sums: Mapping[str, Sums], noise: Mapping[str, float], learn: Collection[str], pace: float
+    sums: Mapping[str, Vector], noise: Mapping[str, float], learn: Collection[str], pace: float
 ) -> dict[str, float]:
     """Return the new standard deviation of each channel in ``learn`` that was sampled.
 
@@ -685,9 +598,9 @@ def _variance_components(
     """
     new = {}
     for name in learn:
-        if name not in sums or not sums[name].n_samples:
+        squares, trace, count = sums.get(name, np.zeros(3))
+        if not count:
             continue
-        squares, trace, count = sums[name]
         guessed, least = (PRIOR_COUNT, MIN_NOISE) if name in NOISE else (0, LEAST_GUST)
         redundancy = max(count - trace, 1.0)
         guess = guessed * (NOISE.get(name, 0.0) / noise[name]) ** 2
@@ -698,24 +611,8 @@ def _variance_components(
     return new
 
 
-def _scale_gradient(path: FlightPath, sums: Mapping[str, Sums]) -> Vector:
-    """Return the gradient by the scale factors that the joint maximum of path and scales lacks.
-
-    A larger scale lets smaller gusts explain the same air data, so the joint maximum overestimates
-    it. The marginal likelihood adds the gradient of a determinant: trace / (1 + scale).
-    """
-    gradient = np.zeros(len(CONSTANTS))
-    for name in AIR_DATA:
-        place = PLACE[f"{name}_scale"]
-        gradient[place] = sums[name].trace / (1 + path.constants[place])
-    return gradient
-
-
 def _air_std(path: FlightPath, posterior: Posterior, places: list[int]) -> Vector:
-    squares = np.zeros(3)
-    for first in range(0, len(path.gust), WINDOW):
-        rows = air_data_equations(path.part(first, first + WINDOW))
-        rows = rows._replace(d_constants=rows.d_constants[..., places])
-        errors = rows.changes(posterior.state_draws[first:], posterior.constant_draws)
-        squares += np.square(errors).mean(axis=-1).sum(axis=0)
-    return np.sqrt(squares / len(path.gust))
+    rows = air_data_equations(path)
+    rows = rows._replace(d_constants=rows.d_constants[..., places])
+    errors = rows.changes(posterior.state_draws, posterior.constant_draws)
+    return np.sqrt(np.square(errors).mean(axis=(0, 2)))

@@ -5,20 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.spatial.distance import cdist
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import (
-    RBF,
-    ConstantKernel,
-    DotProduct,
-    Exponentiation,
-    Kernel,
-    Matern,
-    WhiteKernel,
-)
 
-from skdgp._compute.linalg import check_memory, column_scale
+from skdgp._compute.linalg import (
+    check_memory,
+    cholesky_solve,
+    column_scale,
+    jittered_cholesky,
+    log_determinant,
+    triangular_solve,
+)
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Indices, Matrix, Vector
 
@@ -30,18 +27,12 @@ BANDWIDTHS = (
 SEARCH_ROWS, MOST_ROWS = 300, 3000  # for hyperparameters, and for the posterior of one output
 ITERATIONS = 40
 LEAST_ROWS = 10  # in which the output is observed
+# Logarithms of a, l, b, c, w and the noise variance (``covariance``): start and bounds
+START = np.log([1.0, 1.0, 0.3, 0.1, 4.0, 0.1])
+BOUNDS = Bounds(
+    np.log([1e-5, 1e-2, 1e-6, 1e-6, 1e-1, 1e-6]), np.log([1e5, 1e3, 1e3, 1e3, 1e3, 1e2])
+)
 REMEDY = "Give fewer rows at a time, the ones with missing values and their neighbours."
-
-
-class Columns(Exponentiation):
-    """A kernel of some columns of its input, whose slice stands in the place of scikit-learn's exponent."""
-
-    def __call__(self, X: Matrix, Y: Matrix | None = None, eval_gradient: bool = False) -> Any:
-        second = None if Y is None else Y[:, self.exponent]
-        return self.kernel(X[:, self.exponent], second, eval_gradient)
-
-    def diag(self, X: Matrix) -> Vector:
-        return self.kernel.diag(X[:, self.exponent])
 
 
 def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Matrix]:
@@ -99,51 +90,75 @@ def conditional(
     predictions = []
     for bandwidth in BANDWIDTHS:
         table = inputs(x, others, bandwidth)
-        start = process(kernel_of(x.shape[1], others.shape[1]), table[learned[some]], y[some])
-        model = process(likeliest(start), table[learned[most]], y[most])
-        predictions.append(model.predict(table[asked], return_std=True))
+        theta = likeliest([part[learned[some]] for part in table], y[some])
+        rows, wanted = ([part[which] for part in table] for which in (learned[most], asked))
+        predictions.append(predicted(theta, rows, y[most], wanted))
     means, stds = np.array(predictions).swapaxes(0, 1)
     mean = means.mean(axis=0)
     return mean, np.sqrt(np.mean(stds**2 + (means - mean) ** 2, axis=0))
 
 
-def inputs(x: Matrix, others: Matrix, bandwidth: float) -> Matrix:
-    """Return x, the means of the others over near rows, deviations from these, and the others, side by side."""
+def inputs(x: Matrix, others: Matrix, bandwidth: float) -> list[Matrix]:
+    """Return x, the means of the others over near rows beside deviations from these, and the others."""
     weights = np.exp(-0.5 * cdist(x, x, "sqeuclidean") / bandwidth**2)
     smooth = weights @ others / weights.sum(axis=1, keepdims=True)
-    return np.hstack([x, smooth, others - smooth, others])
+    return [x, np.hstack([smooth, others - smooth]), others]
 
 
-def kernel_of(d: int, m: int) -> Kernel:
-    """Return the kernel of d regressors and m other outputs, in the columns of ``inputs``."""
-    rough = ConstantKernel(1.0) * Matern(1.0, (1e-2, 1e3), nu=0.5)
-    linear = ConstantKernel(0.3, (1e-6, 1e3)) * DotProduct(0.0, "fixed")
-    smooth = ConstantKernel(0.1, (1e-6, 1e3)) * RBF(4.0, (1e-1, 1e3))
-    return (
-        Columns(rough, slice(0, d))
-        + Columns(linear, slice(d, d + 2 * m))
-        + Columns(smooth, slice(d + 2 * m, d + 3 * m))
-        + ConstantKernel(1.0, "fixed")
-        + WhiteKernel(0.1, (1e-6, 1e2))
-    )
+def relations(first: list[Matrix], second: list[Matrix]) -> list[Matrix]:
+    """Return the distances in x, the products, and the squared distances of the others between rows, (n, m) each."""
+    return [
+        cdist(first[0], second[0]),
+        first[1] @ second[1].T,
+        cdist(first[2], second[2], "sqeuclidean"),
+    ]
 
 
-def process(kernel: Kernel, X: Matrix, y: Vector) -> GaussianProcessRegressor:
-    """Return scikit-learn's process of the standardised y at the hyperparameters of the kernel."""
-    model = GaussianProcessRegressor(kernel, alpha=1e-8, optimizer=None, normalize_y=True)
-    return model.fit(X, y)
+def covariance(theta: Vector, between: list[Matrix]) -> tuple[Matrix, list[Matrix]]:
+    r"""Return the covariance of rows with these relations r, p, q, and its slopes by theta but the noise.
+
+    .. math:: k = a e^{-r / l} + b p + c\, e^{-q / 2 w^2} + 1, \quad \theta = \log(a, l, b, c, w, \sigma^2).
+    """
+    distance, product, square = between
+    a, length, b, c, width, _ = np.exp(theta)
+    rough = a * np.exp(-distance / length)
+    smooth = c * np.exp(-0.5 * square / width**2)
+    slopes = [rough, rough * distance / length, b * product, smooth, smooth * square / width**2]
+    return rough + b * product + smooth + 1.0, slopes
 
 
-def likeliest(model: GaussianProcessRegressor) -> Kernel:
-    """Return the kernel of a process at the largest marginal likelihood found from its start."""
+def factor(K: Matrix, theta: Vector) -> Matrix:
+    """Return the lower Cholesky factor of the covariance of measurements."""
+    return jittered_cholesky(lambda: np.asfortranarray(K + np.exp(theta[-1]) * np.eye(len(K))))
+
+
+def likeliest(rows: list[Matrix], y: Vector) -> Vector:
+    """Return the hyperparameters of the largest marginal likelihood of the standardised y, found from START."""
+    between, z = relations(rows, rows), (y - y.mean()) / column_scale(y[:, None])[0]
 
     def loss(theta):
-        value, gradient = model.log_marginal_likelihood(theta, eval_gradient=True)
-        return -value, -gradient
+        K, slopes = covariance(theta, between)
+        L = factor(K, theta)
+        inverse = cholesky_solve(L, np.eye(len(z)))
+        weights = inverse @ z
+        rest = inverse - np.outer(weights, weights)  # Rasmussen & Williams 2006, equation 5.9
+        slopes.append(np.exp(theta[-1]) * np.eye(len(z)))
+        value = 0.5 * (z @ weights + log_determinant(L))
+        return value, np.array([0.5 * np.sum(rest * slope) for slope in slopes])
 
-    start: Any = model.kernel_
     options: Any = {"maxiter": ITERATIONS}
-    end = minimize(
-        loss, start.theta, jac=True, method="L-BFGS-B", bounds=start.bounds, options=options
-    )
-    return start.clone_with_theta(end.x)
+    return minimize(loss, START, jac=True, method="L-BFGS-B", bounds=BOUNDS, options=options).x
+
+
+def predicted(
+    theta: Vector, rows: list[Matrix], y: Vector, wanted: list[Matrix]
+) -> tuple[Vector, Vector]:
+    """Return mean and standard deviation of a measurement in the wanted rows."""
+    scale = column_scale(y[:, None])[0]
+    L = factor(covariance(theta, relations(rows, rows))[0], theta)
+    cross = covariance(theta, relations(rows, wanted))[0]
+    a, _, b, c, _, noise = np.exp(theta)
+    prior = a + b * np.sum(wanted[1] ** 2, axis=1) + c + 1.0 + noise
+    mean = y.mean() + scale * (cross.T @ cholesky_solve(L, (y - y.mean()) / scale))
+    explained = np.sum(triangular_solve(L, np.asfortranarray(cross)) ** 2, axis=0)
+    return mean, scale * np.sqrt(prior - explained)

@@ -76,35 +76,25 @@ def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndar
     return smooth(values, time, derivative=True, **options)
 
 
-class NoiseLevel(NamedTuple):
-    """Standard deviations of the error of each channel: its measured white noise, and the error after ``smooth``."""
-
-    measured: np.ndarray
-    smoothed: np.ndarray
-
-
 def noise_level(
-    values: ArrayLike, time: ArrayLike, *, flight: ArrayLike | None = None, joint: bool = False
-) -> NoiseLevel:
-    """Return the standard deviation of the white noise in each channel, (k,) or (), before and after `smooth`.
+    values: ArrayLike, time: ArrayLike, *, flight: ArrayLike | None = None
+) -> np.ndarray:
+    """Return the standard deviation of the white noise in each channel, (k,) or ().
 
     Flights are pooled by their number of samples; NaN where all are too short.
     """
     columns, times, codes = _checked(values, time, flight)
-    std = np.full((2, columns.shape[1]), np.nan)
+    std = np.full(columns.shape[1], np.nan)
     for rows, channels in _same_rows(columns):
         part, levels, weights = columns[np.ix_(rows, channels)], [], []
         for runs in runs_by_flight(times[rows], codes[rows]):
             spectrum = _spectrum_of_flight(part, times[rows], runs)
             if spectrum is not None:
-                floor, gain = noise_and_gain(spectrum, joint)
-                levels.append(
-                    (floor * spectrum.frequency[-1], expected_error(spectrum, floor, gain))
-                )
+                levels.append(white_noise(spectrum) * spectrum.frequency[-1])
                 weights.append(sum(run.stop - run.start for run in runs))
         if levels:
-            std[:, channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
-    return NoiseLevel(*(std[:, 0] if np.ndim(values) == 1 else std))
+            std[channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
+    return std.reshape(np.shape(values)[1:])
 
 
 def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -130,7 +120,8 @@ def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[st
                     "in Hz."
                 )
             else:
-                kernel = impulse_response(noise_and_gain(spectrum, joint)[1])
+                gain = _joint_gain if joint else _single_gain
+                kernel = impulse_response(gain(spectrum, white_noise(spectrum)))
         for run in runs:
             out[run] = _filter_run(columns[run], time[run], cutoff, kernel, derivative)
             if derivative and run.stop - run.start == 1:
@@ -236,14 +227,13 @@ def flight_spectrum(segments: list[np.ndarray], step: float) -> Spectrum | None:
     return Spectrum(np.fft.rfftfreq(size, step), power, averages, rounding)
 
 
-def noise_and_gain(spectrum: Spectrum, joint: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the white noise power N of each channel, (k,), and the smoother of each alone or of all jointly."""
+def white_noise(spectrum: Spectrum) -> np.ndarray:
+    """Return the white noise power of each channel, (k,)."""
     power = spectrum.channel_power
     floor = np.array(
         [_noise_floor(spectrum.frequency, channel, spectrum.averages) for channel in power.T]
     )
-    floor = np.where(floor > spectrum.rounding, floor, 0.0)
-    return floor, (_joint_gain if joint else _single_gain)(spectrum, floor)
+    return np.where(floor > spectrum.rounding, floor, 0.0)
 
 
 def _single_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
@@ -280,21 +270,6 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     strength[0] = np.inf
     falling = _falling(1 / (1 + 1 / np.maximum(strength, 1e-12)))
     return np.where((floor > 0)[:, None], gain * falling[:, :, None], np.eye(k))
-
-
-def expected_error(spectrum: Spectrum, floor: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Return the mean squared error that remains, (k,): the integral of (1-H) S (1-H)* + H N H*, S = P - N.
-
-    S is an estimate that may be negative; the second part, the noise that passes, bounds the sum
-    from below.
-    """
-    k = len(floor)
-    full = gain if gain.ndim == 3 else gain[:, :, None] * np.eye(k)
-    missed = np.eye(k) - full
-    lost = np.einsum("mij,mjl,mil->mi", missed, spectrum.power - np.diag(floor), missed.conj()).real
-    passed = np.abs(full) ** 2 @ floor
-    lost, passed = np.trapezoid([lost[1:], passed[1:]], spectrum.frequency[1:], axis=1)
-    return passed + np.maximum(lost, 0)
 
 
 def impulse_response(gain: np.ndarray) -> np.ndarray:

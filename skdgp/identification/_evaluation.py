@@ -221,7 +221,7 @@ def sensor_noise(table: pd.DataFrame, states: Sequence[str]) -> Vector:
     understated.
     """
     values, time = unwrapped(table, states), table["time"].to_numpy(float)
-    noise = noise_level(values, time).measured
+    noise = noise_level(values, time)
     squares = (
         np.concatenate([np.diff(values[run], 2, axis=0) for run in flight_segments(time)]) ** 2
     )

@@ -40,7 +40,6 @@ from skdgp.preprocessing._path import (
     Estimate,
     FlightPath,
     Log,
-    air_data_rates,
     estimate,
     first_guess,
     flight_logs,
@@ -128,8 +127,6 @@ class FlightPathReconstruction(TableTransformer):
     noise_std_ : dict of str to float
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.
-    error_std_ : dict of str to float
-        Expected error of reconstructed airspeed, alpha and beta.
     air_motion_ : AirMotion or None
         Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
         no ``calibration_``.
@@ -211,10 +208,6 @@ class FlightPathReconstruction(TableTransformer):
         self.gust_std_ = float(
             np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples))
         )
-        left = np.sqrt(
-            np.average([each.air_std**2 for *_, each in estimates], axis=0, weights=samples)
-        )
-        self.error_std_ = dict(zip(AIR_DATA, left.tolist(), strict=True))
         self.calibration_ = _calibration(estimates)
         if contradictions := _contradictions(estimates, self.noise_std_):
             self.reason_ = "; ".join(contradictions)
@@ -236,7 +229,6 @@ class FlightPathReconstruction(TableTransformer):
         changes = [motion.gust_change(k) for k in range(len(names))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
-        self.error_std_ = {name: float(mean[f"{name}_std"].item()) for name in AIR_DATA}
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: Any = None
@@ -269,7 +261,7 @@ class FlightPathReconstruction(TableTransformer):
         for k, (_, rows, log) in enumerate(flight_logs(table)):
             values = interpolate_missing(log.time, air.iloc[rows][list(_PATH)].to_numpy())
             part = dict(zip(_PATH, values.T, strict=True))
-            dots = _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]), 0.0)
+            dots = _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
             part |= dict(zip(("alpha_dot", "beta_dot"), dots.T, strict=True))
             gust = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
             part["gust"] = np.full(len(rows), gust)
@@ -355,10 +347,9 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight."""
     air = np.column_stack(air_data(path.air_velocity()))
     rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    steady = air_data_rates(path, log)[:, 1:]  # of single samples
     parts = [
         air,
-        _angle_rates(log, air, steady),
+        _angle_rates(log, air),
         path.rate(log),
         path.force(log),
         rotation,
@@ -368,9 +359,9 @@ def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
     return dict(zip(MADE, np.column_stack(parts).T, strict=True))
 
 
-def _angle_rates(log: Log, air: Matrix, single: Any) -> Matrix:
-    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3); ``single`` of single samples."""
-    dots = np.array(np.broadcast_to(single, (len(air), 2)))
+def _angle_rates(log: Log, air: Matrix) -> Matrix:
+    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3), NaN of single samples."""
+    dots = np.full((len(air), 2), np.nan)
     for rows in log.segments():
         if len(rows) > 1:
             dots[rows] = CubicSpline(log.time[rows], air[rows, 1:])(log.time[rows], 1)

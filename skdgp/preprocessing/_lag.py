@@ -85,14 +85,13 @@ ACCELERATIONS = tuple(f"{name}_dot" for name in RATES)
 
 
 class Lag(NamedTuple):
-    """A lag [s], positive if late, its standard deviation, and the explained fraction of the response."""
+    """A lag [s], positive if late, and its standard deviation."""
 
     lag: float
     std: float
-    explained: float
 
 
-UNKNOWN = Lag(0.0, np.nan, np.nan)
+UNKNOWN = Lag(0.0, np.nan)
 
 
 class LagCorrector(TableTransformer):
@@ -127,9 +126,9 @@ class LagCorrector(TableTransformer):
     Attributes
     ----------
     lags_ : DataFrame
-        By group or column: ``lag`` and ``std`` [s], ``explained`` (fraction of the variance of the
-        response), ``applied`` (the removed lag [s]) and ``remark``. A lag below 3 standard
-        deviations (a third of Student's quantile of equal probability for few pieces) or below
+        By group or column: ``lag`` and ``std`` [s], ``applied`` (the removed lag [s]) and
+        ``remark``. A lag below 3 standard deviations (a third of Student's quantile of equal
+        probability for few pieces) or below
         10 ms is not removed.
 
     Examples
@@ -179,8 +178,7 @@ class LagCorrector(TableTransformer):
             if wrong:
                 raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
             rows = {
-                name: (float(each), np.nan, np.nan, float(each), "given")
-                for name, each in lags.items()
+                name: (float(each), np.nan, float(each), "given") for name, each in lags.items()
             }
         columns = [*Lag._fields, "applied", "remark"]
         self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns).rename_axis(
@@ -340,7 +338,7 @@ def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
         precision += of_flight - prior
     values, stds = np.linalg.solve(precision, weighted), np.diag(np.linalg.inv(precision)) ** 0.5
     rows = zip(KINEMATIC, values.tolist(), stds.tolist(), strict=True)
-    return {group: Lag(value, std, np.nan) for group, value, std in rows}
+    return {group: Lag(value, std) for group, value, std in rows}
 
 
 def _lags_of_motion(segments: list[Segment]) -> dict[str, Lag]:
@@ -384,8 +382,7 @@ def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: E
     quantile = student.isf(normal.sf(MIN_SIGNIFICANCE), len(pieces) - 1) / MIN_SIGNIFICANCE
     error = np.std(pieces, ddof=1) / np.sqrt(len(pieces))
     std = np.hypot(quantile * error, lag - np.mean(pieces))
-    unexplained = [_unexplained(*equation(segment, lag)) for segment in segments]
-    return Lag(lag, float(std), 1 - float(np.mean(unexplained)))
+    return Lag(lag, float(std))
 
 
 def _profile(response: Matrix, predictors: Matrix, segment: Segment, seconds: float) -> list[float]:

@@ -244,15 +244,6 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
     return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled)
 
 
-def air_data_rates(path: FlightPath, log: Log) -> Matrix:
-    """Return the rates of airspeed, alpha, beta (n, 3) in air of constant velocity: v' = f - omega x v + R^T g."""
-    velocity = path.air_velocity()
-    acceleration = (
-        path.force(log) + path.attitude.inv().apply(GRAVITY) - np.cross(path.rate(log), velocity)
-    )
-    return np.einsum("nij,nj->ni", air_data_slopes(velocity, MIN_AIRSPEED), acceleration)
-
-
 def air_data_equations(path: FlightPath) -> Equations:
     """Return airspeed, alpha, beta as residuals, with their derivatives by path and mean wind."""
     velocity, R = path.air_velocity(), path.attitude.as_matrix()
@@ -385,7 +376,6 @@ class Estimate(NamedTuple):
     path: FlightPath
     noise: dict[str, float]
     covariance: Matrix  # of the free constants, (f, f)
-    air_std: Vector  # (3,) root mean square of the standard deviations of airspeed, alpha, beta
     converged: bool
 
 
@@ -447,7 +437,7 @@ def estimate(
     noise = noise | {
         kind: noise[alike] for kind, alike in zip(PROCESS[6:], process_names[6:], strict=True)
     }
-    return Estimate(path, noise, posterior.covariance, _air_std(path, posterior, places), converged)
+    return Estimate(path, noise, posterior.covariance, converged)
 
 
 def _mirrored_pairs(n_states: int, free: Sequence[str]) -> Matrix:
@@ -609,10 +599,3 @@ def _variance_components(
         stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / count))
         new[name] = max(noise[name] * ratio ** (stride / 2), least)
     return new
-
-
-def _air_std(path: FlightPath, posterior: Posterior, places: list[int]) -> Vector:
-    rows = air_data_equations(path)
-    rows = rows._replace(d_constants=rows.d_constants[..., places])
-    errors = rows.changes(posterior.state_draws, posterior.constant_draws)
-    return np.sqrt(np.square(errors).mean(axis=(0, 2)))

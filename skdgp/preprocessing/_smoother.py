@@ -53,9 +53,8 @@ class FlightSmoother(TableTransformer):
         Columns smoothed and differentiated.
     partners_ : list of str
         Columns that alpha and beta are smoothed with; ``transform`` needs them too.
-    noise_std_, error_std_ : dict of str to float
-        White noise of each smoothed column, and the expected error after "auto"; NaN of less than
-        128 samples.
+    noise_std_ : dict of str to float
+        White noise of each smoothed column; NaN of less than 128 samples.
 
     Examples
     --------
@@ -104,14 +103,8 @@ class FlightSmoother(TableTransformer):
         is_joint = self.joint and self.cutoff == "auto"
         self._vanes = [name for name in VANES if is_joint and name in used]
         self.partners_ = _present(PARTNERS[self.joint], table) if self.joint and self._vanes else []
-        levels: dict[str, tuple[float, float]] = {}
-        for names, partners in self._groups(self.columns_):
-            found = noise_level(
-                unwrapped(table, names + partners), **_clock(table), joint=bool(partners)
-            )
-            levels |= dict(zip(names, zip(*found, strict=True), strict=False))
-        self.noise_std_ = {name: float(levels[name][0]) for name in self.columns_}
-        self.error_std_ = {name: float(levels[name][1]) for name in self.columns_}
+        noise = noise_level(unwrapped(table, self.columns_), **_clock(table))
+        self.noise_std_ = dict(zip(self.columns_, noise.tolist(), strict=True))
 
     def _transform_table(self, table):
         check_columns(

@@ -162,14 +162,6 @@ class TestJoint:
         rates = [differentiate(noisy, time, joint=joint)[:, 0] for joint in (False, True)]
         assert rms(rates[1] - truth[:, 1]) < 0.8 * rms(rates[0] - truth[:, 1])
 
-    def test_the_error_left_is_known(self):
-        time, truth, noisy = self.motion()
-        stated = noise_level(noisy, time, joint=True).smoothed[0]
-        left = rms((smooth(noisy, time, joint=True) - truth)[:, 0])
-        assert (
-            0.8 * left < stated < 2 * left
-        )  # a resonance narrower than the spectrum's resolution: on the safe side
-
     def test_scale_and_order_of_channels_do_not_matter(self):
         time, _, noisy = self.motion(2400)
         there = smooth(noisy, time, joint=True)
@@ -221,13 +213,11 @@ class TestMissing:
 
 class TestNoiseLevel:
     def test_matches_the_noise_that_was_added(self):
-        time, truth, noisy = noisy_sine(9600, noise=0.05)
-        level = noise_level(noisy, time)
-        assert level.measured == pytest.approx(0.05, rel=0.08)
-        assert level.smoothed == pytest.approx(rms(smooth(noisy, time) - truth), rel=0.35)
+        time, _, noisy = noisy_sine(9600, noise=0.05)
+        assert noise_level(noisy, time) == pytest.approx(0.05, rel=0.08)
 
     def test_unknown_for_a_short_flight(self):
-        assert np.isnan(noise_level(np.zeros((50, 2)), clock(50)).measured).tolist() == [True, True]
+        assert np.isnan(noise_level(np.zeros((50, 2)), clock(50))).tolist() == [True, True]
 
 
 @pytest.mark.parametrize("cutoff", [0, -1.0, np.nan, "fast", [1.0, 2.0], True])

@@ -108,7 +108,6 @@ class TestEstimate:
             gust *= np.std(np.diff(table[name])) / gust.std()
             table[name] += np.cumsum(gust)
         lags = found_in(table).loc["surfaces"]
-        assert lags.explained < 0.5
         assert lags.applied == pytest.approx(0.05, abs=0.01)
 
     def test_an_error_of_the_model_that_changes_is_no_lag(self):

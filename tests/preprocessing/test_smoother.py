@@ -85,7 +85,6 @@ def test_noise_is_published():
     assert smoother.noise_std_["alpha"] == pytest.approx(0.005, rel=0.1)
     assert smoother.noise_std_["airspeed"] == pytest.approx(0.3, rel=0.1)
     assert smoother.noise_std_["r"] == pytest.approx(0, abs=1e-5)
-    assert 0 < smoother.error_std_["alpha"] < 0.5 * smoother.noise_std_["alpha"]
 
 
 def test_heading_passes_through_pi():
@@ -116,9 +115,6 @@ def test_shared_flight(shared_data):
     out = steps.fit_transform(table)
     assert out.shape == (14_400, 11)
     assert np.isfinite(out.to_numpy()).all()
-    for name in ("alpha", "beta", "airspeed", "r"):
-        left = np.std(steps[0].transform(table)[name] - table[f"{name}_true"])
-        assert steps[0].error_std_[name] == pytest.approx(left, rel=0.15)
     noise = steps[0].noise_std_  # the sensors' data sheet
     for name, sheet in {
         "airspeed": 0.3,

@@ -44,7 +44,7 @@ def inspect(run: Run) -> None:
 
     And faults of its channels, and which channels contradict physics (a wrong sign, unit or axis).
 
-    LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet, .mat).
+    LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet).
 
     For example:
       skdgp inspect log.ulg
@@ -72,7 +72,7 @@ def identify(run: Run) -> None:
       model.joblib   the model with its aircraft, for the other commands and skdgp.identification.load_model
 
     Flight tables:
-      CSV, Parquet or MATLAB (v7), one row per sample, SI units and radians (or units in the header:
+      CSV or Parquet, one row per sample, SI units and radians (or units in the header:
       "alpha [deg]"): time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force,
       what accelerometers read), elevator, aileron, rudder (or elevon_left, elevon_right), throttle,
       and thrust_x, thrust_y, thrust_z (or propeller_speed, with a propeller in the aircraft's

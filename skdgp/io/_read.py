@@ -27,7 +27,6 @@ from skdgp.io._tables import (
     FlightReadError,
     base_name,
     read_csv,
-    read_mat,
     read_parquet,
     reading,
     to_floats,
@@ -36,7 +35,7 @@ from skdgp.io._tables import (
 UNKNOWN = "unknown_columns"
 # Readers of tables by suffix; another format is one more entry
 TABLES: dict[str, Callable[..., pd.DataFrame]] = {
-    ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet, ".mat": read_mat,
+    ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet,
 }  # fmt: skip
 DEFAULTS = {"servos": None, "airborne": True, "imu_position": None}
 PathLike: TypeAlias = "str | os.PathLike[str]"
@@ -65,9 +64,8 @@ def read_flight(
     Parameters
     ----------
     path : str or path
-        ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.mat`` (MATLAB v5 to v7:
-        vectors named as columns, loose or in one struct), ``.ulg`` (PX4) and ``.tlog`` (MAVLink
-        telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot).
+        ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.ulg`` (PX4) and ``.tlog``
+        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot).
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
@@ -128,8 +126,7 @@ def read_flight(
         if kind not in TABLES:
             raise FlightReadError(
                 f"Got the suffix {path.suffix!r}, but expected one of "
-                f"{sorted(TABLES | AUTOPILOTS)}: convert or "
-                "rename it."
+                f"{sorted(TABLES | AUTOPILOTS)}: convert it, in MATLAB by writetable, or rename it."
             )
         refused = [name for name, value in options.items() if value is not DEFAULTS[name]]
         if refused:

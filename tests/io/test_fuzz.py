@@ -4,7 +4,6 @@ import struct
 import time
 import tracemalloc
 import warnings
-import zlib
 
 import numpy as np
 import pandas as pd
@@ -13,13 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
 
 from skdgp.io import AUTOPILOTS, FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
 # Per kind of damage; longer runs go through the same code
-ROUNDS = {".ulg": 4, ".bin": 4, ".mat": 3, ".csv": 8, ".parquet": 8}
+ROUNDS = {".ulg": 4, ".bin": 4, ".csv": 8, ".parquet": 8}
 # A small file is read within so many seconds, in so many bytes and so many times its own
 SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
 
@@ -99,8 +97,7 @@ def survives(path, n_bytes):
         try:
             options = {"airborne": False, "imu_position": [0.1, 0.0, -0.2]}
             check(read_flight(path, **(options if path.suffix in AUTOPILOTS else {})), n_bytes)
-            if path.suffix != ".mat":  # which another process reads, as before
-                str(inspect_log(path))
+            str(inspect_log(path))
         except FlightReadError:  # any other failure fails the test
             return "refused"
         return "read"
@@ -111,11 +108,6 @@ def logs(tmp_path_factory, px4, ardupilot):
     """Return the bytes of a small log of each format."""
     folder = tmp_path_factory.mktemp("logs")
     t = np.arange(300) * 0.02
-    savemat(
-        folder / "log.mat",
-        {"data": {"time": t, "alpha": 0.1 * np.sin(t), "q": np.cos(t)}},
-        do_compression=False,
-    )
     table = "time,alpha [deg],q\n" + "".join(
         f"{x:.2f},{np.sin(x):.4f},{np.cos(x):.4f}\n" for x in t
     )
@@ -124,7 +116,7 @@ def logs(tmp_path_factory, px4, ardupilot):
     )
     columns.to_parquet(folder / "log.parquet")
     raw = {".ulg": px4, ".bin": ardupilot, ".csv": table.encode()}
-    raw |= {suffix: (folder / f"log{suffix}").read_bytes() for suffix in (".mat", ".parquet")}
+    raw[".parquet"] = (folder / "log.parquet").read_bytes()
     return {suffix: np.frombuffer(content, np.uint8)[:30_000] for suffix, content in raw.items()}
 
 
@@ -152,7 +144,6 @@ def folder(tmp_path_factory):
 HEADS = {
     ".csv": [b"time,alpha\n0,0\n", b"time;flight\n", b'"time","alpha [deg]"\r\n'],
     ".parquet": [b"PAR1"],
-    ".mat": [b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"],
     ".ulg": [b"ULog\x01\x12\x35\x01" + bytes(8)],
     ".bin": [b"\xa3\x95\x80\x80\x59"],
 }
@@ -164,7 +155,7 @@ WORDS = st.one_of(
 
 @settings(max_examples=60)
 @given(
-    suffix=st.sampled_from([*HEADS, ".pq", ".ulog", ".MAT"]), head=st.integers(0, 3), content=WORDS
+    suffix=st.sampled_from([*HEADS, ".pq", ".ulog", ".BIN"]), head=st.integers(0, 3), content=WORDS
 )
 def test_any_bytes(folder, suffix, head, content):
     heads = HEADS.get(suffix.lower(), [])
@@ -179,40 +170,6 @@ def test_any_bytes(folder, suffix, head, content):
     finally:
         tracemalloc.stop()
     assert time.process_time() - began < SECONDS
-
-
-def element(kind, content):
-    """Return an element of a MATLAB file."""
-    return struct.pack("<II", kind, len(content)) + content.ljust(-(-len(content) // 8) * 8, b"\0")
-
-
-def of_zeros(size):
-    """Return a MATLAB file whose only vector is so many bytes of zeros, compressed."""
-    head = (
-        element(6, struct.pack("<II", 9, 0))
-        + element(5, struct.pack("<ii", size, 1))
-        + element(1, b"time")
-    )
-    packing = zlib.compressobj(1)
-    packed = packing.compress(
-        struct.pack("<II", 14, len(head) + 8 + size) + head + struct.pack("<II", 2, size)
-    )
-    packed += (
-        b"".join(packing.compress(bytes(2**20)) for _ in range(size // 2**20)) + packing.flush()
-    )
-    return HEADS[".mat"][0] + struct.pack("<II", 15, len(packed)) + packed
-
-
-def of_nothing(n):
-    """Return a MATLAB file of a cell array whose cells are empty, compressed."""
-    head = (
-        element(6, struct.pack("<II", 1, 0))
-        + element(5, struct.pack("<ii", n, 1))
-        + element(1, b"time")
-    )
-    body = head + struct.pack("<II", 14, 0) * n
-    packed = zlib.compress(struct.pack("<II", 14, len(body)) + body)
-    return HEADS[".mat"][0] + struct.pack("<II", 15, len(packed)) + packed
 
 
 def parquet(*tables):
@@ -250,8 +207,6 @@ def nested(k):
 # Files of which a few bytes ask for all memory or for hours: what they are called, and why they are
 # refused.
 BOMBS = {
-    "vector of bytes": ("log.mat", lambda: of_zeros(2**26), "takes 512 MiB when unpacked"),
-    "empty cells": ("log.mat", lambda: of_nothing(2**20), "no vector 'time'"),
     "many rows": ("log.parquet", many_rows, "takes 320 MiB when unpacked"),
     "blanks": (
         "log.csv",

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
 
 from skdgp.io import read_flight
 
@@ -109,17 +108,6 @@ def test_parquet(folder, table, holder, names, index):
         written.index = np.arange(len(written))[::-1] * 3
     written.to_parquet(folder / "log.parquet")
     same(read_flight(folder / "log.parquet"), table, rtol=4e-16)
-
-
-@settings(max_examples=12)  # each is read by a process of its own
-@given(table=tables(), within=st.booleans(), packed=st.booleans(), row=st.booleans())
-def test_matlab(folder, table, within, packed, row):
-    table = table.rename(columns=dict.fromkeys(STRANGE, "my_sensor"))
-    content = {name: table[name].to_numpy(object if name == "flight" else float) for name in table}
-    path = folder / "log.mat"
-    oned = "row" if row else "column"
-    savemat(path, {"log": content} if within else content, do_compression=packed, oned_as=oned)
-    same(read_flight(path), table, rtol=0)
 
 
 @pytest.mark.parametrize("kind", ["int8", "uint16", "int64", "Int32", "boolean", "bool"])

@@ -50,12 +50,9 @@ from skdgp.dynamics._record import (
     FLYING,
     REASONS,
     Clock,
-    Servos,
     channels,
-    end_reasons,
     fly_record,
 )
-from skdgp.dynamics._rigid_body import rk4_step
 
 BEYOND = 0.02  # Fraction of its training range by which a regressor may exceed it without a warning
 TINY = 1e-12
@@ -291,9 +288,7 @@ class Simulator:
             self.motion.aerodynamics = self._mean.sample(1, random_state, correlated=True)
         self._state = states
         self._steps = 0
-        self._implicit: Any = None
-        self._servos = Servos.of(self.motion)
-        self._reached: dict[str, Array] = {}
+        self._reached: dict[str, Array] = {}  # deflections at the end of the last step
         self.ended = FLYING
         self.beyond = ""
         return self._seen()
@@ -305,24 +300,21 @@ class Simulator:
                 "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
             )
             raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
-        controls, begin = self.motion.mixed(controls), self.time
 
-        def at(t, state):
-            deflections = self._servos.deflected(controls, t - begin, controls, self._reached)
-            now = self.motion.at(state, deflections, self._air(t, state), self._implicit)
-            self._implicit = now.implicit
-            return now
+        def air(stage, state):
+            return self._air(self.time + 0.5 * self.dt * stage, state)
 
-        with np.errstate(all="ignore"):  # what diverges is ended
-            state = rk4_step(lambda t, x: at(t, x).derivative, self.time, self._state, self.dt)
-            self._steps += 1
-            now = at(self.time, state)
-            self._reached = self._servos.deflected(controls, self.dt, controls, self._reached)
-            reasons = [reason for reason, where in end_reasons(state, now).items() if np.any(where)]
-        self.ended = next(iter(reasons), FLYING)
-        self.beyond = ["", *self.motion.regressors][int(beyond(self.motion, now.regressors)[0])]
+        record = fly_record(
+            self.motion, lambda step, stage, observe: controls, air, Clock(self.dt, 1), self._state,
+            reached=self._reached,
+        )  # fmt: skip
+        self._steps += 1
+        self.ended = record.ended[0]
+        farthest = beyond(self.motion, record.regressors[-1])[0]
+        self.beyond = ["", *self.motion.regressors][farthest]
         if not self.ended:
-            self._state = state
+            self._state = record.states[-1]
+            self._reached = {name: values[-1] for name, values in record.controls.items()}
         return self._seen()
 
     def _seen(self) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from skdgp._excitation import (
     orthogonal_multisines,
     three_two_one_one,
 )
-from skdgp.dynamics import LinearModel
 
 RATE = 50.0  # of the autopilot [Hz]
 DOUBLET_PEAK = 2.331  # frequency times width where the spectrum of a doublet peaks: tan(x / 2) = x
@@ -35,10 +34,10 @@ MOST_TONES = 8
 Inputs = dict[str, Signal]
 
 
-def input_bands(linear: LinearModel) -> pd.DataFrame:
+def input_bands(table: pd.DataFrame, axes: Iterable[str]) -> pd.DataFrame:
     r"""Return lengths of pulses and bands of frequencies that excite the modes of an aircraft.
 
-    A table with a row for each input of a linear model (:func:`skdgp.dynamics.linearize`):
+    A table with a row for each of the axes, by the modes of :func:`skdgp.dynamics.linearize`:
     ``frequency`` [rad/s] of its slowest mode, ``doublet_width`` and ``three_two_one_one_width``
     [s], ``lowest`` and ``highest`` frequency [Hz].
 
@@ -50,18 +49,16 @@ def input_bands(linear: LinearModel) -> pd.DataFrame:
     frequency. It ends at 2.5 times the frequency of an oscillation, or at the frequency of a
     faster mode.
 
-    Raises ValueError if the linear model lacks the modes of an input, or has an input that is no
-    surface and no thrust.
+    Raises ValueError if the modes of an axis are missing, or it is no surface and no thrust.
     """
-    table = linear.modes()
     rows = {}
-    for name in map(str, linear.B):
+    for name in axes:
         modes = table[[str(mode).startswith(MODES.get(name, ())) for mode in table.index]]
         if modes.empty:
             raise ValueError(
-                f"Got a linear model with the input {name!r} and the modes {list(table.index)}, "
-                f"but expected inputs of {sorted(MODES)} and the modes that they excite: choose "
-                f"other axes, or a trim with these modes."
+                f"Got the axis {name!r} and the modes {list(table.index)}, but expected axes of "
+                f"{sorted(MODES)} and the modes that they excite: choose other axes, or a trim with "
+                f"these modes."
             )
         frequency = modes["frequency"]
         factor = np.where(np.isfinite(modes["period"]), ABOVE, 1.0)

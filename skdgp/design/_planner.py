@@ -582,13 +582,11 @@ class _Planner:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
         rehearsal = self.rehearsal
         notify("planning: library", 0, 0.0)
-        linear = linearize(
-            self.model, self.aircraft, self.trim, inputs=list(self.limits), thrust=self.thrust
-        )
+        modes = linearize(self.model, self.aircraft, self.trim, thrust=self.thrust).modes()
         most = self.seconds - rehearsal.pause - rehearsal.response
         named = {
             name: item
-            for name, item in library(input_bands(linear), self.limits)
+            for name, item in library(input_bands(modes, self.limits), self.limits)
             if duration_of(item) <= most
         }
         scales: dict[str, float] = {}

@@ -15,7 +15,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from sklearn.utils import check_random_state
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION, RATE_LENGTHS
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_names
 from skdgp._flight.frames import (
     air_data_slopes,
     air_velocity,
@@ -47,8 +46,8 @@ from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 # Rates of change, and the rates whose slopes theirs are shares of
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
 SHARES = np.array([0.4, 0.2])
-ALL_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of a linear model
-ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `ALL_STATES`
+STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of a linear model
+ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `STATES`
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
 # Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
@@ -65,7 +64,7 @@ def jacobian(
     inputs: Sequence[str] = (),
     lag: Lag | None = None,
 ) -> tuple[Array, Array, Instant]:
-    r"""Return d state_dot (..., 12, 12 + k), d outputs (..., 6, 12 + k) by `ALL_STATES` and inputs, and the instant.
+    r"""Return d state_dot (..., 12, 12 + k), d outputs (..., 6, 12 + k) by `STATES` and inputs, and the instant.
 
     The states are (..., 13), as of `Motion.at`, the inputs k of the controls. The
     motion is mechanics :math:`\dot x = F(x, u, C)` around a model :math:`C = c(X)` of
@@ -82,7 +81,7 @@ def jacobian(
     instant = motion.at(state, controls)
     F, G, H = _mechanics(motion, state, controls, tuple(inputs), instant)
     slopes = motion.aerodynamics.gradient(instant.regressors)
-    n = len(ALL_STATES) + len(inputs)
+    n = len(STATES) + len(inputs)
     change: np.ndarray = slopes @ G[..., :n]
     gain: np.ndarray = np.eye(6)
     if motion.is_implicit:
@@ -90,7 +89,7 @@ def jacobian(
         change = gain @ change
     if lag is not None:
         rate = F[..., :n] + F[..., n:] @ change
-        by_angles = lag.missing * (H[..., ANGLES, : len(ALL_STATES)] @ rate)
+        by_angles = lag.missing * (H[..., ANGLES, : len(STATES)] @ rate)
         change = change + gain @ lag.slopes @ (by_angles - lag.relation @ G[..., :n])
     rate = F[..., :n] + F[..., n:] @ change
     return rate, H[..., :n] + H[..., n:] @ change, instant
@@ -112,7 +111,7 @@ def _mechanics(
     """Return d (state_dot, regressors, outputs) / d (state, inputs, coefficients), the coefficients being given."""
     frozen: Any = copy.copy(motion)
     shape = state.shape[:-1]
-    n = len(ALL_STATES)
+    n = len(STATES)
     k = len(inputs)
     x = np.concatenate(
         [state[..., :6], quaternion_to_euler(state[..., ATTITUDE]), state[..., RATES]], axis=-1
@@ -146,7 +145,7 @@ def _state(x: Array) -> Array:
 
 
 def _responses(instant: Instant, x: Array, motion: Motion) -> Array:
-    """Return the rates of change of `ALL_STATES`, the regressors, and `OUTPUTS`."""
+    """Return the rates of change of `STATES`, the regressors, and `OUTPUTS`."""
     euler_rate = euler_per_rotation(x[..., 6], x[..., 7]) @ x[..., 9:, None]
     air = np.stack([instant.airspeed, instant.alpha, instant.beta], axis=-1)
     rate = instant.derivative
@@ -216,7 +215,6 @@ def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tupl
     return drawn, lag_drawn
 
 
-STATES = ("u", "w", "q", "theta", "v", "p", "r", "phi")
 # States of the modes along and across the plane of symmetry
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
@@ -292,8 +290,6 @@ def linearize(
     point: Any,
     controls: Mapping[str, float] | None = None,
     *,
-    states: Sequence[str] = STATES,
-    inputs: Sequence[str] | None = None,
     n_paths: int = 0,
     random_state: Seed = 0,
     thrust: Thrust = "auto",
@@ -303,8 +299,7 @@ def linearize(
 
     Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit
     function theorem. Air is at rest; in steady wind the same holds for the motion relative to the
-    air. Raises ValueError if a name is unknown, the airspeed is zero, or the model is not defined
-    there.
+    air. Raises ValueError if the airspeed is zero, or the model is not defined there.
 
     Parameters
     ----------
@@ -313,11 +308,6 @@ def linearize(
     point : Trim or array-like of shape (13,)
         A trim, or a state (`STATE_NAMES`) with its ``controls``.
     controls : mapping of str to float, optional
-    states : sequence of str
-        Of north, east, down, u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s]; others stand
-        still. With ``"down"`` the density changes with height.
-    inputs : sequence of str, optional
-        By default the model's controls and the one that sets the thrust.
     n_paths : int
         Number of posterior functions to linearise too, at the same point, for ``paths`` and the spread
         of the modes; with the other errors that
@@ -330,7 +320,9 @@ def linearize(
     Returns
     -------
     LinearModel
-        Its outputs are the states and airspeed, alpha, beta, ax, ay, az.
+        Its states are north, east, down [m], u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s];
+        its inputs the model's controls and the one that sets the thrust; its outputs the states and
+        airspeed, alpha, beta, ax, ay, az.
 
     Examples
     --------
@@ -357,18 +349,13 @@ def linearize(
     motion = Motion(model, aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
     engine = thrust_control(aircraft, thrust)
-    usual = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
-    chosen_inputs = usual if inputs is None else list(inputs)
-    check_names(chosen_inputs, controls, "controls of this flight, its possible inputs,")
-    check_names(states, ALL_STATES, "states")
-    chosen = list(states), chosen_inputs, list(dict.fromkeys([*states, *OUTPUTS]))
+    inputs = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
     paths = None
     if check_paths(n_paths):
-        paths = _matrices(
-            *_drawn(motion, state, controls, n_paths, random_state), controls, *chosen
-        )
-    mean = _matrices(motion, state, None, controls, *chosen)
-    names = [(rows, columns) for rows in chosen[::2] for columns in chosen[:2]]
+        drawn = _drawn(motion, state, controls, n_paths, random_state)
+        paths = _matrices(*drawn, controls, inputs)
+    mean = _matrices(motion, state, None, controls, inputs)
+    names = product([[*STATES], [*STATES, *OUTPUTS]], [[*STATES], inputs])
     A, B, C, D = (pd.DataFrame(values, *pair) for values, pair in zip(mean, names, strict=True))
     return LinearModel(A, B, C, D, state, controls, paths)
 
@@ -434,9 +421,7 @@ def _matrices(
     state: Array,
     lag: Lag | None,
     controls: Mapping,
-    states: list,
-    inputs: list,
-    outputs: list,
+    inputs: Sequence[str],
 ) -> Matrices:
     rate, output, instant = jacobian(motion, state, controls, inputs, lag)
     check_settled(instant)
@@ -444,14 +429,10 @@ def _matrices(
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
-    n = len(ALL_STATES)
-    output = np.concatenate(
-        [np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape), output], axis=-2
-    )
-    rows = [ALL_STATES.index(name) for name in states]
-    rate = rate[..., rows, :]
-    output = output[..., [(*ALL_STATES, *OUTPUTS).index(name) for name in outputs], :]
-    return Matrices(rate[..., rows], rate[..., n:], output[..., rows], output[..., n:])
+    n = len(STATES)
+    unchanged = np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape)
+    output = np.concatenate([unchanged, output], axis=-2)
+    return Matrices(rate[..., :n], rate[..., n:], output[..., :n], output[..., n:])
 
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:

@@ -211,6 +211,22 @@ def hasty_fits(monkeypatch, short_fits, request):
         monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, name, value)
 
 
+@pytest.fixture(scope="session")
+def slope_std():
+    """Return a function of a joint covariance and a point (d,): deviations (P, d) of slopes, by quotients."""
+
+    def of(covariance, x, step=1e-3):
+        variances = []
+        for move in step * np.eye(len(x)):
+            K = covariance(np.stack([x + move, x - move]))
+            K = K.reshape(len(K) // 2, 2, -1, 2)
+            quotient = np.array([0.5, -0.5]) / step
+            variances.append(np.einsum("iaib,a,b->i", K, quotient, quotient))
+        return np.sqrt(np.stack(variances, axis=-1))
+
+    return of
+
+
 @pytest.fixture
 def few_manoeuvres(monkeypatch):
     """Let plans choose from few candidates."""

@@ -485,16 +485,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             return self._squeeze(value)
         return self._squeeze(value), self._squeeze(deviation)
 
-    def predict_gradient(self, X: Matrix, return_std: bool = False) -> Any:
-        """Return the slopes of the mean at X (n, d), d mean / d regressor, with ``return_std`` and their deviations.
+    def predict_gradient(self, X: Matrix) -> Array:
+        """Return the slopes of the mean at X (n, d), d mean / d regressor.
 
-        Both are (n, P, d), or (n, d) for one-dimensional targets.
+        They are (n, P, d), or (n, d) for one-dimensional targets. Their spread is that of the slopes
+        of `sample_paths`.
         """
-        X, scale = self._check_regressors(X), self.scale_[:, None]
-        if not return_std:
-            return self._squeeze(self.posterior_.gradient(X) * scale)
-        mean, variance = self.posterior_.gradient(X, return_variance=True)
-        return self._squeeze(mean * scale), self._squeeze(np.sqrt(variance) * scale)
+        X = self._check_regressors(X)
+        return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
 
     def slope_errors(self, X: Matrix, added: Matrix | None = None) -> SlopeErrors | None:
         """Return errors of the slopes at X (n, d) that the posterior does not contain, from the samples of the fit.

@@ -111,11 +111,9 @@ class AveragePosterior(Posterior):
             self.mixture, [m.predict(Xs, return_variance) for m in self.members], return_variance
         )
 
-    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
-        return moments(
-            self.mixture, [m.gradient(Xs, return_variance) for m in self.members], return_variance
-        )
+    def gradient(self, Xs: Matrix) -> Array:
+        """Return d mean / d x at Xs, (n, P, d)."""
+        return moments(self.mixture, [member.gradient(Xs) for member in self.members])
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""

@@ -102,11 +102,6 @@ class ExactPosterior(SinglePosterior):
         ]
         return np.hstack(blocks), self.alpha
 
-    def slope_loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
-        """Return dA / dXs (d, n, N) and b (N,)."""
-        blocks = [self.kernel.block_derivative(i, j, Xs, X) for j, X in enumerate(self.data.X)]
-        return np.concatenate(blocks, axis=2), self.alpha
-
     def explained(self, i: int, A: Matrix) -> np.ndarray:
         """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
         half = triangular_solve(self.L, A.T)

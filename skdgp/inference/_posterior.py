@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,8 +52,8 @@ class Posterior(ABC):
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
 
     @abstractmethod
-    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
+    def gradient(self, Xs: Matrix) -> Array:
+        """Return d mean / d x at Xs, (n, P, d)."""
 
     @abstractmethod
     def covariance(self, Xs: Matrix) -> Matrix:
@@ -124,10 +123,6 @@ class SinglePosterior(Posterior):
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
 
     @abstractmethod
-    def slope_loading(self, i: int, Xs: Matrix) -> tuple[Array, Array]:
-        """Return dA / dXs (d, n, c) and b (c,)."""
-
-    @abstractmethod
     def explained(self, i: int, A: Matrix) -> Array:
         """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
 
@@ -141,26 +136,23 @@ class SinglePosterior(Posterior):
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:
             return self._in_batches(lambda X: [self.mean_function.values(X[None])[0]], Xs, 1)[0]
-        return self._in_batches(partial(self._moments, self.loading, self.kernel.block_diag), Xs, 1)
+        return self._in_batches(self._moments, Xs, 1)
 
     @few_threads
-    def gradient(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return d mean / d x at Xs, (n, P, d), and with ``return_variance`` the variance of the slopes."""
+    def gradient(self, Xs: Matrix) -> Array:
+        """Return d mean / d x at Xs, (n, P, d)."""
         d = np.shape(Xs)[1]
-        if not return_variance:
-            return self._in_batches(lambda X: [self.mean_function.slopes(X[None])[0]], Xs, d)[0]
-        moments = partial(self._moments, self.slope_loading, self.kernel.derivative_diag)
-        return self._in_batches(moments, Xs, d)
+        return self._in_batches(lambda X: [self.mean_function.slopes(X[None])[0]], Xs, d)[0]
 
-    def _moments(self, loading, prior, X):
-        """Return mean and variance (n, P, ...) of functions with a loading (..., n, c) and prior variance."""
-        mean, variance = [], []
+    def _moments(self, X):
+        """Return mean and variance, (n, P) each."""
+        mean, variance = np.empty((2, len(X), self.kernel.n_outputs))
         for i in range(self.kernel.n_outputs):
-            A, b = loading(i, X)
-            mean.append(A @ b)  # equation 17
-            explained = self.explained(i, A.reshape(-1, A.shape[-1])).reshape(A.shape[:-1])
-            variance.append(unexplained_variance(prior(i, X).T, explained))  # equation 18
-        return np.moveaxis(np.array(mean), -1, 0), np.moveaxis(np.array(variance), -1, 0)
+            A, b = self.loading(i, X)
+            mean[:, i] = A @ b  # equation 17
+            prior = self.kernel.block_diag(i, X)
+            variance[:, i] = unexplained_variance(prior, self.explained(i, A))  # equation 18
+        return mean, variance
 
     def _in_batches(self, function, Xs, width):
         """Return the arrays that a function of X returns, whose matrices hold ``width`` times A."""

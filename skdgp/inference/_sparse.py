@@ -205,10 +205,6 @@ class SparsePosterior(SinglePosterior):
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
         return self.features.Kfu(i, Xs), self.weights[self.features.columns(i)]
 
-    def slope_loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
-        """Return dA / dXs (d, n, c) and b (c,)."""
-        return self.features.Kfu_derivative(i, Xs), self.weights[self.features.columns(i)]
-
     def explained(self, i: int, A: Matrix) -> np.ndarray:
         """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
         half = A @ self.roots[i]

@@ -139,15 +139,6 @@ class MultiOutputKernel(Kernel):
             ]
         )
 
-    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
-        """Return the prior variance of dy_i/dx at Xi, (n_i, d); the default uses central differences."""
-        Xi = np.asarray(Xi, dtype=float)
-
-        def slopes(step):  # d/dx of k(x, z) at x = Xi, z = Xi + step, row by row
-            return np.einsum("kaa->ak", self.block_derivative(i, i, Xi, Xi + step))
-
-        return np.einsum("kak->ak", [_difference(slopes, unit) for unit in np.eye(Xi.shape[1])])
-
     def has_values(self) -> bool:
         """Return whether all parameter values are given."""
         return all(
@@ -458,9 +449,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
-
-    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
-        return self.k1.derivative_diag(i, Xi) + self.k2.derivative_diag(i, Xi)
 
     def initialize(
         self,

@@ -382,10 +382,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.pair(i, j).derivative(np.asarray(Xi, float), np.asarray(Xj, float))
 
-    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
-        pair = self.pair(i, i)
-        return np.broadcast_to(pair.gain @ pair.Sigma, np.shape(Xi))
-
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if not self.couples(i, j):
             return np.zeros(self.n_dims)

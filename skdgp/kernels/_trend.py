@@ -180,9 +180,6 @@ class LinearTrend(MultiOutputKernel):
             return np.zeros(shape)
         return np.broadcast_to(self.basis_slopes(i) @ self.basis(i, Xj).T, shape)
 
-    def derivative_diag(self, i: int, Xi: Matrix) -> Matrix:
-        return np.broadcast_to((self.basis_slopes(i) ** 2).sum(axis=2).T, np.shape(Xi))
-
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)

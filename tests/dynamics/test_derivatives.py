@@ -130,7 +130,7 @@ class TestDeviations:
             reach, rel=1e-4
         )
 
-    def test_are_those_of_the_learned_slopes(self, state):
+    def test_are_those_of_the_learned_slopes(self, state, slope_std):
         """In body axes, what the regressor says of its gradient, within the spread of so many paths."""
         rng = np.random.default_rng(0)
         X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q_hat", "elevator"])
@@ -144,7 +144,10 @@ class TestDeviations:
         n_paths = 300
         table = stability_derivatives(model, BRUMBY, state, CONTROLS, n_paths=n_paths)
         at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]
-        mean, std = model.predict_gradient(pd.DataFrame(at, columns=X.columns), return_std=True)
+        mean = model.predict_gradient(pd.DataFrame(at, columns=X.columns))
+        std = slope_std(
+            lambda x: model.predict(pd.DataFrame(x, columns=X.columns), return_cov=True)[1], at[0]
+        )
         rows = [f"{c}_{name}" for c in COEFFICIENTS for name in ("alpha", "q", "elevator")]
         assert table.loc[rows, "value"].to_numpy() == pytest.approx(mean.ravel())
         ratio = table.loc[rows, "std_posterior"].to_numpy() / std.ravel()

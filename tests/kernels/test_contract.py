@@ -185,15 +185,6 @@ class TestContract:
                 D = kernel.block_derivative(i, j, Xi, Xj)
                 equal(D, np.moveaxis(found, -1, 0), rtol=1e-8, atol=1e-9)
 
-    def test_derivative_diag_is_the_variance_of_the_slopes(self, kernel, central_difference):
-        origin = np.zeros(n_features(kernel))
-        for i, Xi in enumerate(inputs(kernel)):
-            # d^2 k(x, z) / dx dz at z = x
-            found = central_difference(
-                lambda z, i=i, Xi=Xi: kernel.block_derivative(i, i, Xi, Xi + z), origin
-            )
-            equal(kernel.derivative_diag(i, Xi), np.einsum("kaak->ak", found), rtol=1e-8, atol=1e-9)
-
     def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
         X, features = inputs(kernel, (6, 6, 6))[0], inducing_features(kernel, inputs(kernel)[0])
         Kuu, P = features.Kuu(), kernel.n_outputs

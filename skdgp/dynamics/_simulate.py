@@ -306,7 +306,7 @@ class Simulator:
 
         record = fly_record(
             self.motion, lambda step, stage, observe: controls, air, Clock(self.dt, 1), self._state,
-            reached=self._reached,
+            deflections=self._reached,
         )  # fmt: skip
         self._steps += 1
         self.ended = record.ended[0]

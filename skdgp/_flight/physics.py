@@ -52,6 +52,7 @@ IMPROVEMENT = 0.5  # least improvement of an agreement by a correction
 WORSE = 0.3  # most that another agreement may lose by it
 AGREES = 0.3  # least agreement after a correction; below, signals contradict each other
 LEAST_T = 4.0  # least t value after a correction; slopes of t < -4 contradict
+LEAST_CLIMB = 0.1  # least standard deviation of v_down [m/s] to judge its sign by the airspeed
 PARALLEL = 0.9  # signals of this cosine contradict each other
 MULTIPLE = 1.5  # if the larger is so many times the other
 EXTRA_CHANNEL = 0.02  # agreement that a correction must gain by each further channel
@@ -450,7 +451,7 @@ def _aerodynamics(
     scaled = {
         angle: signals[f] / speed**2 for angle, f in STAND_INS.items() if f in signals
     } | scaled
-    if {"v_down", "throttle"} <= signals.keys():
+    if {"v_down", "throttle"} <= signals.keys() and np.nanstd(signals["v_down"]) > LEAST_CLIMB:
         scaled["sink"] = signals["v_down"] / speed**3
     if "az" in signals:
         scaled["induced"] = (signals["az"] / speed**2) ** 2
@@ -542,7 +543,7 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
     ]
     figures = f"{now.words} agree by {now.agreement:.2f} now, and by {then.agreement:.2f} then (equal: 1, opposite: -1)"
     if now.pair is None:
-        figures = f"{now.words} by {now.t:.1f} standard errors now, and by {then.t:.1f} then"
+        figures = f'"{now.words}" has a t value of {now.t:.1f} now, and of {then.t:.1f} then'
     message = f"{' or '.join([cause.words, *rivals])}: {cause.remedy}; {figures}"
     return cause, message, not rivals and cause.words == _wrong_sign(cause.channels)
 

@@ -292,7 +292,7 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
         _warn(
             f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations "
             f"again the log "
-            f"likelihood is expected to rise by {best.remaining:.2g} nats. Raise max_iter{scale}.",
+            f"likelihood is expected to rise by {best.remaining:,.0f} nats. Raise max_iter{scale}.",
             ConvergenceWarning,
         )
 

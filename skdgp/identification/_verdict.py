@@ -168,8 +168,8 @@ def _faults(derivatives: pd.DataFrame, fit: dict, messages: Sequence[str]) -> di
         faults[GUSTS_UNKNOWN] = air[0]
     if unconverged := fit.get("paths_not_converged"):
         faults[UNCONVERGED] = (
-            f"The paths of {len(unconverged)} flights of the fit did not converge: "
-            f"{_some(unconverged)}. Their sensors contradict one another."
+            f"Paths of flights of the fit did not converge: {_some(unconverged)}. "
+            f"Their sensors contradict one another."
         )
     values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
     wrong = values[values * pd.Series(SIGNS) < 0]
@@ -362,7 +362,8 @@ def simulation_errors(
     """
     if settings["external_forces"]:
         raise ValueError(
-            f"a simulation lacks the loads {', '.join(settings['external_forces'])} of the flights"
+            "the flights have loads that a simulation lacks: "
+            f"{', '.join(settings['external_forces'])}"
         )
     lacking = [name for name in STATES if not all(name in table for table in tables)]
     if lacking:

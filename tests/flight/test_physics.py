@@ -155,6 +155,19 @@ def test_noise_has_none(flight):
     assert find_contradictions(noise.assign(time=flight["time"], **level)) == []
 
 
+@pytest.mark.parametrize(("climb", "n_faults"), [(2.0, 1), (0.005, 0)])
+def test_level_flight_tells_nothing_of_the_sign_of_v_down(climb, n_faults):
+    time = np.arange(0, 40, 0.05)
+    noise = np.random.default_rng(0).normal(size=(2, len(time)))
+    table = {
+        "time": time,
+        "v_down": climb * np.sin(1.3 * time),
+        "airspeed": 25 + 0.3 * climb * (np.cos(1.3 * time) + 0.01 * noise[0]),
+        "throttle": 0.5 + 0.01 * noise[1],
+    }
+    assert len(find_contradictions(pd.DataFrame(table))) == n_faults
+
+
 def test_missing_samples_change_nothing(flight):
     slow = flight.copy()
     slow.loc[slow.index % 8 > 0, ["v_north", "v_east", "v_down"]] = np.nan

@@ -209,7 +209,7 @@ class TestSimulation:
     @pytest.mark.parametrize(
         ("change", "settings", "message"),
         [
-            ({}, {"external_forces": ["tether"]}, "lacks the loads tether"),
+            ({}, {"external_forces": ["tether"]}, "simulation lacks: tether"),
             ({"alpha": None}, {}, "the flights lack alpha"),
             ({"theta": np.nan}, {}, "no part of"),
         ],
@@ -270,7 +270,7 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
 
 def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
     found = verdict(messages=["A gap."], paths_not_converged=["a"])
-    assert "1 flights of the fit did not converge: a." in found.warnings[0]
+    assert "Paths of flights of the fit did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
     assert "yes" in {use.fit for use in verdict().uses}
     assert found.warnings[1:] == ("A gap.",)

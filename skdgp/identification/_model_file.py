@@ -103,11 +103,9 @@ class _Pickler(pickle.Pickler):
         """Return how to make a table or an estimator again."""
         if isinstance(value, pd.DataFrame):
             columns = [_array(value.iloc[:, k]) for k in range(value.shape[1])]
-            return _table, (columns, _names(value.columns), _names(value.index), value.attrs)
-        if isinstance(value, pd.Series):
-            return _series, (_array(value), _names(value.index), value.name)
+            return _table, (columns, value.columns, value.index, value.attrs)
         if isinstance(value, pd.Index):
-            return _index, _names(value)
+            return _index, (_array(value), value.name)
         kind = type(value)
         if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
             state = value.__getstate__()
@@ -130,27 +128,15 @@ def _array(values: Any) -> Array:
     return array
 
 
-def _names(index: pd.Index) -> tuple[list[Array], list]:
-    """Return the levels of an index, and their names."""
-    levels = [index.get_level_values(k) for k in range(index.nlevels)]
-    return [_array(level) for level in levels], list(index.names)
+def _index(values: Array, name: Any) -> pd.Index:
+    return pd.Index(values, name=name)
 
 
-def _index(levels: list[Array], names: list) -> pd.Index:
-    if len(levels) > 1:
-        return pd.MultiIndex.from_arrays(levels, names=names)
-    return pd.Index(levels[0], name=names[0])
-
-
-def _table(columns: list[Array], names: Any, rows: Any, attrs: dict) -> pd.DataFrame:
-    table = pd.DataFrame(dict(enumerate(columns)), index=_index(*rows))
-    table.columns = _index(*names)
+def _table(columns: list[Array], names: pd.Index, rows: pd.Index, attrs: dict) -> pd.DataFrame:
+    table = pd.DataFrame(dict(enumerate(columns)), index=rows)
+    table.columns = names
     table.attrs = attrs
     return table
-
-
-def _series(values: Array, rows: Any, name: Any) -> pd.Series:
-    return pd.Series(values, index=_index(*rows), name=name)
 
 
 def _set_state(estimator: BaseEstimator, state: dict) -> None:

@@ -6,7 +6,7 @@ Single time stamps may be wrong; the median of neighbouring messages in the file
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from numbers import Real
@@ -22,7 +22,7 @@ from scipy.signal import butter, sosfiltfilt
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
-from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.clock import GAP
 from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import euler_to_matrix, quaternion_to_euler, without_sign_changes
@@ -48,7 +48,7 @@ MOST_GAPS = 0.05  # larger fractions of gaps are the pauses between bursts; a gu
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
 }  # fmt: skip
-# corner of the smoothing of angular accelerations at the lever arm, in parts of the sampling rate
+# corner of the smoothing of accelerations by velocities, in parts of the sampling rate
 RATE_CUTOFF = 0.2
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")  # parameters [m/s]
 # airborne above this fraction of the slowest airspeed that is set, or above this speed [m/s]
@@ -116,9 +116,13 @@ def read_log(path: Path) -> Log:
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
-def on_one_clock(path: Path, *, servos=None, airborne=True, imu_position=None) -> FlightLog:
+def on_one_clock(path: Path, *, servos=None, airborne=True) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
-    _check_options(airborne, imu_position)
+    is_speed = isinstance(airborne, Real) and float(airborne) > 0
+    if not (isinstance(airborne, bool) or is_speed):
+        raise FlightReadError(
+            f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
+        )
     turned = reversed_of(servos)
     entries = read_servos(servos) if turned is None else {}
     with np.errstate(all="ignore"):  # damaged messages may hold any number
@@ -134,8 +138,6 @@ def on_one_clock(path: Path, *, servos=None, airborne=True, imu_position=None) -
             useless += unused
             clock, chosen = follow(sources)
             table, origins = to_table(sources, clock, chosen)
-            if imu_position is not None:
-                table = at_centre_of_gravity(table, imu_position, chosen)
             if not set(SPECIFIC_FORCE) & set(table):
                 table, origins = with_specific_force(table, origins)
             origin |= origins
@@ -171,31 +173,6 @@ def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
     )
 
 
-def at_centre_of_gravity(table: pd.DataFrame, position, rate: float) -> pd.DataFrame:
-    """Move specific force from the accelerometer to the centre of gravity.
-
-    f_cg = f - omega_dot x r - omega x (omega x r), r from the centre of gravity to the
-    accelerometer (Klein & Morelli 2006, Aircraft System Identification, equation 10.12).
-    """
-    if not {*SPECIFIC_FORCE, *RATES} <= set(table.columns):
-        return table
-    try:
-        accelerations = _rates_of_change(table, RATES, rate)
-    except ValueError as error:
-        raise FlightReadError(
-            f"The gyros cannot be differentiated, as imu_position asks for: {error}"
-        ) from error
-    arm, omega = np.asarray(position, float), table[list(RATES)].to_numpy()
-    extra = np.cross(accelerations, arm) + np.cross(omega, np.cross(omega, arm))
-    force = table[list(SPECIFIC_FORCE)].to_numpy() - extra
-    return table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
-
-
-def _rates_of_change(table: pd.DataFrame, names: Sequence[str], rate: float) -> Matrix:
-    with without_warnings():  # rows that stand alone have no rate of change
-        return differentiate(table[list(names)], table["time"], cutoff=RATE_CUTOFF * rate)
-
-
 def with_specific_force(
     table: pd.DataFrame, origin: dict[str, Origin]
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
@@ -208,7 +185,9 @@ def with_specific_force(
         return table, origin
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     try:
-        change = _rates_of_change(table, EARTH_VELOCITY, rate)
+        with without_warnings():  # rows that stand alone have no rate of change
+            cutoff = RATE_CUTOFF * rate
+            change = differentiate(table[list(EARTH_VELOCITY)], table["time"], cutoff=cutoff)
     except (
         ValueError
     ):  # the clock of the log is not sound, which coefficients refuse in their own words
@@ -301,22 +280,6 @@ def _landed(time, log, topics):
         return None
     last = np.searchsorted(topics[name].time, time, side="right") - 1
     return (topics[name][field] == value)[np.maximum(last, 0)]
-
-
-def _check_options(airborne, imu_position):
-    position = np.asarray(imu_position, float) if np.ndim(imu_position) == 1 else np.empty(0)
-    checks = {
-        f"airborne={airborne!r}, but expected True, False, or an airspeed in m/s": isinstance(
-            airborne, bool
-        )
-        or (isinstance(airborne, Real) and float(airborne) > 0),
-        f"imu_position={imu_position!r}, but expected x, y, z from the centre of gravity to the "
-        f"accelerometer in body axes [m]": imu_position is None
-        or (position.shape == (3,) and np.isfinite(position).all()),
-    }
-    for message, is_valid in checks.items():
-        if not is_valid:
-            raise FlightReadError(f"Got {message}.")
 
 
 def find_sources(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -37,7 +37,7 @@ UNKNOWN = "unknown_columns"
 TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet,
 }  # fmt: skip
-DEFAULTS = {"servos": None, "airborne": True, "imu_position": None}
+DEFAULTS = {"servos": None, "airborne": True}
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
@@ -47,7 +47,6 @@ def read_flight(
     flight: str | None = None,
     servos: PathLike | Mapping[str, Any] | None = None,
     airborne: bool | float = True,
-    imu_position: Sequence[float] | None = None,
     rename: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
@@ -77,9 +76,6 @@ def read_flight(
         Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8
         m/s if none is), or above this number [m/s], and not landed by the autopilot's own account.
         False keeps all.
-    imu_position : sequence of 3 floats, optional
-        Accelerometer from the centre of gravity, body axes [m]: specific force is moved to the
-        centre of gravity.
     rename : mapping of str to str, optional
         Names of a flight table for columns of a table, ``{"de": "elevator"}``; a unit in the header
         stays with its column.
@@ -110,7 +106,7 @@ def read_flight(
     0  0.00  sortie_7  1.571  0.1
     1  0.02  sortie_7  0.785  0.2
     """
-    options = {"servos": servos, "airborne": airborne, "imu_position": imu_position}
+    options = {"servos": servos, "airborne": airborne}
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")

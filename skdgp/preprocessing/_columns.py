@@ -19,9 +19,11 @@ from skdgp._flight.channels import (
     HAT,
     LENGTHS,
     MIXED,
+    RATES,
     REGRESSOR_SETS,
     SURFACES,
     TRUTH_SUFFIX,
+    VANES,
     rate_factor,
 )
 from skdgp._flight.checks import check_airspeed, check_columns, numeric
@@ -30,10 +32,13 @@ from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
 
 MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 OPTIONAL = ("throttle", *SURFACES)
-# The step that adds a column
-MAKERS = dict.fromkeys(("alpha_dot", "beta_dot"), "FlightSmoother()") | dict.fromkeys(
-    ("p_dot", "q_dot", "r_dot"), "FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r'])"
-)
+RATED = (*VANES, *RATES)
+# The column that another is made from, and the step that does it
+MAKERS = {
+    **{f"{name}_dot": (name, "FlightSmoother()") for name in ("alpha", "beta")},
+    **{f"{name}_dot": (name, f"FlightSmoother(derivatives={[*RATED]})") for name in "pqr"},
+    **dict.fromkeys(MIXED, (ELEVONS[0], "ElevonSplitter()")),
+}
 LARGEST = 1e60  # regressor; squares of larger numbers overflow
 STILL = 1e-9  # a regressor that varies by less than this fraction of itself is constant
 
@@ -344,7 +349,7 @@ class RegressorSelector(TableTransformer):
         _check_made(table, self.regressors_)
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
-        _check_finite(values, self.regressors_, table)
+        _check_finite(values, self.regressors_)
         return pd.DataFrame(values, columns=self.regressors_, index=table.index)
 
     def _columns_out(self, names):
@@ -365,24 +370,14 @@ class RegressorSelector(TableTransformer):
 
 
 def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
-    """Raise ValueError, with the step that adds it, if a column is missing."""
-    if all(name in table or name + HAT in table for name in names):
-        return
-    check_columns(
-        table, [name.removesuffix("_dot") for name in MAKERS if name in names and name not in table]
-    )
-    missing = {name: maker for name, maker in MAKERS.items() if name in names and name not in table}
-    if missing:
+    """Raise ValueError, with the step that adds it, if a column is missing that could be made."""
+    lacking = [name for name in names if name not in table and name + HAT not in table]
+    made = [name for name in lacking if name in MAKERS and MAKERS[name][0] in table]
+    if made:
         raise ValueError(
-            f"The flight lacks {sorted(missing)}, but these regressors need them: put "
-            f"{set(missing.values()).pop()} "
-            "before RegressorSelector in the pipeline, or name other regressors."
-        )
-    if set(ELEVONS) <= set(table.columns) and "elevator" in names and "elevator" not in table:
-        raise ValueError(
-            "The flight has elevons but no elevator and aileron: put ElevonSplitter() before "
-            "RegressorSelector in "
-            "the pipeline, or name elevon_left and elevon_right as regressors."
+            f"The flight lacks {sorted(made)}, but these regressors need them: put "
+            f"{', '.join(dict.fromkeys(MAKERS[name][1] for name in made))} before RegressorSelector in the pipeline, "
+            f"or name other regressors."
         )
 
 
@@ -409,41 +404,17 @@ def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
         warn(words, FlightDataWarning, stacklevel=3)
 
 
-def _check_finite(values: Matrix, names: list[str], table: pd.DataFrame) -> None:
-    """Raise ValueError, with the measured columns that cause it, if a regressor is NaN or infinite."""
+def _check_finite(values: Matrix, names: list[str]) -> None:
+    """Raise ValueError if a regressor is NaN or infinite."""
     holes = ~(np.abs(values) < LARGEST)
     if not holes.any():
         return
-    computed = {
+    missing = {
         name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows
     }
-    measured = {name: rows for each in computed for name, rows in _sources(each, table).items()}
-    remedy = "leave out isolated rows between gaps, which have no rate of change"
-    if measured:
-        remedy = (
-            "drop these rows of the flight (as FlightCheck gives it, if that is in the pipeline) "
-            "and of its targets, "
-            f"as skdgp identify does: keep = "
-            f"np.isfinite(flight[{list(measured)}]).all(axis=1); flight, Y = "
-            "flight[keep], Y[keep]. Interpolate a slow sensor to the clock of the others, leave "
-            "out an empty column"
-        )
     raise ValueError(
         f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or "
-        f"infinite (by rows: "
-        f"{measured or computed}), but expected finite ones: {remedy}."
+        f"infinite (by rows: {missing}), but expected finite ones: drop these rows of the flight "
+        f"and of its targets, as skdgp identify does. Interpolate a slow sensor to the clock of the "
+        f"others, leave out an empty column, and isolated rows, which have no rate of change."
     )
-
-
-def _sources(name: str, table: pd.DataFrame) -> dict[str, int]:
-    """Return the number of missing values of the measured columns that a regressor is computed from."""
-    rate = name.removesuffix(HAT)
-    sources = [rate.removesuffix("_dot"), *(["airspeed"] if rate != name else [])]
-    sources += ELEVONS if name in MIXED else ()
-    holes = {
-        source: ~(np.abs(numeric(table, [source])) < LARGEST)
-        for source in sources
-        if source in table
-    }
-    found = {source: int(where.sum()) for source, where in holes.items() if where.any()}
-    return {source: n for source, n in found.items() if source in ELEVONS} or found

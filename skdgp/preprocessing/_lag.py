@@ -396,19 +396,14 @@ def _profile(response: Matrix, predictors: Matrix, segment: Segment, seconds: fl
 
 
 def _unexplained(response: Matrix, predictors: Matrix) -> Vector:
-    """Return the residual sum of squares of each response over its sum of squares."""
-    residuals = _residual(response, predictors)
-    return np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
-
-
-def _residual(response: Matrix, predictors: Matrix) -> Matrix:
-    """Return the residuals of least squares."""
+    """Return the residual sum of squares of each response by least squares, over its sum of squares."""
     scale = np.linalg.norm(predictors, axis=0)
     Q, R, _ = linalg.qr(
         predictors / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True
     )
     Q = Q[:, np.abs(np.diag(R)) > RANK_TOLERANCE]
-    return response - Q @ (Q.T @ response)
+    residuals = response - Q @ (Q.T @ response)
+    return np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
 
 
 def _minimum(steps: Vector, values: Vector) -> float:

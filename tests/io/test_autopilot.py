@@ -146,28 +146,6 @@ class TestChoices:
             table = read_flight(write("a.ulg", log), airborne=False)
         assert "ax" not in table
 
-    def test_the_accelerometer_off_the_centre_of_gravity(self, write, ulog):
-        """A turn table: at distance r and rate omega the accelerometer feels -omega^2 r inward, and omega_dot r."""
-        t = self.time(n=1500)
-        omega, turning = 2 + 0.5 * np.sin(t), 0.5 * np.cos(t)
-        arm = np.array([0.3, -0.1, 0.2])
-        felt = np.column_stack(
-            [
-                -(omega**2) * arm[0] - turning * arm[1],
-                -(omega**2) * arm[1] + turning * arm[0],
-                0 * t,
-            ]
-        )
-        log = ulog().topic(
-            "vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([0 * t, 0 * t, omega]))
-        )
-        log.topic("vehicle_acceleration", t, xyz=("float[3]", felt + np.array([0, 0, -9.81])))
-        table = read_flight(write("a.ulg", log), airborne=False, imu_position=arm)
-        middle = table.iloc[50:-50]
-        np.testing.assert_allclose(
-            middle[["ax", "ay", "az"]], np.tile([0, 0, -9.81], (len(middle), 1)), atol=2e-3
-        )
-
     def test_sensors_count_from_when_they_sampled(self, write, ulog):
         """The message comes 40 ms later; what was sent to a servo counts from when it was sent."""
         t = self.time()
@@ -291,7 +269,6 @@ class TestRefusals:
         ("options", "message"),
         [
             ({"airborne": -1.0}, "airborne=-1.0, but expected True"),
-            ({"imu_position": [0.1, 0.2]}, "expected x, y, z"),
             ({"servos": {"flap": {}}}, "'flap' in the servo file"),
             (
                 {"servos": {"rudder": {"channel": "RCOU.C4", "points": [[0, 0], [1, 1]]}}},

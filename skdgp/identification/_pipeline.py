@@ -154,7 +154,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
-        if isinstance(step, FlightPathReconstruction) and step.used_:
+        if isinstance(step, FlightPathReconstruction) and step.used_ and "gust" in flight:
             ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (
                 step.gust_std_**2 + SENSOR_GUST**2
             )

@@ -25,7 +25,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp._flight.checks import check_columns, check_radians, numeric
-from skdgp._flight.faults import AIR_UNKNOWN
+from skdgp._flight.faults import AIR_UNKNOWN, FlightDataWarning
 from skdgp._flight.frames import air_data
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
@@ -45,6 +45,7 @@ from skdgp.preprocessing._path import (
     flight_logs,
     missing_channels,
 )
+from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import (
     TableTransformer,
     has_values,
@@ -102,7 +103,8 @@ class FlightPathReconstruction(TableTransformer):
         Whether all tables pass unchanged, if the flights of ``fit`` lack a needed channel
         (``missing_``), or a sensor contradicts the others: its residuals are larger than its noise,
         6 times of an inertial sensor, 1.4 times of airspeed, alpha and beta. A log without alpha or
-        beta is reconstructed all the same.
+        beta is reconstructed all the same. If only flights of ``transform`` lack a channel,
+        `FlightSmoother` smooths them.
     max_rows : int, default=65536
         Rows of a flight that are estimated at a time, of 20 kB each: a longer flight is estimated
         in parts of equal length that overlap, each with its own biases, wind and gusts.
@@ -138,6 +140,11 @@ class FlightPathReconstruction(TableTransformer):
     calibration_ : DataFrame
         Biases of inertial sensors and mean wind of each flight of ``fit``, or of each part of a
         long one: columns ``flight``, ``constant``, ``estimate`` and ``std``.
+
+    Warns
+    -----
+    FlightDataWarning
+        In ``transform``, where flights are smoothed although those of ``fit`` were reconstructed.
 
     Examples
     --------
@@ -276,6 +283,15 @@ class FlightPathReconstruction(TableTransformer):
     def _transform_table(self, table):
         if not self.used_:
             return table
+        if self.optional and (missing := missing_channels(table)):
+            warn(
+                f"Got flights without {missing}, which those of the fit had: they are smoothed "
+                f"channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
+                f"with those sensors.",
+                FlightDataWarning,
+                stacklevel=3,
+            )
+            return FlightSmoother().fit_transform(table)
         self._check(table)
         known = self.air_motion_
         new = self._path_of(table) if known is None else self._motion_of(table, known)

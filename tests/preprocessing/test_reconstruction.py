@@ -14,6 +14,7 @@ from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import air_data
 from skdgp.preprocessing import (
+    FlightDataWarning,
     FlightPathReconstruction,
     FlightSmoother,
     LagCorrector,
@@ -346,11 +347,16 @@ class TestIncomplete:
         both = pd.concat([flown(20), second], ignore_index=True)
         assert FlightPathReconstruction(optional=True).fit(both).missing_ == ["p"]
 
-    def test_a_later_flight_that_lacks_one_is_an_error(self):
-        flight = flown(20)
+    def test_a_later_flight_that_lacks_one_is_smoothed_and_said(self):
+        flight = flown(40)
         reconstruction = FlightPathReconstruction(optional=True).fit(flight)
-        with pytest.raises(ValueError, match="lacks the columns 'phi'"):
-            reconstruction.transform(flight.drop(columns="phi"))
+        with pytest.warns(
+            FlightDataWarning, match=r"Got flights without \['phi'\], which those of the fit had"
+        ):
+            out = reconstruction.transform(flight.drop(columns="phi"))
+        assert error(flight, out, "alpha") < 0.7 * error(flight, flight, "alpha")
+        assert "alpha_dot" in out
+        assert "gust" not in out
 
 
 def late(table, names, seconds):

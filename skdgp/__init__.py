@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         preprocessing as preprocessing,
         report as report,
     )
-    from skdgp._compute.progress import listening as listening
+    from skdgp._compute.messages import listening as listening
     from skdgp._effects import Effects as Effects, effects as effects
     from skdgp._regressor import (
         DependentGPRegressor as DependentGPRegressor,
@@ -46,7 +46,7 @@ _HOMES = {
     "Effects": "_effects",
     "FewRowsWarning": "_regressor",
     "effects": "_effects",
-    "listening": "_compute.progress",
+    "listening": "_compute.messages",
     "make_identification_pipeline": "identification",
 }
 _FOLDERS = [

@@ -19,7 +19,7 @@ from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _learn
 from skdgp._regressor import _structure
 from skdgp.datasets import _example_flights
-from skdgp.design import _library
+from skdgp.design import _manoeuvres
 from skdgp.identification import _identification
 from skdgp.inference import _search
 from skdgp.report import FlightMechanics
@@ -230,8 +230,8 @@ def slope_std():
 @pytest.fixture
 def few_manoeuvres(monkeypatch):
     """Let plans choose from few candidates."""
-    monkeypatch.setattr(_library, "WIDTHS", (1.0,))
-    monkeypatch.setattr(_library, "MULTISINES", ())
+    monkeypatch.setattr(_manoeuvres, "WIDTHS", (1.0,))
+    monkeypatch.setattr(_manoeuvres, "MULTISINES", ())
 
 
 @pytest.fixture

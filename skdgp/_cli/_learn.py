@@ -11,7 +11,7 @@ import numpy as np
 from skdgp._cli import _options as opt
 from skdgp._cli._fly import read_model
 from skdgp._cli._output import Run
-from skdgp._compute.progress import listening
+from skdgp._compute.messages import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.design import PlanCheck

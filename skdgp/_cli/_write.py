@@ -14,8 +14,7 @@ from skdgp._cli import _options as opt
 from skdgp._cli._fly import read_model, read_model_to_fly
 from skdgp._cli._output import Run
 from skdgp._compute.files import Writer, csv_writer, text_writer
-from skdgp._compute.messages import warn
-from skdgp._compute.progress import listening
+from skdgp._compute.messages import listening, warn
 from skdgp._excitation import AXES
 from skdgp.design import (
     Envelope,

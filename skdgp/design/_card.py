@@ -29,8 +29,8 @@ from skdgp._display.page import (
 from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
 from skdgp._excitation import Signal, Steps
 from skdgp.design._envelope import QUANTITIES, quantities
+from skdgp.design._manoeuvres import REACTION, RESPONSE
 from skdgp.design._planner import Plan
-from skdgp.design._rehearsal import REACTION, RESPONSE
 
 QUICK = 0.5  # shortest step that a pilot can time by counting [s]
 SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")  # responses that are drawn

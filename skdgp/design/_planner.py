@@ -15,9 +15,8 @@ from sklearn.base import BaseEstimator
 from sklearn.utils import check_random_state
 
 from skdgp._compute.files import plain
-from skdgp._compute.messages import warn, without_warnings
+from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.progress import notify
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp._display.page import number, percent, table, text
 from skdgp._excitation import Signal, Wavetrain, wavetrain
@@ -34,8 +33,18 @@ from skdgp.design._envelope import (
     regressors_of,
     with_band,
 )
-from skdgp.design._library import Inputs, duration_of, input_bands, library, scaled
-from skdgp.design._rehearsal import LEAST, RESPONSE, ROW_STEP, Checked, Rehearsal
+from skdgp.design._manoeuvres import (
+    LEAST,
+    RESPONSE,
+    ROW_STEP,
+    Checked,
+    Inputs,
+    Rehearsal,
+    duration_of,
+    input_bands,
+    library,
+    scaled,
+)
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,

@@ -1,8 +1,13 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs."""
 
 from skdgp.export._c import write_c
-from skdgp.export._file import PortableFileError, load_portable, save_portable
-from skdgp.export._formats import FORMATS, export_model
+from skdgp.export._formats import (
+    FORMATS,
+    PortableFileError,
+    export_model,
+    load_portable,
+    save_portable,
+)
 from skdgp.export._graphs import casadi_function, onnx_model
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -11,7 +12,6 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.export._model import ROUNDING, Part, PortableModel, Term
-from skdgp.export._text import extra
 
 OPSET, IR_VERSION = 17, 8
 
@@ -193,3 +193,13 @@ class _Graph:
     def squares(self, values: str, axis: int) -> str:
         """Return the sum of squares over an axis, which stays with length one."""
         return self("ReduceSum", self("Mul", values, values), [axis], keepdims=1)
+
+
+def extra(package: str) -> Any:
+    """Return a package of the extra ``export``; raise ImportError if it is not installed."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise ImportError(
+            f'This needs {package}, which is not installed: pip install "skdgp[export]".'
+        ) from error

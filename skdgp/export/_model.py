@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -13,8 +16,8 @@ from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 
 from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import CHANNELS, COEFFICIENTS, HAT, LENGTHS
 from skdgp.dynamics import Aircraft
-from skdgp.export._text import identifiers
 
 ROWS = 512  # predicted at once
 ROUNDING = float(np.finfo(float).eps)
@@ -503,3 +506,28 @@ def unpacked(values: Vector, size: int) -> Matrix:
     triangle = np.zeros((size, size))
     triangle.T[np.tril_indices(size)] = values
     return triangle
+
+
+# Names of the vocabulary: another column is never written under one of them
+RESERVED = {*CHANNELS, *COEFFICIENTS, *(f"{name}{HAT}" for name in LENGTHS)}
+
+
+def identifiers(names: Iterable[str]) -> dict[str, str]:
+    """Return the identifier of each name: characters other than ASCII letters and digits become underscores.
+
+    No digit is first. Raises ValueError if two names would be equal, or one a name of the
+    vocabulary that it is not.
+    """
+    written = {name: re.sub(r"^(?=\d)|\W", "_", name, flags=re.ASCII) for name in names}
+    numbers = Counter(written.values())
+    alike = [
+        name
+        for name, short in written.items()
+        if name != short and (numbers[short] > 1 or short in RESERVED)
+    ]
+    if alike:
+        raise ValueError(
+            f"Got {alike}, which are written {[written[name] for name in alike]}, as other columns "
+            f"are: rename them in the flights, and learn again."
+        )
+    return written

@@ -10,7 +10,7 @@ import pandas as pd
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.progress import notify
+from skdgp._compute.messages import notify
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     BODY_VELOCITY,

@@ -16,7 +16,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import json_text, plain, software_versions, text_writer, write_together
-from skdgp._compute.progress import notify
+from skdgp._compute.messages import notify
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.identification import _evaluation, _model_file

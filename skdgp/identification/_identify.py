@@ -12,8 +12,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
-from skdgp._compute.messages import recorded_warnings, warn
-from skdgp._compute.progress import notify
+from skdgp._compute.messages import notify, recorded_warnings, warn
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor

@@ -15,7 +15,6 @@ misfit    the error of the function that residuals show where flights come back 
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
-from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._fit import (
     Fit,
     as_exact,
@@ -25,14 +24,13 @@ from skdgp.inference._fit import (
     mean_of,
     residual_drift,
 )
-from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
-from skdgp.inference._paths import Path, Paths
-from skdgp.inference._posterior import Posterior, SinglePosterior
+from skdgp.inference._posterior import ExactPosterior, Path, Paths, Posterior, SinglePosterior
 from skdgp.inference._search import Optimum, maximize, n_searched, stratified
 from skdgp.inference._slopes import (
     FunctionErrors,
+    KnownSlopes,
     SlopeErrors,
     function_errors,
     slope_errors,

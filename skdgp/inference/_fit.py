@@ -19,10 +19,9 @@ from skdgp._compute.linalg import (
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
-from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import fit_drift_to_integrals
-from skdgp.inference._posterior import Posterior, SinglePosterior
+from skdgp.inference._posterior import ExactPosterior, Posterior, SinglePosterior
 from skdgp.inference._search import (
     NOISE_BOUNDS,
     NOISE_STEPS,

@@ -1,18 +1,33 @@
-"""The interface of posteriors for fits, predictions, simulations and exports."""
+"""Posteriors: their interface, the exact one by one Cholesky factorisation, and sample paths by Matheron's rule.
+
+A path is a sample of the prior plus a correction by the data. With f and u drawn jointly from the
+prior, f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior at all inputs
+(Wilson et al. 2020, "Efficiently sampling functions from Gaussian process posteriors").
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from copy import copy
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import unexplained_variance
-from skdgp._compute.parallel import few_threads, thread_map
+from skdgp._compute.linalg import (
+    consecutive,
+    jittered_cholesky,
+    log_determinant,
+    triangular_solve,
+    unexplained_variance,
+)
+from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data
-from skdgp.kernels import MultiOutputKernel, PathBundle
+from skdgp.inference._likelihood import Data, covariance, log_likelihood
+from skdgp.inference._noise import draw_noise
+from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
 
 CHUNK_BYTES = 2**27  # working memory of one batch of predictions
 ROWS = 512  # largest number of samples in a batch: their covariances fit the cache
@@ -159,3 +174,241 @@ class SinglePosterior(Posterior):
         step = int(np.clip(CHUNK_BYTES / (8 * width * max(self.size, 1)), 1, ROWS))
         batches = [Xs[a : a + step] for a in range(0, max(len(Xs), 1), step)]
         return tuple(map(np.concatenate, zip(*thread_map(function, batches), strict=True)))
+
+
+class ExactPosterior(SinglePosterior):
+    """The posterior at fixed hyperparameters (equations 17 and 18).
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    noise : ndarray (P,)
+        Noise variance of each output.
+    data : Data
+
+    Attributes
+    ----------
+    log_marginal_likelihood : float
+    """
+
+    def __init__(self, kernel: MultiOutputKernel, noise: Vector, data: Data) -> None:
+        self.kernel = kernel
+        self.noise = np.asarray(noise, dtype=float)
+        self.data = data
+        square = self._white @ self._white
+        self.log_marginal_likelihood = -0.5 * (
+            square + log_determinant(self.L) + data.n_values * np.log(2 * np.pi)
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of values N."""
+        return self.data.n_values
+
+    @cached_property
+    def L(self) -> np.ndarray:
+        """Cholesky factor of Kff + noise, (N, N), lower triangle. A loaded posterior computes it again.
+
+        The result has the same bits for the same number of BLAS threads.
+        """
+        with threads_for(self.size):
+            return jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data))
+
+    @cached_property
+    def _white(self):
+        """L^-1 y."""
+        with threads_for(self.size):
+            return triangular_solve(self.L, np.concatenate(self.data.y))
+
+    @cached_property
+    def alpha(self) -> np.ndarray:
+        """K^-1 y of the stacked values, (N,)."""
+        with threads_for(self.size):
+            return triangular_solve(self.L, self._white, transposed=True)
+
+    def __getstate__(self):
+        # A saved model holds the samples, not L: the file is about a hundred times smaller.
+        not_saved = {"L", "_white", "mean_function"}
+        self.alpha  # noqa: B018 - computed now, so that a loaded model predicts means without L
+        return {name: value for name, value in self.__dict__.items() if name not in not_saved}
+
+    def of(self, data: Data, noise: Vector) -> ExactPosterior:
+        """Return the posterior of other values with another noise, at the same hyperparameters."""
+        return ExactPosterior(self.kernel, noise, data)
+
+    def likelihood_at(
+        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
+    ) -> Any:
+        """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
+        return log_likelihood(kernel, noise, self.data, eval_gradient)
+
+    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
+        return {"L": self.L, "alpha": self.alpha}
+
+    def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (n, N) and b (N,) such that the mean of output i at Xs is A b."""
+        blocks = [
+            self.kernel.block(i, j, Xs, X)
+            if self.kernel.couples(i, j)
+            else np.zeros((len(Xs), len(X)))
+            for j, X in enumerate(self.data.X)
+        ]
+        return np.hstack(blocks), self.alpha
+
+    def explained(self, i: int, A: Matrix) -> np.ndarray:
+        """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
+        half = triangular_solve(self.L, A.T)
+        return np.einsum("ab,ab->b", half, half)
+
+    # -- prediction
+    # ------------------------------------------------------------------------------------
+
+    @cached_property
+    def mean_function(self) -> PathBundle:
+        """The mean, as a single path."""
+        return covariance_paths(self.kernel, self.data.X, self.alpha[None])
+
+    @few_threads
+    def covariance(self, Xs: Matrix) -> np.ndarray:
+        """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
+        A = np.vstack([self.loading(i, Xs)[0] for i in range(self.kernel.n_outputs)])
+        half = triangular_solve(self.L, A.T)
+        return self.kernel(Xs) - half.T @ half
+
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
+        """Return samples of the posterior, f + Kfy Kyy^-1 (y - f(X) - noise), that are functions of the regressors."""
+        rng, data = check_random_state(random_state), self.data
+        with threads_for(self.size):
+            prior = prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
+            points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
+            f = prior.values(points[None])
+            places = enumerate(consecutive(data.X))
+            f = np.hstack([f[:, row.ravel()[place], i] for i, place in places])
+            residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
+            half = triangular_solve(self.L, np.array(residual.T, order="F"))
+            weights = triangular_solve(self.L, half, transposed=True)
+            correction = covariance_paths(self.kernel, data.X, weights.T)
+            return prior + correction
+
+
+FREQUENCIES = 64  # waves of each latent process in each path
+
+
+class Path:
+    """One sample of the posterior: a function X (n, d) -> (n, P), or (n,) for one-dimensional targets."""
+
+    def __init__(self, alone: Paths) -> None:
+        self._alone = alone
+
+    def __call__(self, X) -> np.ndarray:
+        return self._alone(X)[0]
+
+    def gradient(self, X: Matrix) -> np.ndarray:
+        """Return d value / d regressor at X (n, d), (n, P, d), or (n, d) for one-dimensional targets."""
+        return self._alone.gradient(X)[0]
+
+
+class Paths(Sequence):
+    """Sample paths of the posterior: a sequence of ``Path`` that are evaluated together.
+
+    ``paths[k]`` is one path and ``paths[a:b]`` several. ``paths(X)`` evaluates all paths at the
+    same points, ``paths.each(X)`` each path at its own points, and ``paths.gradient(X)`` their
+    slopes. Paths can be pickled. A path is a function: its value at a point does not depend on the
+    other points or paths of a call, up to rounding.
+
+    Parameters
+    ----------
+    bundle : PathBundle
+    n_paths, n_features : int
+    center, scale : ndarray (P,)
+        Values are ``center`` + ``scale`` times the values of the bundle.
+    single : bool
+        Whether the axis of outputs is dropped.
+    feature_names : sequence of str or None
+        Expected column names of a DataFrame.
+    """
+
+    def __init__(
+        self,
+        bundle: PathBundle,
+        n_paths: int,
+        n_features: int,
+        center: Vector,
+        scale: Vector,
+        single: bool,
+        feature_names: Sequence[str] | None,
+    ) -> None:
+        self.bundle, self.n_paths, self.n_features = bundle, n_paths, n_features
+        self.center, self.scale, self.single, self.feature_names = (
+            center,
+            scale,
+            single,
+            feature_names,
+        )
+
+    def __len__(self):
+        return self.n_paths
+
+    def __getitem__(self, index):
+        if not isinstance(index, slice):
+            k = range(self.n_paths)[index]
+            return Path(self[k : k + 1])
+        subset = copy(self)
+        subset.bundle, subset.n_paths = self.bundle.take(index), len(range(self.n_paths)[index])
+        return subset
+
+    def __call__(self, X) -> np.ndarray:
+        """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""
+        return self._values(self._check_points(X, 2)[None])
+
+    def each(self, X: Matrix) -> np.ndarray:
+        """Return the values of each path at its own points X (n_paths, n, d), in the shape of a call."""
+        return self._values(self._check_points(X, 3))
+
+    def gradient(self, X: Matrix) -> np.ndarray:
+        """Return the slopes of all paths at X (n, d), or of each path at its own points X (n_paths, n, d).
+
+        The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets.
+        """
+        X = self._check_points(X, 3) if np.ndim(X) == 3 else self._check_points(X, 2)[None]
+        with threads_for(X.shape[1]):
+            return self._squeeze(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
+
+    def _values(self, X):
+        with threads_for(X.shape[1]):
+            values = self.bundle.values(X)
+        values *= self.scale
+        values += self.center
+        return self._squeeze(values)
+
+    def _check_points(self, X, ndim):
+        columns = getattr(X, "columns", None)
+        if (
+            columns is not None
+            and self.feature_names is not None
+            and list(columns) != list(self.feature_names)
+        ):
+            raise ValueError(
+                f"Got X with the columns {list(columns)}, but expected those of the fit, in their "
+                f"order: "
+                f"{list(self.feature_names)}."
+            )
+        X = np.asarray(X, dtype=float)
+        if (
+            X.ndim != ndim
+            or X.shape[-1] != self.n_features
+            or (ndim == 3 and len(X) != self.n_paths)
+        ):
+            expected = (
+                f"(n, {self.n_features})"
+                if ndim == 2
+                else f"({self.n_paths}, n, {self.n_features})"
+            )
+            raise ValueError(
+                f"Got X of shape {X.shape}, but expected {expected}: a column for each regressor "
+                f"of the fit."
+            )
+        return X
+
+    def _squeeze(self, values):
+        return values[:, :, 0] if self.single else values

@@ -20,11 +20,11 @@ import numpy as np
 from scipy.optimize import LbfgsInvHessProduct, minimize
 
 from skdgp._compute.linalg import column_scale, output_scale
+from skdgp._compute.messages import notify
 from skdgp._compute.parallel import one_blas_thread, threads_for
-from skdgp._compute.progress import notify
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._exact import ExactPosterior
 from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._posterior import ExactPosterior
 from skdgp.kernels import MultiOutputKernel
 
 NOISE_STEPS = 10  # largest number of steps, or of iterations, that change the noise alone

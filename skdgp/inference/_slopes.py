@@ -319,3 +319,74 @@ def _slopes_of(basis, at):
     """Return d basis / d z at points (..., d), (..., d, p): differences, which are exact up to second order."""
     change = [basis(at + step) - basis(at - step) for step in np.eye(at.shape[-1])]
     return 0.5 * np.stack(change, axis=-2)
+
+
+class KnownSlopes(NamedTuple):
+    """Slopes of P outputs by d regressors, NaN where the samples are to tell them.
+
+    Samples whose regressors were estimated from their own targets, as an angle of attack from the
+    force that it causes, are no evidence of slopes: least squares is biased, and its bands are too
+    narrow.
+    """
+
+    value: Matrix  # (P, d)
+    errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
+
+    @classmethod
+    def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
+        """Return the slopes of least squares with standard ``deviations`` (P, d), where these are finite.
+
+        Rows of X (n, d) and Y (n, P) with missing values are left out.
+        """
+        value, complete = np.empty_like(deviations), np.isfinite(X).all(axis=1)
+        for y, slopes in zip(np.asarray(Y, dtype=float).T, value, strict=True):
+            rows = np.isfinite(y) & complete
+            centred = X[rows] - X[rows].mean(axis=0)
+            slopes[:] = np.linalg.lstsq(centred, y[rows] - y[rows].mean(), rcond=None)[0]
+        value[~np.isfinite(deviations)] = np.nan
+        errors = np.zeros((*value.shape, value.size))
+        np.einsum("pdpd->pd", errors.reshape(*value.shape, *value.shape))[:] = np.nan_to_num(
+            deviations
+        )
+        return cls(value, errors)
+
+    @property
+    def known(self) -> Array:
+        """Whether a slope is known, (P, d, 1)."""
+        return np.isfinite(self.value)[..., None]
+
+    def scaled(self, factor: Array) -> KnownSlopes:
+        """Return the slopes times ``factor``, which broadcasts to (P, d)."""
+        return KnownSlopes(self.value * factor, self.errors * np.asarray(factor)[..., None])
+
+    def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
+        """Return Y (n, P) plus what makes its slopes by least squares at X (n, d) the known ones."""
+        Y, centred = Y.copy(), X - X.mean(axis=0)
+        for y, value in zip(Y.T, self.value, strict=True):
+            rows, known = np.isfinite(y), np.isfinite(value)
+            Q = np.column_stack([np.ones(rows.sum()), centred[rows]])
+            wanted = np.zeros(1 + len(value))
+            wanted[1:][known] = value[known]
+            free = np.append(True, ~known)
+            residual = y[rows] - Q @ wanted
+            wanted[free] = np.linalg.lstsq(Q[:, free], residual, rcond=None)[0]
+            residual = y[rows] - Q @ wanted
+            y[rows] -= Q @ np.linalg.lstsq(Q, residual, rcond=None)[0]
+        return Y
+
+    def applied(self, slope_errors: SlopeErrors, ratio: Array) -> SlopeErrors:
+        """Return the errors of slopes (n, P, d), with the errors of known slopes times ``ratio`` (n, P, d)."""
+        errors = self.errors * ratio[..., None]
+        random = np.concatenate([np.where(self.known, 0.0, slope_errors.random), errors], axis=-1)
+        return slope_errors._replace(
+            random=random, method=np.where(self.known, 0.0, slope_errors.method)
+        )
+
+    def added(self, function_errors: FunctionErrors) -> FunctionErrors:
+        """Return the errors of a function, with the errors of its known slopes."""
+        P, d, k = self.errors.shape
+        weights = np.zeros((k, function_errors.weights.shape[1], P))
+        weights[:, 1 : d + 1] = (
+            np.transpose(self.errors, (2, 1, 0)) * function_errors.scale[:, None]
+        )
+        return function_errors._replace(weights=np.concatenate([function_errors.weights, weights]))

@@ -36,8 +36,7 @@ from skdgp._compute.linalg import (
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
-from skdgp.inference._paths import FREQUENCIES
-from skdgp.inference._posterior import SinglePosterior
+from skdgp.inference._posterior import FREQUENCIES, SinglePosterior
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle
 
 ROWS = 512  # samples in one step: their covariances fit the cache

@@ -12,8 +12,7 @@ ax : Figure, SubFigure or False, optional
     Where to draw; default: a new pyplot figure. False: do not draw.
 """
 
-from skdgp.plotting._flight_envelope import EnvelopeDisplay
-from skdgp.plotting._model import EffectsDisplay
+from skdgp.plotting._model import EffectsDisplay, EnvelopeDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [

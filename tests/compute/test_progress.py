@@ -3,7 +3,7 @@
 import pytest
 
 from skdgp import listening
-from skdgp._compute.progress import notify
+from skdgp._compute.messages import notify
 
 
 def test_listener_is_called_until_the_block_ends():

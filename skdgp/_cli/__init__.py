@@ -10,15 +10,15 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from skdgp._cli import _fly, _learn, _write
-from skdgp._cli import _options as opt
-from skdgp._cli._output import Console, Run, check_folder
+from skdgp._cli import _learn, _use
+from skdgp._cli import _shared as opt
+from skdgp._cli._shared import Console, Run, check_folder
 
 __all__ = ["main"]
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS: opt.Commands = {**_learn.COMMANDS, **_fly.COMMANDS, **_write.COMMANDS}
+COMMANDS: opt.Commands = {**_learn.COMMANDS, **_use.COMMANDS}
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from skdgp._cli import _options as opt
-from skdgp._cli._fly import read_model
-from skdgp._cli._output import Run
+from skdgp._cli import _shared as opt
+from skdgp._cli._shared import Run
+from skdgp._cli._use import read_model
 from skdgp._compute.messages import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights

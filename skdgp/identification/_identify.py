@@ -17,7 +17,7 @@ from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, check_aircraft
-from skdgp.identification import _assumed, _evaluation, _flights
+from skdgp.identification import _evaluation, _flights
 from skdgp.identification._flights import Flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import make_identification_pipeline
@@ -206,7 +206,7 @@ class PreparedFlights:
 
     def assumptions(self, aircraft: Aircraft) -> list[str]:
         """Return the assumptions on an aircraft and its flights, in a line each."""
-        return _assumed.assumptions(aircraft, servos=self.servos, thrust_unknown=self.lacks_thrust)
+        return _flights.assumptions(aircraft, servos=self.servos, thrust_unknown=self.lacks_thrust)
 
 
 def prepare(
@@ -224,23 +224,23 @@ def prepare(
     Warns of faults, contradictions and assumptions.
     """
     aircraft = as_aircraft(aircraft)
-    servos = _assumed.servos_for(reading.get("servos"), flights, test)
+    servos = _flights.servos_for(reading.get("servos"), flights, test)
     options = {**reading, "servos": servos, "needed": _flights.MEASURED}
     train = _flights.named_flights(flights, **options)
     _flights.check_controls(train, regressors)
     named = {} if test is None else _flights.named_flights(test, default="test flight", **options)
     train, named, held_out = _flights.train_and_test(train, named)
-    servos, train, named = _assumed.with_signs_of_flights(servos, train, named)
+    servos, train, named = _flights.with_signs_of_flights(servos, train, named)
     columns = _flights.regressor_columns(train.values(), regressors)
     train, named = (_flights.usable_flights(part, regressors, columns) for part in (train, named))
-    lacks_thrust = _assumed.lacks_thrust(thrust, train.values(), aircraft)
+    lacks_thrust = _flights.lacks_thrust(thrust, train.values(), aircraft)
     if lacks_thrust:
-        warn(_assumed.THRUST_IN_COEFFICIENTS, stacklevel=3)
+        warn(_flights.THRUST_IN_COEFFICIENTS, stacklevel=3)
         thrust = None
     if thrust is None:
         _flights.warn_of_engine(train, regressors)
     if reversed_of(servos) is not None:
-        warn(_assumed.FULL_THROWS, stacklevel=3)
+        warn(_flights.FULL_THROWS, stacklevel=3)
     return PreparedFlights(
         train=train,
         test=named,
@@ -294,7 +294,7 @@ def _pipeline_for(
             model.set_params(flightpathreconstruction__aircraft=None)
     if prepared.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
         model.set_params(regressorselector__extra=["airspeed"])
-    model.control_units_ = _assumed.control_units(prepared.servos)
+    model.control_units_ = _flights.control_units(prepared.servos)
     return model
 
 
@@ -325,7 +325,7 @@ def _with_errors_of_fit(prepared: PreparedFlights, model: Pipeline, X: Any) -> A
     if "propeller" not in _evaluation.thrust_sources(thrust, prepared.train.values()):
         return aircraft
     regressors = _evaluation.named(model, X)
-    return _assumed.with_thrust_errors(aircraft, prepared.table, regressors, thrust)
+    return _flights.with_thrust_errors(aircraft, prepared.table, regressors, thrust)
 
 
 def validate(

@@ -4,9 +4,8 @@
 """
 
 from skdgp.io._autopilot import AUTOPILOTS, is_log
-from skdgp.io._inspect import LogSummary, inspect_log, names_servos
 from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, ServoChannel, Topic
-from skdgp.io._read import read_flight
+from skdgp.io._read import LogSummary, inspect_log, names_servos, read_flight
 from skdgp.io._servos import FULL_THROW, read_servos, reversed_of
 from skdgp.io._tables import FlightReadError
 

@@ -15,11 +15,10 @@ from skdgp.preprocessing._air_motion import (
     estimate_air_motion,
     prior_deviations,
 )
-from skdgp.preprocessing._check import FlightCheck, inspect_flight
+from skdgp.preprocessing._cleaning import FlightCheck, FlightSmoother, inspect_flight
 from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
 from skdgp.preprocessing._lag import LagCorrector
-from skdgp.preprocessing._smoother import FlightSmoother
 
 __all__ = [
     "AirMotion",

@@ -30,6 +30,7 @@ from skdgp._flight.frames import air_data
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
 from skdgp.preprocessing._air_motion_equations import lagged
+from skdgp.preprocessing._cleaning import FlightSmoother
 from skdgp.preprocessing._path import (
     CONSTANTS,
     GUSTS,
@@ -45,7 +46,6 @@ from skdgp.preprocessing._path import (
     flight_logs,
     missing_channels,
 )
-from skdgp.preprocessing._smoother import FlightSmoother
 from skdgp.preprocessing._table import (
     TableTransformer,
     has_values,

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._cli import _fly, _write, main
+from skdgp._cli import _use, main
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.design import _card
 from skdgp.dynamics import Turbulence, stability_derivatives, trim
@@ -130,7 +130,7 @@ class TestModel:
 class TestAllOrNone:
     def test_when_stopped(self, path, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(
-            _fly, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT)
+            _use, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT)
         )
         assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
         assert not (tmp_path / "new").exists()
@@ -364,13 +364,13 @@ class TestPlan:
     ):
         """Its script would be flown with the card of another plan."""
         monkeypatch.setattr(_card, "_pictures", lambda *args: "")
-        plan_flight, plans = _write.plan_flight, []
+        plan_flight, plans = _use.plan_flight, []
 
         def once(*words, **options):
             plans.extend([] if plans else [plan_flight(*words, **options)])
             return plans[0]
 
-        monkeypatch.setattr(_write, "plan_flight", once)
+        monkeypatch.setattr(_use, "plan_flight", once)
         folder = tmp_path / "out"
         folder.mkdir()
         for name in ("plan.lua", "plan_b.csv", "my_plan.lua"):
@@ -400,7 +400,7 @@ class TestPlan:
     def test_full_deflections_are_checked_before_the_search(
         self, words, message, refused, monkeypatch
     ):
-        monkeypatch.setattr(_write, "plan_flight", lambda *a, **k: pytest.fail("searched"))
+        monkeypatch.setattr(_use, "plan_flight", lambda *a, **k: pytest.fail("searched"))
         refused(message, "plan", *self.WORDS, "--full", *words.split())
 
     def test_what_cannot_be_planned_is_one_line(self, refused):

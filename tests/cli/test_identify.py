@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._cli import _output, main
-from skdgp._cli._output import CLEAR, Console
+from skdgp._cli import _shared, main
+from skdgp._cli._shared import CLEAR, Console
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import _identification, _identify, load_model, predict_flight
@@ -342,7 +342,7 @@ class Terminal(io.StringIO):
 class TestConsole:
     @pytest.fixture(autouse=True)
     def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_output, "PERIOD", 0.0)
+        monkeypatch.setattr(_shared, "PERIOD", 0.0)
 
     def test_one_line_rewritten(self):
         stream = Terminal()

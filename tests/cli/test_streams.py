@@ -7,7 +7,7 @@ import warnings
 
 import pytest
 
-from skdgp._cli import _fly, main
+from skdgp._cli import _use, main
 
 FULL = "/dev/full"
 needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
@@ -69,7 +69,7 @@ class TestOutput:
 @needs_full
 class TestErrors:
     def test_a_warning_that_nobody_sees_ends_nothing(self, predict, monkeypatch):
-        monkeypatch.setattr(_fly, "predict_flight", warned(_fly.predict_flight))
+        monkeypatch.setattr(_use, "predict_flight", warned(_use.predict_flight))
         with open(FULL, "w") as full:
             monkeypatch.setattr(sys, "stderr", full)
             assert predict() == 0

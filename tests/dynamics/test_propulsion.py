@@ -15,7 +15,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     stability_derivatives,
 )
-from skdgp.identification._assumed import assumptions, lacks_thrust, with_thrust_errors
+from skdgp.identification._flights import assumptions, lacks_thrust, with_thrust_errors
 
 TRUE = Propeller(
     diameter=0.5,

@@ -13,16 +13,16 @@ from skdgp.dynamics import (
     trim,
 )
 from skdgp.export import portable_model, write_c
-from skdgp.identification import _assumed, identify, load_model, validate
-from skdgp.identification._assumed import (
+from skdgp.identification import _flights, identify, load_model, validate
+from skdgp.identification._flights import (
     THRUST_IN_COEFFICIENTS,
     assumptions,
+    check_controls,
     control_units,
     lacks_thrust,
     servos_for,
     with_signs_of_flights,
 )
-from skdgp.identification._flights import check_controls
 from skdgp.io import FULL_THROW
 from skdgp.preprocessing import FlightDataWarning
 
@@ -37,7 +37,7 @@ SIGNS = {
 class TestServos:
     @pytest.fixture(autouse=True)
     def parameters(self, monkeypatch):
-        monkeypatch.setattr(_assumed, "names_servos", lambda path: path != "nameless.ulg")
+        monkeypatch.setattr(_flights, "names_servos", lambda path: path != "nameless.ulg")
 
     def test_logs_of_autopilots_have_full_throws(self):
         assert servos_for(None, "a.ulg", None) == FULL_THROW

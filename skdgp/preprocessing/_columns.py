@@ -414,7 +414,8 @@ def _check_finite(values: Matrix, names: list[str]) -> None:
     }
     raise ValueError(
         f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or "
-        f"infinite (by rows: {missing}), but expected finite ones: drop these rows of the flight "
-        f"and of its targets, as skdgp identify does. Interpolate a slow sensor to the clock of the "
-        f"others, leave out an empty column, and isolated rows, which have no rate of change."
+        f"infinite (by rows: {missing}), but expected finite ones: drop these rows of the flight, "
+        f"as FlightCheck gives it, and of its targets, as skdgp identify does. Interpolate a slow "
+        f"sensor to the clock of the others, leave out an empty column, and isolated rows, which "
+        f"have no rate of change."
     )

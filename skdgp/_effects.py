@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator, OneToOneFeatureMixin
+from sklearn.base import BaseEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import DependentGPRegressor
+from skdgp.dynamics import scaling_of
 from skdgp.inference import CentredTerm, training_inputs
 
 MAX_ROWS = 1000  # samples over which effects are centred
@@ -78,7 +79,9 @@ class Effects:
         The sum of the means and ``intercept`` is the predicted mean.
         """
         regressor, before, _, _ = _split_model(self._model)
-        X = regressor._check_regressors(X if before is None else before.transform(X))
+        for step in before:
+            X = step.transform(X)
+        X = regressor._check_regressors(X)
         moments = {name: term.predict(X) for name, term in self._terms.items()}
         mean = {name: values * regressor.scale_ for name, (values, _) in moments.items()}
         return mean, {name: np.sqrt(x) * regressor.scale_ for name, (_, x) in moments.items()}
@@ -128,10 +131,10 @@ def effects(model: BaseEstimator) -> Effects:
     >>> bool(np.allclose(sum(found.evaluate(X)[0].values()) + found.intercept, model.predict(X)))
     True
     """
-    regressor, _, scalers, names = _split_model(model)
+    regressor, _, (shift, factor), names = _split_model(model)
     rows = training_inputs(regressor.posterior_)
     rows = rows[:: -(-len(rows) // MAX_ROWS)]
-    units = pd.DataFrame(_in_units(rows, scalers), columns=names)
+    units = pd.DataFrame(shift + factor * rows, columns=names)
     posterior, scale = regressor.posterior_, regressor.scale_
     columns = posterior.kernel.term_regressors()
     terms = {
@@ -146,9 +149,8 @@ def effects(model: BaseEstimator) -> Effects:
             low, high = np.quantile(rows[:, k], RANGE)
             points[:, k] = np.linspace(low, high, N_GRID)
             mean, variance = terms[name].predict(points)
-            curves[name] = Curve(
-                _in_units(points, scalers)[:, k], mean * scale, np.sqrt(variance) * scale
-            )
+            at = shift[k] + factor[k] * points[:, k]
+            curves[name] = Curve(at, mean * scale, np.sqrt(variance) * scale)
     importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
     return Effects(
         intercept=regressor.center_ + intercept * scale,
@@ -185,7 +187,7 @@ def interactions(
     >>> interactions(model, most=1)["Cm"][0].regressors
     ('alpha', 'q')
     """
-    regressor, _, scalers, names = _split_model(model)
+    regressor, _, (shift, factor), names = _split_model(model)
     rows = training_inputs(regressor.posterior_)
     rows = rows[:: -(-len(rows) // N_SAMPLES)]
     posterior, scale = regressor.posterior_, regressor.scale_
@@ -206,15 +208,15 @@ def interactions(
     for k, output in enumerate(regressor.output_names_):
         strongest = np.argsort(-sizes[:, k], kind="stable")[:most]
         found[str(output)] = [
-            _interaction(posterior, rows, pairs[n], k, n_grid, names, scalers, scale[k])._replace(
-                share=float(sizes[n, k] * scale[k])
-            )
+            _interaction(
+                posterior, rows, pairs[n], k, n_grid, names, shift, factor, scale[k]
+            )._replace(share=float(sizes[n, k] * scale[k]))
             for n in strongest
         ]
     return found
 
 
-def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -> Interaction:
+def _interaction(posterior, rows, pair, output, n_grid, names, shift, factor, scale) -> Interaction:
     """Return how an output moves with the first of two regressors at two values of the second."""
     first, second = pair
     low, high = np.quantile(rows[:, first], RANGE)
@@ -230,7 +232,7 @@ def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -
     cov = posterior.covariance(flat)[block, block].reshape(2, n_grid + 1, 2, n_grid + 1)
     cov = np.stack([cov[0, :, 0], cov[1, :, 1]])
     variance = np.einsum("lnn->ln", cov) + cov[:, :1, 0] - 2 * cov[:, :, 0]
-    units = _in_units(flat, scalers).reshape(points.shape)
+    units = shift + factor * points
     return Interaction(
         regressors=(names[first], names[second]),
         at=units[0, 1:, first],
@@ -242,8 +244,9 @@ def _interaction(posterior, rows, pair, output, n_grid, names, scalers, scale) -
 
 
 def _split_model(model):
-    """Return the regressor, the steps before it or None, the scalers at their end, and the names of the regressors."""
-    last = model[-1] if isinstance(model, Pipeline) else model
+    """Return the regressor, the steps before it, shift and scale of the scalers at their end, the regressors' names."""
+    steps = [step for _, step in model.steps] if isinstance(model, Pipeline) else [model]
+    last = steps.pop()
     regressor = getattr(last, "estimator_", last)  # of a CalibratedRegressor
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
@@ -252,24 +255,12 @@ def _split_model(model):
         )
     check_is_fitted(regressor)
     names = regressor._regressor_names()
-    if not isinstance(model, Pipeline) or len(model) == 1:
-        return regressor, None, [], names
-    scalers: list = []
-    for _, step in reversed(model.steps[:-1]):
-        if step in (None, "passthrough"):
-            continue
-        if not isinstance(step, OneToOneFeatureMixin) or not hasattr(step, "inverse_transform"):
-            break
-        scalers.append(step)
-        names = [str(name) for name in getattr(step, "feature_names_in_", names)]
-    return regressor, model[:-1], scalers, names
-
-
-def _in_units(rows, scalers):
-    """Return rows of regressors before the scalers."""
-    for step in scalers:
-        rows = np.asarray(step.inverse_transform(rows))
-    return rows
+    steps = [step for step in steps if step not in (None, "passthrough")]
+    d = len(names)
+    scalers = list(takewhile(lambda step: not scaling_of([step], d)[2], reversed(steps)))[::-1]
+    if scalers:
+        names = list(map(str, getattr(scalers[0], "feature_names_in_", names)))
+    return regressor, steps, scaling_of(scalers, d)[:2], names
 
 
 def _name(columns, names):

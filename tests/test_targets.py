@@ -13,7 +13,7 @@ from skdgp.calibration import CalibratedRegressor
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
 from skdgp.dynamics._inputs import as_starts
-from skdgp.dynamics._replay import coefficient_array
+from skdgp.dynamics._inverse import coefficient_array
 from skdgp.metrics import score_outputs
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (

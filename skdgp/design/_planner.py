@@ -422,9 +422,18 @@ def plan(
     with one_blas_thread(), without_warnings(SimulationWarning):  # leaving the envelope is a risk
         envelope = envelope or Envelope()
         _check_options(seconds, axes, limits or {}, envelope)
+        aerodynamics = as_aerodynamics(model)
+        if aerodynamics.is_uncertain:
+            _check_uncertain(envelope, aerodynamics)
+        names = check_goal(goal, aerodynamics)
+        check_names(axes, trim.controls, "controls of the trim")
         seed = int(check_random_state(random_state).randint(2**31 - 1))
-        planner = _Planner(model, aircraft, trim, seconds, envelope, thrust, seed)
-        return planner.search(axes, limits or {}, goal)
+        rehearsal = Rehearsal(
+            model, aircraft, trim, _checked_limits(trim, aerodynamics, axes, limits or {}),
+            envelope, pause_of(trim.airspeed), thrust, seed,
+        )  # fmt: skip
+        planner = _Planner(rehearsal, float(seconds), names)
+        return planner.plan_of(planner.searched())
 
 
 def _check_options(seconds: Any, axes: Any, limits: Any, envelope: Envelope) -> None:
@@ -448,6 +457,70 @@ def _check_options(seconds: Any, axes: Any, limits: Any, envelope: Envelope) -> 
                 f"Got a limit of {limit:g} for the {axis}, but expected less than {most:.3g}: "
                 f"rad, not degrees, or 0 to 1 of the throttle."
             )
+
+
+def _check_uncertain(envelope: Envelope, model: Aerodynamics) -> None:
+    """Warn of gusts and ranges that a model with a posterior does not know; raise ValueError at too few paths."""
+    if envelope.gusts == "auto" and model.turbulence is None:
+        warn(
+            "The model does not know the turbulence of its flights, so risks are those "
+            "without gusts. Give Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
+            stacklevel=3,
+        )
+    if free := envelope.unlimited(model):
+        options = ", ".join(OPTIONS[name] for name in free)
+        warn(
+            f"The model does not know the flown range of {', '.join(free)}, so nothing limits "
+            f"them: a manoeuvre may turn the aircraft over or dive. Limit them by the "
+            f"envelope ({options}), or fit the model again.",
+            UserWarning,
+            stacklevel=3,
+        )
+    n_paths = envelope.n_paths
+    if 1 / (n_paths + 2) > envelope.risk:
+        raise ValueError(
+            f"Got n_paths={n_paths}, too few to show a risk of {envelope.risk:g}, but "
+            f"expected at least {int(np.ceil(1 / envelope.risk)) - 2}, better three times "
+            f"as many."
+        )
+
+
+def _checked_limits(
+    trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping
+) -> dict[str, float]:
+    """Return the limits of the axes, by default the training ranges; the throttle ends at 0 and 1."""
+    checked = {}
+    for axis in axes:
+        checked[axis] = limits[axis] if axis in limits else _flown(trim, model, axis)
+        if axis in WHOLE_RANGE:
+            room = _room(trim, axis, WHOLE_RANGE[axis], "possible is", "leave it out of the axes")
+            checked[axis] = min(checked[axis], room)
+    return checked
+
+
+def _flown(trim: Trim, model: Aerodynamics, axis: str) -> float:
+    """Return the largest deviation from the trim that was flown to both sides."""
+    names = model.regressors
+    flown = model.limits
+    remedy = f"give limits={{{axis!r}: ...}} (--limits)"
+    if flown is None or axis not in names:
+        raise ValueError(
+            f"Got no limit of the {axis}, and the model does not say what was flown: {remedy}."
+        )
+    return _room(trim, axis, flown[:, names.index(axis)], "flown was", remedy)
+
+
+def _room(trim: Trim, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
+    """Return the largest deviation of an axis from the trim, to both sides, in its range."""
+    low, high = ends
+    value = trim.controls[axis]
+    room = min(value - low, high - value)
+    if not room > 0:
+        raise ValueError(
+            f"Got a trim with the {axis} at {value:.3g}, but {what} {low:.3g} to {high:.3g}, "
+            f"which leaves it no room: {remedy}, or choose another trim."
+        )
+    return float(room)
 
 
 def pause_of(airspeed: float) -> float:
@@ -477,17 +550,13 @@ class _Manoeuvre:
 class _Planner:
     """Manoeuvres and risks of the flights that may be planned."""
 
-    def __init__(self, model, aircraft, trim, seconds, envelope, thrust, seed) -> None:
-        self.model = model
-        self.aircraft = aircraft
-        self.trim = trim
-        self.seconds = float(seconds)
-        self.envelope = envelope
-        self.thrust = thrust
-        self.seed = seed
-        self.aerodynamics = as_aerodynamics(model)
-        if self.aerodynamics.is_uncertain:
-            self._check_uncertain()
+    def __init__(self, rehearsal: Rehearsal, seconds: float, goal: Sequence[str]) -> None:
+        self.rehearsal = rehearsal
+        self.seconds = seconds
+        self.goal = goal
+        self.aerodynamics = rehearsal.aerodynamics
+        numbers = derivative_names(self.aerodynamics)
+        self.slopes = [numbers[name] for name in goal]
         rows = None
         if self.aerodynamics.training_rows is not None:
             rows = self.aerodynamics.training_rows()
@@ -495,94 +564,21 @@ class _Planner:
         self.interval = ROW_STEP  # between rows of a log [s]
         if rows is not None and self.aerodynamics.training_seconds is not None:
             self.interval = self.aerodynamics.training_seconds / len(rows)
-
-    def search(self, axes: Sequence[str], limits: Mapping, goal: Sequence[str] | None) -> Plan:
-        """Return the plan for a goal."""
-        self.goal = check_goal(goal, self.aerodynamics)
-        numbers = derivative_names(self.aerodynamics)
-        self.slopes = [numbers[name] for name in self.goal]
-        check_names(axes, self.trim.controls, "controls of the trim")
-        self.limits = self._checked_limits(axes, limits)
-        self.rehearsal = Rehearsal(
-            self.model, self.aircraft, self.trim, self.limits, self.envelope,
-            pause_of(self.trim.airspeed), self.thrust, self.seed,
-        )  # fmt: skip
         self.library = {item.name: item for item in self._library()}
         if not self.library:
             raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of "
-                f"{self.rehearsal.pause:.3g} s is that short and can be flown: give more seconds "
+                f"Got {seconds:g} s, but no manoeuvre with pauses of "
+                f"{rehearsal.pause:.3g} s is that short and can be flown: give more seconds "
                 f"or smaller limits."
             )
         peak = np.max([np.diag(item.information) for item in self.library.values()], axis=0)
         self.known = VAGUE * np.diag(np.maximum(peak, UNMOVED))
         if self.learned is not None:
             self.known += information(self.learned)
-        return self._plan_of(self._searched())
-
-    def _check_uncertain(self) -> None:
-        """Warn of gusts and ranges that a model with a posterior does not know; raise ValueError at too few paths."""
-        if self.envelope.gusts == "auto" and self.aerodynamics.turbulence is None:
-            warn(
-                "The model does not know the turbulence of its flights, so risks are those "
-                "without gusts. Give Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
-                stacklevel=4,
-            )
-        if free := self.envelope.unlimited(self.aerodynamics):
-            options = ", ".join(OPTIONS[name] for name in free)
-            warn(
-                f"The model does not know the flown range of {', '.join(free)}, so nothing limits "
-                f"them: a manoeuvre may turn the aircraft over or dive. Limit them by the "
-                f"envelope ({options}), or fit the model again.",
-                UserWarning,
-                stacklevel=4,
-            )
-        n_paths = self.envelope.n_paths
-        if 1 / (n_paths + 2) > self.envelope.risk:
-            raise ValueError(
-                f"Got n_paths={n_paths}, too few to show a risk of {self.envelope.risk:g}, but "
-                f"expected at least {int(np.ceil(1 / self.envelope.risk)) - 2}, better three times "
-                f"as many."
-            )
-
-    def _checked_limits(self, axes: Sequence[str], limits: Mapping) -> dict[str, float]:
-        """Return the limits of the axes, by default the training ranges; the throttle ends at 0 and 1."""
-        checked = {}
-        for axis in axes:
-            checked[axis] = limits[axis] if axis in limits else self._flown(axis)
-            if axis in WHOLE_RANGE:
-                room = self._room(
-                    axis, WHOLE_RANGE[axis], "possible is", "leave it out of the axes"
-                )
-                checked[axis] = min(checked[axis], room)
-        return checked
-
-    def _flown(self, axis: str) -> float:
-        """Return the largest deviation from the trim that was flown to both sides."""
-        names = self.aerodynamics.regressors
-        flown = self.aerodynamics.limits
-        remedy = f"give limits={{{axis!r}: ...}} (--limits)"
-        if flown is None or axis not in names:
-            raise ValueError(
-                f"Got no limit of the {axis}, and the model does not say what was flown: {remedy}."
-            )
-        return self._room(axis, flown[:, names.index(axis)], "flown was", remedy)
-
-    def _room(self, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
-        """Return the largest deviation of an axis from the trim, to both sides, in its range."""
-        low, high = ends
-        value = self.trim.controls[axis]
-        room = min(value - low, high - value)
-        if not room > 0:
-            raise ValueError(
-                f"Got a trim with the {axis} at {value:.3g}, but {what} {low:.3g} to {high:.3g}, "
-                f"which leaves it no room: {remedy}, or choose another trim."
-            )
-        return float(room)
 
     def _rows(self, flight: pd.DataFrame) -> Matrix:
         """Return the regressors (n, d) of a simulated flight at the rate of the model's own rows."""
-        X = regressors_of(flight, self.aircraft, self.aerodynamics.regressors)
+        X = regressors_of(flight, self.rehearsal.aircraft, self.aerodynamics.regressors)
         time = flight["time"].to_numpy(float)
         times = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
         return np.column_stack([np.interp(times, time, column) for column in X.T])
@@ -591,11 +587,12 @@ class _Planner:
         """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
         rehearsal = self.rehearsal
         notify("planning: library", 0, 0.0)
-        modes = linearize(self.model, self.aircraft, self.trim, thrust=self.thrust).modes()
+        of_aircraft = rehearsal.model, rehearsal.aircraft, rehearsal.point
+        modes = linearize(*of_aircraft, thrust=rehearsal.thrust).modes()
         most = self.seconds - rehearsal.pause - rehearsal.response
         named = {
             name: item
-            for name, item in library(input_bands(modes, self.limits), self.limits)
+            for name, item in library(input_bands(modes, rehearsal.limits), rehearsal.limits)
             if duration_of(item) <= most
         }
         scales: dict[str, float] = {}
@@ -659,7 +656,7 @@ class _Planner:
                 return best
             best = better
 
-    def _searched(self) -> list[_Manoeuvre]:
+    def searched(self) -> list[_Manoeuvre]:
         """Return the chosen manoeuvres, all safe."""
         library = self.library
         causes = ""
@@ -669,8 +666,8 @@ class _Planner:
                 if gain < WORTH:
                     raise ValueError(
                         f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of "
-                        f"{list(self.limits)} within their limits lower its errors by {gain:.2%}: "
-                        f"move other axes, raise their limits, or ask for another goal."
+                        f"{list(self.rehearsal.limits)} within their limits lower its errors by "
+                        f"{gain:.2%}: move other axes, raise their limits, or ask for another goal."
                     )
                 n_checked = sum(manoeuvre.risk is not None for manoeuvre in library.values())
                 notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
@@ -692,8 +689,8 @@ class _Planner:
         if not chosen:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves in more than "
-                f"{self.envelope.risk:.0%} of cases, even at {LEAST:.0%} of the limits; the last "
-                f"one by {causes}: widen this limit, allow more risk, plan for weaker gusts, or "
+                f"{self.rehearsal.envelope.risk:.0%} of cases, even at {LEAST:.0%} of the limits; the "
+                f"last one by {causes}: widen this limit, allow more risk, plan for weaker gusts, or "
                 f"fly another airspeed or altitude."
             )
         return chosen
@@ -708,7 +705,7 @@ class _Planner:
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
             inputs = scaled(manoeuvre.full, scale)
             checked = self.rehearsal.checked(inputs)
-            if checked.risk <= self.envelope.risk:
+            if checked.risk <= self.rehearsal.envelope.risk:
                 safe = scale
                 best = inputs, checked
             else:
@@ -734,10 +731,11 @@ class _Planner:
         )
         return largest, causes
 
-    def _plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
+    def plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres."""
-        start = self.rehearsal.pause
-        train = wavetrain([item.inputs for item in chosen], pause=start, limits=self.limits)
+        rehearsal = self.rehearsal
+        start = rehearsal.pause
+        train = wavetrain([item.inputs for item in chosen], pause=start, limits=rehearsal.limits)
         gained = self._gain([])
         rows: list[dict[str, Any]] = []
         for manoeuvre in chosen:
@@ -749,20 +747,20 @@ class _Planner:
                 "gain": -np.expm1(-gain),
             })  # fmt: skip
             start += manoeuvre.seconds
-        rows[-1]["pause"] = self.rehearsal.response
+        rows[-1]["pause"] = rehearsal.response
         flight = [manoeuvre.flight.assign(flight=k) for k, manoeuvre in enumerate(chosen)]
-        gusts = self.envelope.gusts
+        gusts: Any = rehearsal.envelope.gusts
         if gusts == "auto":
             gusts = self.aerodynamics.turbulence
         is_still = gusts is None or not self.aerodynamics.is_uncertain
         return Plan(
             train=train,
-            trim=self.trim,
+            trim=rehearsal.point,
             manoeuvres=pd.DataFrame(rows),
             flight=pd.concat(flight, ignore_index=True),
             errors=self._errors(chosen),
-            limits=pd.DataFrame(self.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
-            aircraft=self.aircraft,
+            limits=pd.DataFrame(rehearsal.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
+            aircraft=rehearsal.aircraft,
             gusts=None if is_still else tuple(map(float, gusts.intensity)),
             servo_lag=self.aerodynamics.servo_lag,
         )
@@ -770,11 +768,12 @@ class _Planner:
     def _errors(self, chosen: Sequence[_Manoeuvre]) -> pd.DataFrame:
         """Return standard deviations of the goal before the flight, and promised after it."""
         notify("planning: promise", 0, 0.0)
-        point = vars(self.trim)
-        before = std_at(self.model, self.aircraft, point, self.thrust)
+        rehearsal = self.rehearsal
+        of_aircraft = rehearsal.model, rehearsal.aircraft, vars(rehearsal.point), rehearsal.thrust
+        before = std_at(*of_aircraft)
         promised = pd.Series(dtype=float)
         if self.learned is not None and len(before):
             added = np.concatenate([self._rows(item.flight) for item in chosen])
-            promised = std_at(self.model, self.aircraft, point, self.thrust, added)
+            promised = std_at(*of_aircraft, added)
         errors = pd.DataFrame({"before": before, "promised": promised}, dtype=float)
         return errors.reindex(list(self.goal))

@@ -31,27 +31,30 @@ from skdgp.dynamics._aircraft import (
     PRESSURE,
     QUANTITIES,
     Aircraft,
+    Propeller,
     ScaleFactor,
+    ThrustLine,
     check_aircraft,
     relative_errors,
 )
 from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._engines import Propeller, ThrustLine
 from skdgp.dynamics._inputs import FlightComputer, UncertainStart
-from skdgp.dynamics._inverse import aerodynamic_coefficients
+from skdgp.dynamics._inverse import aerodynamic_coefficients, replay
 from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._loads import (
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._record import REASONS, Clock, Record, channels, fly_record
+from skdgp.dynamics._rigid_body import (
+    STATE_NAMES,
     aerodynamic_loads,
     dynamic_pressure,
     external_loads,
     propeller_loads,
     propeller_speed_of,
     propulsive_loads,
+    rigid_body_derivative,
+    rk4,
+    rk4_step,
 )
-from skdgp.dynamics._motion import Instant, Motion
-from skdgp.dynamics._record import REASONS, Clock, Record, channels, fly_record
-from skdgp.dynamics._replay import replay
-from skdgp.dynamics._rigid_body import STATE_NAMES, rigid_body_derivative, rk4, rk4_step
 from skdgp.dynamics._simulate import SimulationWarning, Simulator, simulate, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
 

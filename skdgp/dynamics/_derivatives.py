@@ -15,8 +15,8 @@ from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
 from skdgp.dynamics._linearize import LAGS, check_paths, check_settled, flight_point, lag_of
-from skdgp.dynamics._loads import Thrust
 from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._rigid_body import Thrust
 from skdgp.dynamics._trim import Trim
 
 ROWS = (*COEFFICIENTS, "CL", "CD")

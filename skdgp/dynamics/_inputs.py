@@ -54,10 +54,9 @@ from skdgp.dynamics._air import (
     dryden_gusts,
     dryden_system,
 )
-from skdgp.dynamics._loads import stacked
 from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._record import Clock
-from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY
+from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 WIND_STEP = 1e-3  # Over which the wind of a function is differentiated [s]

@@ -39,9 +39,8 @@ from skdgp._flight.frames import (
 )
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._loads import Thrust, thrust_control
 from skdgp.dynamics._motion import Instant, Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, Thrust, thrust_control
 
 # Rates of change, and the rates whose slopes theirs are shares of
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}

@@ -28,8 +28,15 @@ from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, 
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft
-from skdgp.dynamics._loads import Thrust, aerodynamic_loads, propulsive_loads
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rigid_body_derivative
+from skdgp.dynamics._rigid_body import (
+    ATTITUDE,
+    RATES,
+    VELOCITY,
+    Thrust,
+    aerodynamic_loads,
+    propulsive_loads,
+    rigid_body_derivative,
+)
 
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 # Channels that are set, not rebuilt from the state; a control may also have a name that is no

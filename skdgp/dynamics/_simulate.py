@@ -44,7 +44,6 @@ from skdgp.dynamics._inputs import (
     wind_field,
     wind_schedule,
 )
-from skdgp.dynamics._loads import Thrust
 from skdgp.dynamics._motion import CONTROLS, PROPULSION, Motion
 from skdgp.dynamics._record import (
     FLYING,
@@ -53,6 +52,7 @@ from skdgp.dynamics._record import (
     channels,
     fly_record,
 )
+from skdgp.dynamics._rigid_body import Thrust
 
 BEYOND = 0.02  # Fraction of its training range by which a regressor may exceed it without a warning
 TINY = 1e-12

@@ -20,9 +20,16 @@ from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravi
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_settled
-from skdgp.dynamics._loads import CENTRED, Thrust, aerodynamic_loads, thrust_control
 from skdgp.dynamics._motion import DEFLECTION, IMPLICIT, PROPULSION, Instant, Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
+from skdgp.dynamics._rigid_body import (
+    ATTITUDE,
+    CENTRED,
+    RATES,
+    VELOCITY,
+    Thrust,
+    aerodynamic_loads,
+    thrust_control,
+)
 
 ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]  # Controls that give the thrust of any engine
 ANGLES = {

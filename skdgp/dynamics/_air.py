@@ -23,7 +23,6 @@ from skdgp._flight.checks import (
     check_choice,
     check_columns,
     check_number,
-    check_numbers,
     check_radians,
     check_table,
 )
@@ -161,16 +160,14 @@ def dryden_wind(
     height: float,
     *,
     wind_at_6m: float = 5.0,
-    mean_wind: ArrayLike = (0.0, 0.0, 0.0),
-    heading: float = 0.0,
     span: float = 2.0,
     dt: float = 0.02,
     random_state: Seed = None,
 ) -> pd.DataFrame:
-    """Return a gusty wind, for ``simulate(air=...)``.
+    """Return a gusty wind with mean zero, for ``simulate(air=...)``.
 
-    Dryden turbulence of MIL-F-8785C below 1000 ft above a mean wind, crossed straight ahead at
-    ``airspeed`` along ``heading``, without its rotation.
+    Dryden turbulence of MIL-F-8785C below 1000 ft, crossed straight north at ``airspeed``, without
+    its rotation.
 
     Parameters
     ----------
@@ -181,10 +178,6 @@ def dryden_wind(
         304.8.
     wind_at_6m : float, default=5.0
         [m/s]; 7.7 is light, 15 moderate, 23 severe turbulence.
-    mean_wind : array-like (3,), default=(0, 0, 0)
-        North, east, down [m/s].
-    heading : float, default=0.0
-        [rad].
     span : float, default=2.0
         Of the wing, which averages the gusts [m].
     dt : float, default=0.02
@@ -200,25 +193,19 @@ def dryden_wind(
     Examples
     --------
     >>> from skdgp.dynamics import dryden_wind
-    >>> wind = dryden_wind(60.0, airspeed=25.0, height=100.0, mean_wind=[4.0, 0.0, 0.0], random_state=0)
+    >>> wind = dryden_wind(60.0, airspeed=25.0, height=100.0, random_state=0)
     >>> list(wind), len(wind)
     (['time', 'wind_north', 'wind_east', 'wind_down'], 3001)
     """
     sizes = {"duration": duration, "airspeed": airspeed, "height": height, "span": span, "dt": dt}
     for name, value in sizes.items():
         check_number(name, value)
-    north, east, down = check_numbers("mean_wind", np.ravel(mean_wind).tolist(), 3)
     n_times = int(np.floor(duration / dt + 1e-9)) + 1
     intensity, length = Turbulence.low_altitude(height, wind_at_6m)[:2]
     rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
-    u, v, w = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng).velocity[:, 0].T
-    ahead, aside = np.cos(heading), np.sin(heading)
-    return pd.DataFrame({
-        "time": dt * np.arange(n_times),
-        "wind_north": north + ahead * u - aside * v,
-        "wind_east": east + aside * u + ahead * v,
-        "wind_down": down + w,
-    })  # fmt: skip
+    gusts = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng).velocity[:, 0]
+    columns = dict(zip(WIND, gusts.T, strict=True))
+    return pd.DataFrame({"time": dt * np.arange(n_times), **columns})
 
 
 def _second_order(T: float, sigma: float, lag: float) -> Array:
@@ -511,15 +498,15 @@ class Air:
 
     Parameters
     ----------
-    wind : array-like (3,), DataFrame, list of DataFrame or callable, optional
-        Velocity of the air, north, east, down [m/s]: constant; a table with ``time``,
-        ``wind_north``, ``wind_east``, ``wind_down`` (a list: one for each start); or a function (t,
-        position (..., 3)). By default at rest.
+    wind : array-like (3,), DataFrame or list of DataFrame, optional
+        Velocity of the air, north, east, down [m/s]: constant; or a table with ``time``,
+        ``wind_north``, ``wind_east``, ``wind_down`` (a list: one for each start). By default at
+        rest.
     gusts : "auto", Turbulence or None, default="auto"
-        Turbulence: each path of a simulation meets its own gusts, with their rates p, q,
-        r, besides the wind. A table or function as wind contains the velocity of the gusts: then
-        only rates are drawn. "auto": the turbulence of this table or function
-        (`Turbulence.from_wind`), else of the training flights, if the model knows it. None: calm air.
+        Turbulence: each path of a simulation meets its own gusts, with their rates p, q, r, besides
+        the wind. A table as wind contains the velocity of the gusts: then only rates are drawn.
+        "auto": the turbulence of this table (`Turbulence.from_wind`), else of the training flights,
+        if the model knows it. None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
         coefficients that change slowly, as the residuals of the training flights did; smaller in

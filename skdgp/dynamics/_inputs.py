@@ -59,7 +59,6 @@ from skdgp.dynamics._record import Clock
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
-WIND_STEP = 1e-3  # Over which the wind of a function is differentiated [s]
 # Largest factor of a drift's variance, in rougher air than in the training flights. On eleven
 # aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
 # (docs/simulation.md).
@@ -68,45 +67,25 @@ ROUGHEST = 2.0
 HORIZON, POINTS = 1.0, 101
 
 
-def wind_field(wind: Any, n_starts: int = 1) -> AirAt:
-    """Return a function (t, state) to the air, of a wind that is constant, a function or None."""
+def constant_wind(wind: Any, n_starts: int = 1) -> LocalAir | None:
+    """Return the air in a constant wind, None in still air."""
     if wind is None:
-        return lambda t, state: None
-    if callable(wind):
-
-        def field(t: float, state: Array) -> LocalAir:
-            position = state[..., rigid_body.POSITION]
-            velocity = body_to_ned(state[..., ATTITUDE], state[..., VELOCITY])
-            ahead, behind = (
-                np.asarray(wind(t + step, position + step * velocity), dtype=float)
-                for step in (WIND_STEP, -WIND_STEP)
-            )
-            if ahead.shape not in ((3,), position.shape):
-                raise ValueError(
-                    f"Got wind of shape {ahead.shape} at positions {position.shape}, but expected "
-                    f"a function of "
-                    "(t, position) to the velocity of the air, north, east, down: (3,), or as the "
-                    "positions."
-                )
-            return LocalAir(0.5 * (ahead + behind), (ahead - behind) / (2 * WIND_STEP))
-
-        return field
+        return None
     constant = as_floats(wind)
     if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
         raise ValueError(
             f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
-            f"finite velocity of the "
-            "air, north, east, down [m/s]; or a function of time and position; or, to simulate, a "
-            "table with time."
+            f"finite velocity of the air, north, east, down [m/s]; or, to simulate, a table with "
+            f"time."
         )
-    return lambda t, state: LocalAir(constant)
+    return LocalAir(constant)
 
 
 def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
     """Return a function (stage, state) to the air."""
     if not tables_of(wind):
-        times, field = clock.stages, wind_field(wind, n_starts)
-        return lambda stage, state: field(times[stage], state)
+        local = constant_wind(wind, n_starts)
+        return lambda stage, state: local
     tables = as_tables(wind, "wind", n_starts)
     for table in tables:
         check_columns(table, WIND, what="wind")
@@ -117,7 +96,7 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
 
 
 def met_turbulence(
-    described: Air, air: AirAt, motion: Motion, clock: Clock, states: Array
+    described: Air, air: AirAt, motion: Motion, states: Array
 ) -> tuple[Turbulence | None, str]:
     """Return the turbulence to fly in, None if unknown, and a sentence about it."""
     flown = motion.aerodynamics.turbulence
@@ -125,10 +104,15 @@ def met_turbulence(
         return STILL, "Air without gusts, as asked."
     if isinstance(described.gusts, Turbulence):
         return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
-    if _has_gusts(described.wind):
-        found = _turbulence_of(described.wind, air, motion, clock, states)
-        if found is not None:
+    if tables := tables_of(described.wind):
+        speeds = airspeeds(states, air)
+        try:
+            found = Turbulence.from_wind(
+                tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span
+            )
             return found, f"Gusts as those of the wind, {_sizes(found)}."
+        except TooShort:
+            pass
     if flown is None:
         return (
             None,
@@ -145,34 +129,6 @@ def _sizes(turbulence: Turbulence) -> str:
     """Return the intensities in words."""
     u, v, w = turbulence.intensity
     return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w{', of which u and v are not told apart' * turbulence.is_tied})"
-
-
-def _has_gusts(wind: Any) -> bool:
-    """Return whether a wind contains its gusts: a table or a function."""
-    return callable(wind) or bool(tables_of(wind))
-
-
-def _turbulence_of(
-    wind: Any, air: AirAt, motion: Motion, clock: Clock, states: Array
-) -> Turbulence | None:
-    """Return the turbulence of a wind, None if it is too short to show it; a function is followed straight ahead."""
-    speeds, tables = airspeeds(states, air), tables_of(wind)
-    if not tables:
-        ground = body_to_ned(states[:, ATTITUDE], states[:, VELOCITY])
-        step = np.zeros_like(states)
-        step[:, rigid_body.POSITION] = clock.dt * ground
-        met = [
-            np.broadcast_to(air(2 * k, states + k * step).wind, (len(states), 3))  # type: ignore[union-attr]
-            for k in range(clock.n_steps + 1)
-        ]
-        time = clock.dt * np.arange(clock.n_steps + 1)
-        tables = [pd.DataFrame(w, columns=[*WIND]).assign(time=time) for w in np.stack(met, axis=1)]
-    try:
-        return Turbulence.from_wind(
-            tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span
-        )
-    except TooShort:
-        return None
 
 
 def gusty_air(
@@ -194,7 +150,7 @@ def gusty_air(
         np.random.default_rng(seeds), n_draws=n_paths,
     )  # fmt: skip
     parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
-    if _has_gusts(described.wind):
+    if tables_of(described.wind):
         parts[:2] = (np.zeros_like(part) for part in parts[:2])
     return GustyAir(air, Gusts(*parts), motion.is_implicit)
 

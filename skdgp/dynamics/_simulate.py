@@ -33,6 +33,7 @@ from skdgp.dynamics._inputs import (
     UncertainStart,
     airspeeds,
     as_starts,
+    constant_wind,
     control_schedule,
     drift_in,
     gusty_air,
@@ -41,7 +42,6 @@ from skdgp.dynamics._inputs import (
     perturbed,
     tables_of,
     warn_of_clocks,
-    wind_field,
     wind_schedule,
 )
 from skdgp.dynamics._motion import CONTROLS, PROPULSION, Motion
@@ -97,10 +97,10 @@ def simulate(
         Time step [s].
     duration : float, optional
         [s]; by default as long as the tables.
-    air : Air, table, list of tables, array-like (3,), callable, Turbulence or "calm", optional
-        A wind, as a table, a function or a constant, a `Turbulence`, or an `Air` of both, with
-        density and gravity. By default paths meet the gusts of a wind that is a table or a
-        function, else the gusts of the training flights. "calm" has no gusts.
+    air : Air, table, list of tables, array-like (3,), Turbulence or "calm", optional
+        A wind, as a table or a constant, a `Turbulence`, or an `Air` of both, with density and
+        gravity. By default paths meet the gusts of a wind that is a table, else the gusts of the
+        training flights. "calm" has no gusts.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
         flight. Their spread is the uncertainty of the trajectory.
@@ -169,7 +169,7 @@ def simulate(
         raise ValueError("Got an UncertainStart without n_paths: nothing would show it.")
     drifts, sentence = None, ""
     if n_paths is not None:
-        met, sentence = met_turbulence(described, local, motion, clock, states)
+        met, sentence = met_turbulence(described, local, motion, states)
         speed = float(airspeeds(states, local).mean())
         drift = drift_in(met, motion, speed) if described.drift else None
         if met is not None and np.any(met.intensity):
@@ -213,8 +213,7 @@ class Simulator:
     dt : float, default=0.02
         Time step [s].
     air, thrust
-        As for :func:`skdgp.dynamics.simulate`; the wind is constant or a function, no gusts are
-        drawn besides it.
+        As for :func:`skdgp.dynamics.simulate`; the wind is constant, no gusts are drawn.
 
     Attributes
     ----------
@@ -255,13 +254,11 @@ class Simulator:
     ) -> None:
         air = as_air(air)
         if isinstance(air.gusts, Turbulence):
-            raise ValueError(
-                "Got a Turbulence, but a Simulator draws no gusts: give a wind, as a function."
-            )
+            raise ValueError("Got a Turbulence, but a Simulator draws no gusts: simulate() does.")
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean = self.motion.aerodynamics
-        self._air = wind_field(air.wind)
+        self._air = constant_wind(air.wind)
         self._steps = 0
         self.ended = FLYING
         self.beyond = ""
@@ -278,7 +275,7 @@ class Simulator:
         ``x0`` is one start of :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean
         of the model flies, else a function drawn from its posterior.
         """
-        states = initial_states(as_starts(x0), lambda start: self._air(0.0, start))
+        states = initial_states(as_starts(x0), lambda start: self._air)
         if len(states) > 1:
             raise ValueError(
                 f"Got {len(states)} starts, but expected one: simulate() flies several at once."
@@ -300,13 +297,9 @@ class Simulator:
                 "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
             )
             raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
-
-        def air(stage, state):
-            return self._air(self.time + 0.5 * self.dt * stage, state)
-
         record = fly_record(
-            self.motion, lambda step, stage, observe: controls, air, Clock(self.dt, 1), self._state,
-            deflections=self._reached,
+            self.motion, lambda step, stage, observe: controls, lambda stage, state: self._air,
+            Clock(self.dt, 1), self._state, deflections=self._reached,
         )  # fmt: skip
         self._steps += 1
         self.ended = record.ended[0]
@@ -318,8 +311,7 @@ class Simulator:
         return self._seen()
 
     def _seen(self) -> dict[str, float]:
-        air = self._air(self.time, self._state)
-        columns = channels(self._state, None if air is None else air.wind)
+        columns = channels(self._state, None if self._air is None else self._air.wind)
         values = {name: np.nan if self.ended else float(v[0]) for name, v in columns.items()}
         return {"time": self.time} | values
 

@@ -8,12 +8,12 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
+from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,
     Display,
@@ -224,18 +224,18 @@ class TimeHistoryDisplay(Display):
             )
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
-        values = trajectories[names].to_numpy(float, copy=True).reshape(n_paths, len(time), -1)
-        if mean is not None:
-            values = np.concatenate([mean[names].to_numpy(float)[None], values])
-        for k in (k for k, name in enumerate(names) if name in EULER):
-            values[:, :, k] = unwrapped_paths(values[:, :, k])
-        line = values[0]
+        single = trajectories if n_paths == 1 else mean
         lower = upper = None
         if n_paths > 1:
-            paths = values[-n_paths:]
-            edges = [path_quantiles(paths[:, :, k], LEVEL) for k in range(len(names))]
-            lower, middle, upper = np.stack(edges, axis=-1)
-            line = middle if mean is None else line
+            bands = trajectory_bands(trajectories, LEVEL, names)
+            line, lower, upper = (
+                bands[[f"{name}{end}" for name in names]].to_numpy()
+                for end in ("", "_low", "_high")
+            )
+        if single is not None:
+            line = single[names].to_numpy(float, copy=True)
+            for k in (k for k, name in enumerate(names) if name in EULER):
+                line[:, k] = unwrapped_paths(line[None, :, k])[0]
         beyond = None
         if "beyond" in trajectories:
             outside = (trajectories["beyond"] != "").to_numpy()
@@ -246,9 +246,9 @@ class TimeHistoryDisplay(Display):
             mean=line,
             lower=lower,
             upper=upper,
-            measured=None if flown is None else _interpolated(flown, time, names, values[0, 0]),
+            measured=None if flown is None else _interpolated(flown, time, names, line[0]),
             beyond=beyond,
-            estimate="simulated" if n_paths == 1 or mean is not None else "median of the paths",
+            estimate="median of the paths" if single is None else "simulated",
         ).plot(ax)
 
     @classmethod

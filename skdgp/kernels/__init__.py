@@ -2,8 +2,14 @@
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import COVARIANCE_TYPES, ConvolvedGaussian
-from skdgp.kernels._features import Features, LatentFeatures, covariance_paths, inducing_features
-from skdgp.kernels._prior_paths import PathBundle, prior_paths
+from skdgp.kernels._features import (
+    Features,
+    LatentFeatures,
+    PathBundle,
+    covariance_paths,
+    inducing_features,
+    prior_paths,
+)
 from skdgp.kernels._trend import LinearTrend
 
 __all__ = [

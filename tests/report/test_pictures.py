@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from skdgp._display.page import MARGINS, picture
-from skdgp.report._figures import busiest_span
+from skdgp.report._page import busiest_span
 
 SIZE = 3.0, 3.0
 

@@ -1,7 +1,8 @@
-"""Messages to who runs a fit: warnings, which blocks may record or ignore, and its progress, for a listener."""
+"""Messages to who runs a fit: warnings, its progress, for a listener, and packages that are not installed."""
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -101,3 +102,14 @@ def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("na
     listener = _listener.get()
     if listener is not None:
         listener(stage, n_evaluations, log_likelihood)
+
+
+def extra(package: str, name: str) -> Any:
+    """Return a package of an extra; raise ImportError, with what to install, if it is absent."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise ImportError(
+            f"This needs {package.partition('.')[0]}, which is not installed: "
+            f"pip install 'skdgp[{name}]'."
+        ) from error

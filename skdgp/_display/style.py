@@ -40,17 +40,6 @@ _SYMBOLS = {
 _UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
 
 
-def check_matplotlib(who: str) -> None:
-    """Raise ImportError, with the extra to install, if matplotlib is absent."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        message = (
-            f'{who} draws with matplotlib, which is not installed: run pip install "skdgp[plot]".'
-        )
-        raise ImportError(message) from error
-
-
 @contextmanager
 def units_shown(units: Mapping[str, str]) -> Iterator[None]:
     """Show columns in these units inside the ``with`` block, such as surfaces in parts of their full throw."""

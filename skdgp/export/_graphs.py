@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from skdgp._compute.messages import extra
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.export._model import ROUNDING, Part, PortableModel, Term
 
@@ -41,7 +41,7 @@ def casadi_function(model: PortableModel) -> Any:
     further, also the deviation, and be saved with its method ``save``. A reduced model
     (``export_model`` with ``max_kb``) is faster. Raises ImportError if CasADi is not installed.
     """
-    ca = extra("casadi")
+    ca = extra("casadi", "export")
     x = ca.MX.sym("x", len(model.regressors))
     z = (x - ca.DM(model.shift)) / ca.DM(model.scale)
     p = ca.vertcat(1, z - ca.DM(model.trend_center))
@@ -87,7 +87,7 @@ def onnx_model(model: PortableModel) -> Any:
     reduced model (``export_model`` with ``max_kb``) is faster. Raises ImportError if ONNX is not
     installed.
     """
-    onnx = extra("onnx")
+    onnx = extra("onnx", "export")
     graph = _Graph(onnx)
     z = graph("Div", graph("Sub", "x", model.shift), model.scale)
     p = graph("Sub", z, model.trend_center)
@@ -193,13 +193,3 @@ class _Graph:
     def squares(self, values: str, axis: int) -> str:
         """Return the sum of squares over an axis, which stays with length one."""
         return self("ReduceSum", self("Mul", values, values), [axis], keepdims=1)
-
-
-def extra(package: str) -> Any:
-    """Return a package of the extra ``export``; raise ImportError if it is not installed."""
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise ImportError(
-            f'This needs {package}, which is not installed: pip install "skdgp[export]".'
-        ) from error

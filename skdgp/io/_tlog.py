@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import extra
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._dataflash import mixing_of, servos_of
@@ -101,14 +102,7 @@ READ = {rule.topic for rule in RULES} | {OUTPUTS, "EXTENDED_SYS_STATE", "HEARTBE
 
 def read_tlog(path: Path) -> Log:
     """Return a telemetry log; raise FlightReadError if it is none, ImportError without pymavlink."""
-    try:
-        from pymavlink.dialects.v20 import ardupilotmega as mavlink
-    except ImportError as error:
-        raise ImportError(
-            "Reading a tlog needs pymavlink, which is not installed: pip install "
-            "'skdgp[logs]', or take the log of "
-            "the autopilot itself."
-        ) from error
+    mavlink = extra("pymavlink.dialects.v20.ardupilotmega", "logs")
     messages, skipped = _messages(path.read_bytes(), mavlink)
     systems = Counter(
         message.get_srcSystem() for message in messages if message.get_type() == "ATTITUDE"

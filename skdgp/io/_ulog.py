@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from skdgp._compute.messages import extra
 from skdgp._compute.typing import Vector
 from skdgp.io._log import (
     QUATERNION,
@@ -118,12 +119,7 @@ def read_ulog(path: Path) -> Log:
 
     Raises ImportError without pyulog.
     """
-    try:
-        from pyulog import ULogException
-    except ImportError as error:
-        raise ImportError(
-            "Reading a ULog needs pyulog, which is not installed: pip install 'skdgp[logs]'."
-        ) from error
+    pyulog = extra("pyulog", "logs")
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
@@ -135,7 +131,7 @@ def read_ulog(path: Path) -> Log:
         with redirect_stdout(io.StringIO()):  # where pyulog tells of damage
             log, order, lost = _parsed(file)
             version = log.get_version_info_str() or "development"
-    except (ULogException, EOFError, TypeError) as error:
+    except (pyulog.ULogException, EOFError, TypeError) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
     topics = {}
     for data_set in log.data_list:

@@ -8,8 +8,9 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import extra
 from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
-from skdgp._display.style import check_matplotlib, legend_above, tidy
+from skdgp._display.style import legend_above, tidy
 from skdgp._flight.channels import COEFFICIENTS
 
 GAP = 5.0  # usual steps; no line is drawn across a longer one
@@ -51,7 +52,7 @@ class Display:
         n_columns = min(self.n_columns, len(keys))
         n_rows = -(-len(keys) // n_columns)
         figsize = (n_columns * self.size[0], 1 + n_rows * self.size[1])
-        check_matplotlib("skdgp.plotting")
+        extra("matplotlib", "plot")
         if ax is None:
             import matplotlib.pyplot as plt
 

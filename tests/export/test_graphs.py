@@ -48,5 +48,5 @@ def test_onnx(portable, flight, tmp_path):
 @pytest.mark.parametrize(("write", "package"), [(casadi_function, "casadi"), (onnx_model, "onnx")])
 def test_what_is_not_installed_is_named(portable_of, write, package, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ImportError, match=r'pip install "skdgp\[export\]"'):
+    with pytest.raises(ImportError, match=r"pip install 'skdgp\[export\]'"):
         write(portable_of("trend"))

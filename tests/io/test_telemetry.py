@@ -121,6 +121,6 @@ class TestTelemetry:
 
 def test_without_its_extra(tlog, tmp_path, monkeypatch):
     (tmp_path / "sortie.tlog").write_bytes(b"".join(tlog))
-    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20", None)
+    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.ardupilotmega", None)
     with pytest.raises(ImportError, match=r"pip install 'skdgp\[logs\]'"):
         read_flight(tmp_path / "sortie.tlog")

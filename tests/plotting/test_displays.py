@@ -114,7 +114,7 @@ class TestEveryDisplay:
 
     def test_names_the_extra_when_matplotlib_is_absent(self, make, monkeypatch):
         monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-        with pytest.raises(ImportError, match=r'pip install "skdgp\[plot\]"'):
+        with pytest.raises(ImportError, match=r"pip install 'skdgp\[plot\]'"):
             make(10, None)
 
 

@@ -284,19 +284,17 @@ def block_means(values: np.ndarray, size: int) -> np.ndarray:
     return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
 
 
-def _relations(
+def _equal(
     windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED
 ) -> dict[str, Relation]:
-    """Return the relations between the channels that there are: those that depend on the changed ones."""
-    relations: dict[str, Relation] = {}
+    """Return the pairs of signals that are equal, where they depend on the changed channels."""
+    if CONTROLS.issuperset(changed):
+        return {}
     with np.errstate(all="ignore"):
-        if not CONTROLS.issuperset(changed):
-            for name, statement, y, x in _kinematics(windows, signals):
-                least = 0.01 if name in (*EULER, *VANES) else 0.1
-                relations[name] = _agreement(statement, y, x, least)
-        if not INERTIAL.issuperset(changed):
-            relations |= _slopes(windows, signals)
-    return relations
+        return {
+            name: _agreement(statement, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
+            for name, statement, y, x in _kinematics(windows, signals)
+        }
 
 
 def _kinematics(windows: Windows, signals: Signals) -> list[Equality]:
@@ -392,11 +390,17 @@ def _motion(windows: Windows, signals: Signals) -> list[Equality]:
     return equalities
 
 
-def _slopes(windows: Windows, signals: Signals) -> dict[str, Relation]:
-    """Return the slopes of known sign; moments at the lag of the surfaces that explains most.
+@np.errstate(all="ignore")
+def _slopes(
+    windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED
+) -> dict[str, Relation]:
+    """Return the slopes of known sign, where they depend on the changed channels.
 
-    Where another possible lag gives a slope of the other sign, its agreement is NaN.
+    Slopes of moments are at the lag of the surfaces that explains most. Where another possible lag
+    gives a slope of the other sign, its agreement is NaN.
     """
+    if INERTIAL.issuperset(changed):
+        return {}
     slopes = {name: _slope_sign(*terms) for name, *terms in _aerodynamics(windows, signals)}
     candidates = {name: [slopes[name]] for name in CONTROL if name in slopes}
     for lag in LAGS[1:]:
@@ -455,15 +459,20 @@ def _aerodynamics(
         scaled["sink"] = signals["v_down"] / speed**3
     if "az" in signals:
         scaled["induced"] = (signals["az"] / speed**2) ** 2
+    integrals = {"": windows.integral(speed**2, SHORT)}
     for name in names:
         response, regressors, sign, statement = SLOPES[name]
         first, *further = regressors.split()
         measured = first in scaled and (first not in STAND_INS or first in signals)
         if response in signals and measured:
             growth = windows.integral if response in SPECIFIC_FORCE else windows.change
-            columns = [scaled[first], np.ones(len(speed))]
-            columns += [scaled[regressor] for regressor in further if regressor in scaled]
-            X = windows.integral(speed[:, None] ** 2 * np.stack(columns, axis=-1), SHORT)
+            columns = [first, "", *(regressor for regressor in further if regressor in scaled)]
+            integrals |= {
+                column: windows.integral(speed**2 * scaled[column], SHORT)
+                for column in columns
+                if column not in integrals
+            }
+            X = np.stack([integrals[column] for column in columns], axis=-1)
             yield name, statement, growth(signals[response], SHORT), X, sign
 
 
@@ -516,11 +525,14 @@ def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool
 
     None if none makes them agree clearly.
     """
-    before = _relations(windows, signals)
+    before = _equal(windows, signals) | _slopes(windows, signals)
     contradictions = [name for name, relation in before.items() if relation.contradicts]
     probable: list[tuple[float, Cause, Relation, Relation]] = []
     for cause in _causes(signals) if contradictions else ():
-        after = before | _relations(windows, cause.correct(signals), cause.channels)
+        corrected = cause.correct(signals)
+        after = before | _equal(windows, corrected, cause.channels)
+        if any(name in SLOPES or after[name].agrees for name in contradictions):
+            after |= _slopes(windows, corrected, cause.channels)
         gains = {
             name: after[name].agreement - relation.agreement for name, relation in before.items()
         }

@@ -398,6 +398,8 @@ class MultiOutputKernel(Kernel):
 class Sum(_SklearnSum, MultiOutputKernel):
     """The sum of two multi-output kernels: the covariance of a sum of independent processes."""
 
+    bounds = MultiOutputKernel.bounds  # scikit-learn's asks every kernel 2^depth times
+
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""

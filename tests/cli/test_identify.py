@@ -371,7 +371,7 @@ class TestConsole:
 def test_demo_is_honest(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     output = tmp_path / "skdgp-demo"
-    assert main(["demo", "--samples", "100", "--max-iter", "15"]) == 0
+    assert main(["demo", "--samples", "100", "--max-iter", "15", "--horizons", "2"]) == 0
     assert_only_stopped(capsys.readouterr().err.splitlines())
     assert {path.name for path in output.iterdir()} == OUTPUTS
     (flight,) = json.loads((output / "metrics.json").read_text())["test"].values()

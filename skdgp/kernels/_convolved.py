@@ -379,9 +379,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return np.full(len(Xi), (self.value("amplitude")[:, i] ** 2).sum())
 
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        return self.pair(i, j).derivative(np.asarray(Xi, float), np.asarray(Xj, float))
-
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if not self.couples(i, j):
             return np.zeros(self.n_dims)

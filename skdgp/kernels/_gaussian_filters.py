@@ -116,22 +116,6 @@ class FilterPair:
 
         return self.gain @ exponentials, moments
 
-    # -- derivatives by the inputs
-    # ---------------------------------------------------------------------------------------
-
-    def derivative(self, Xi: Matrix, Xj: Matrix) -> Array:
-        """Return d cov_ij / d Xi, (d, n_i, n_j)."""
-        middle = _middle(Xj)
-        D = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
-        for m, exponent in enumerate(self.exponents(Xi, Xj)):
-            a = (Xi - middle - self.mu[m]) * self.Sigma[m]
-            b = (Xj - middle) * self.Sigma[m]
-            E = exponent.exponential(slice(None), np.empty(D.shape[1:]))
-            E *= self.gain[m]
-            for slope, a_k, b_k in zip(D, a.T, b.T, strict=True):  # one that fits the cache
-                slope -= E * np.subtract.outer(a_k, b_k)
-        return D
-
     # -- derivatives by the parameters
     # -----------------------------------------------------------------------------------
 

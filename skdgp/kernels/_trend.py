@@ -174,12 +174,6 @@ class LinearTrend(MultiOutputKernel):
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return (self.basis(i, Xi) ** 2).sum(axis=1)
 
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        shape = (np.shape(Xi)[1], len(Xi), len(Xj))
-        if i != j:
-            return np.zeros(shape)
-        return np.broadcast_to(self.basis_slopes(i) @ self.basis(i, Xj).T, shape)
-
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)

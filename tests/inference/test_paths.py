@@ -40,7 +40,7 @@ def assert_moments(posterior, X, n_paths=N_PATHS, bound=5.0):
 @pytest.fixture(autouse=True)
 def _few_waves(monkeypatch):
     """Moments over paths do not depend on how many waves a path has."""
-    for module in ("_exact", "_sparse"):
+    for module in ("_posterior", "_sparse"):
         monkeypatch.setattr(f"skdgp.inference.{module}.FREQUENCIES", 6)
 
 

@@ -778,12 +778,9 @@ class Aircraft:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
         return _plain(self)
 
-    def to_json(self, path: str | Path | None = None) -> str:
-        """Return the aircraft as JSON text, and write it to ``path`` when one is given."""
-        text = json.dumps(self.to_dict(), indent=1) + "\n"
-        if path is not None:
-            Path(path).write_text(text, encoding="utf-8")
-        return text
+    def to_json(self) -> str:
+        """Return the aircraft as JSON text, the content of a file for `from_file`."""
+        return json.dumps(self.to_dict(), indent=1) + "\n"
 
     def __eq__(self, other: object) -> bool:
         return self.to_dict() == other.to_dict() if isinstance(other, Aircraft) else NotImplemented

@@ -238,8 +238,6 @@ class LinearModel:
     B: pd.DataFrame
     C: pd.DataFrame
     D: pd.DataFrame
-    state: Array  #: Of the flight, (13,)
-    controls: dict[str, float]
     paths: Matrices | None = None  #: A, B, C, D of each path of the posterior, (n_paths, ...)
 
     def modes(self) -> pd.DataFrame:
@@ -356,7 +354,7 @@ def linearize(
     mean = _matrices(motion, state, None, controls, inputs)
     names = product([[*STATES], [*STATES, *OUTPUTS]], [[*STATES], inputs])
     A, B, C, D = (pd.DataFrame(values, *pair) for values, pair in zip(mean, names, strict=True))
-    return LinearModel(A, B, C, D, state, controls, paths)
+    return LinearModel(A, B, C, D, paths)
 
 
 def check_paths(n_paths: int) -> int:

@@ -79,7 +79,6 @@ class Instant(NamedTuple):
     beta: Array
     density: Array
     force: Array  #: All but gravity, body axes, (..., 3) [N]
-    moment: Array
     implicit: Array | None  #: The regressors of `IMPLICIT`, (..., 8), where the model has any
     settled: Array | bool  #: Whether the fixed point of the implicit regressors was found
 
@@ -271,7 +270,7 @@ class Motion:
         force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
         force, moment = force + propulsion[0], moment + propulsion[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
-        return Instant(derivative, C, X, airspeed, alpha, beta, density, force, moment, None, True)
+        return Instant(derivative, C, X, airspeed, alpha, beta, density, force, None, True)
 
     def _coefficients(self, X: Array) -> Array:
         """Return the model's coefficients, NaN where a state has diverged: models refuse infinite values."""

@@ -487,7 +487,7 @@ class TrendFeatures(Features):
 
     def __init__(self, kernel):
         self.kernel = kernel
-        self.n_weights = kernel.n_weights
+        self.n_weights = 1 + kernel.n_features  # of each output
         self.size = kernel.n_outputs * self.n_weights
 
     def columns(self, i):

@@ -77,11 +77,6 @@ class LinearTrend(MultiOutputKernel):
     def n_processes(self) -> int:
         return 0
 
-    @property
-    def n_weights(self) -> int:
-        """Number of weights of each output, d + 1."""
-        return self.n_features + 1
-
     def value(self, name: str) -> Array:
         return self._cached("arrays", self._arrays)[name]
 
@@ -177,7 +172,7 @@ class LinearTrend(MultiOutputKernel):
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if i != j:
             return np.zeros(self.n_dims)
-        entries = np.zeros((self.n_outputs, self.n_weights))  # by the logarithms of the scales
+        entries = np.zeros((self.n_outputs, 1 + self.n_features))  # by the logarithms of the scales
         entries[i] = 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj))
         return self.theta_gradient(
             {"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]}

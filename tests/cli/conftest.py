@@ -21,7 +21,7 @@ def folder(once, first_minute):
 
 
 def write_flights(folder, data):
-    data.aircraft.to_json(folder / "uav.json")
+    (folder / "uav.json").write_text(data.aircraft.to_json())
     measured = [name for name in data.train if not name.endswith("_true")]
     for name, table in data.train.groupby("flight", observed=True):
         table[measured].iloc[1000:1400].to_csv(folder / f"{name}.csv", index=False)

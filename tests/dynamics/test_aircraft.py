@@ -27,7 +27,7 @@ def without(*keys, **changes):
 
 def test_json_round_trip(tmp_path):
     aircraft = Aircraft.from_dict(GOOD)
-    aircraft.to_json(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text(aircraft.to_json())
     again = Aircraft.from_file(tmp_path / "a.json")
     assert again == aircraft
     assert hash(again) == hash(aircraft)

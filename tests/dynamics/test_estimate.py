@@ -138,7 +138,7 @@ class TestSharing:
 class TestFiles:
     def test_round_trip(self, tmp_path):
         aircraft = Aircraft.estimate((3.2, 0.05), 1.6, name="mine")
-        aircraft.to_json(tmp_path / "a.json")
+        (tmp_path / "a.json").write_text(aircraft.to_json())
         again = Aircraft.from_file(tmp_path / "a.json")
         assert again == aircraft
         assert again.deviations == aircraft.deviations

@@ -245,9 +245,7 @@ def mode_table(A, states, paths=None):
     """The modes of x' = A x."""
     square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
     drawn = None if paths is None else Matrices(paths, None, None, None)
-    return LinearModel(
-        square, empty, square.iloc[:0], empty.iloc[:0], np.zeros(13), {}, drawn
-    ).modes()
+    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], drawn).modes()
 
 
 def both():

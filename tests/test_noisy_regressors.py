@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor, listening, make_identification_pipeline
-from skdgp.datasets import _example_flights, load_example_flights
+from skdgp.datasets import _example_flights
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors, predict_flight
@@ -112,8 +112,8 @@ def test_nonsense_is_refused(wrong):
 
 
 @pytest.mark.usefixtures("short_fits")
-def test_bands_of_a_flight_widen_with_its_gusts():
-    flights, calm = load_example_flights(), _example_flights._flights(0, 0.0, 1.0, duration=40.0)[1]
+def test_bands_of_a_flight_widen_with_its_gusts(first_minute):
+    flights, calm = first_minute(), _example_flights._flights(0, 0.0, 1.0, duration=30.0)[1]
     train, tests = flights.train.iloc[:1200], [flights.test.iloc[:1200], calm.iloc[:1200]]
     learned = thin_targets(aerodynamic_coefficients(train, BRUMBY)[["CZ", "Cm"]], 40)
     model = make_identification_pipeline(BRUMBY, memory=None)

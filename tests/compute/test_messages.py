@@ -8,7 +8,6 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp._compute.messages import recorded_warnings, warn, without_warnings
-from skdgp.datasets import load_example_flights
 from skdgp.identification import identify
 
 KMEANS = "skdgp._compute.linalg"  # KMeans of scikit-learn has no other way to be silent
@@ -58,7 +57,7 @@ def test_another_thread_is_not_silenced():
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_an_identification_changes_no_filter(monkeypatch):
+def test_an_identification_changes_no_filter(monkeypatch, first_minute):
     callers = set()
 
     def watched(name):
@@ -73,7 +72,7 @@ def test_an_identification_changes_no_filter(monkeypatch):
     for name in ("catch_warnings", "simplefilter", "filterwarnings", "resetwarnings"):
         monkeypatch.setattr(warnings, name, watched(name))
     show = warnings.showwarning
-    example = load_example_flights()
+    example = first_minute()
     result = identify(
         example.train[example.train["time"] < 20],
         example.aircraft,

@@ -17,9 +17,9 @@ DEGREES = 180 / np.pi
 
 
 @pytest.fixture(scope="module")
-def flight():
+def flight(first_minute):
     """Return 36 s with all controls moving."""
-    train = load_example_flights().train
+    train = first_minute().train
     return train[(train["flight"] == "latlon") & (train["time"] < 36)].reset_index(drop=True)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import notify
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
     BODY_VELOCITY,
     COEFFICIENTS,
@@ -22,9 +22,6 @@ from skdgp._flight.channels import (
     THRUST_FORCES,
     TRUTH_SUFFIX,
 )
-from skdgp._flight.checks import unwrapped
-from skdgp._flight.clock import flight_segments
-from skdgp._flight.smoothing import noise_level
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights, regressor_columns, usable_flights
@@ -211,25 +208,6 @@ def group_means(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {group: table.loc[list(members)].mean() for group, members in groups.items()}
     ).T
-
-
-def sensor_noise(table: pd.DataFrame, states: Sequence[str]) -> Vector:
-    """Return the white noise of measured states: how uncertain a restart from them is.
-
-    Where the spectrum of a short flight does not show it, second differences do: white
-    noise has 1 + 4 + 1 = 6 times its variance in them; with motion in them the noise is rather over- than
-    understated.
-    """
-    values, time = unwrapped(table, states), table["time"].to_numpy(float)
-    noise = noise_level(values, time)
-    squares = (
-        np.concatenate([np.diff(values[run], 2, axis=0) for run in flight_segments(time)]) ** 2
-    )
-    sampled = np.isfinite(squares)
-    bound = np.sqrt(
-        np.where(sampled, squares, 0.0).sum(axis=0) / np.maximum(sampled.sum(axis=0), 1) / 6.0
-    )
-    return np.where(np.isfinite(noise), noise, bound)
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:

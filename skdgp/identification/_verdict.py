@@ -17,6 +17,7 @@ from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import AIR_UNKNOWN
 from skdgp._flight.frames import wrapped
+from skdgp._flight.smoothing import noise_level
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -29,7 +30,6 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._evaluation import sensor_noise
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report import THRESHOLDS, Evaluation, FlightMechanics, Use, Verdict, scores
 
@@ -397,7 +397,8 @@ def simulation_errors(
     )
     error = np.sqrt(total)
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
-    noise = np.median([sensor_noise(table, STATES) for table in tables], axis=0)
+    noises = [noise_level(unwrapped(table, STATES), table["time"]) for table in tables]
+    noise = np.median(np.nan_to_num(noises), axis=0)  # of short flights it is not known
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
     ends = np.append(elapsed[edges], elapsed[-1])
 

@@ -69,11 +69,6 @@ def check_width(n_columns: int) -> None:
         )
 
 
-def room_for(n_bytes: int) -> int:
-    """Return how many bytes a file of n_bytes may take when unpacked."""
-    return ROOM + ROOM_PER_BYTE * n_bytes
-
-
 def base_name(column: str) -> str:
     """Return the name of the vocabulary of a column of simulated truth."""
     return column.removesuffix(TRUTH_SUFFIX)
@@ -332,7 +327,8 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
                 f"or write one column for each value."
             )
         packed = sum(size.row_group(g).total_byte_size for g in range(size.num_row_groups))
-        needed, room = max(8 * size.num_rows * len(fields), packed), room_for(path.stat().st_size)
+        needed = max(8 * size.num_rows * len(fields), packed)
+        room = ROOM + ROOM_PER_BYTE * path.stat().st_size
         if needed > room:
             raise FlightReadError(
                 f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at "

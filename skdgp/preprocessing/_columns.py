@@ -308,11 +308,10 @@ class RegressorSelector(TableTransformer):
         if targeted and len(values):
             _warn_of_little_information(values, self.regressors_)
         channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
-        known = {
-            str(name): kept for name, column in channels if len(kept := column[observed].dropna())
-        }
         self.ranges_ = {
-            name: (float(kept.min()), float(kept.max())) for name, kept in known.items()
+            str(name): (float(kept.min()), float(kept.max()))
+            for name, column in channels
+            if len(kept := column[observed].dropna())
         }
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None

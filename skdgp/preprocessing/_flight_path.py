@@ -208,9 +208,13 @@ class FlightPathReconstruction(TableTransformer):
         for name, _, _, each in estimates:
             self.converged_[name] = self.converged_.get(name, True) and each.converged
         samples = [len(log.time) for _, _, log, _ in estimates]
-        variances = {name: [each.noise[name] ** 2 for *_, each in estimates] for name in NOISE}
         self.noise_std_ = {
-            name: float(np.sqrt(np.average(v, weights=samples))) for name, v in variances.items()
+            name: float(
+                np.sqrt(
+                    np.average([each.noise[name] ** 2 for *_, each in estimates], weights=samples)
+                )
+            )
+            for name in NOISE
         }
         self.gust_std_ = float(
             np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples))

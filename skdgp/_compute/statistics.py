@@ -55,18 +55,13 @@ def autocorrelation_time(residuals: Vector) -> float:
     return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))
 
 
-def check_level(level: float) -> float:
-    """Return a probability strictly between 0 and 1."""
+def half_width(level: float) -> float:
+    """Return half the width of the central interval of a probability inside (0, 1), in standard deviations."""
     if not isinstance(level, Real) or not 0 < float(level) < 1:
         raise ValueError(
             f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95."
         )
-    return float(level)
-
-
-def half_width(level: float) -> float:
-    """Return half the width of the central interval of a probability inside (0, 1), in standard deviations."""
-    return float(norm.ppf(0.5 + check_level(level) / 2))
+    return float(norm.ppf(0.5 + float(level) / 2))
 
 
 def path_quantiles(values: Array, level: float) -> Array:

@@ -428,10 +428,9 @@ def plan(
         names = check_goal(goal, aerodynamics)
         check_names(axes, trim.controls, "controls of the trim")
         seed = int(check_random_state(random_state).randint(2**31 - 1))
-        rehearsal = Rehearsal(
-            model, aircraft, trim, _checked_limits(trim, aerodynamics, axes, limits or {}),
-            envelope, pause_of(trim.airspeed), thrust, seed,
-        )  # fmt: skip
+        pause = max(RESPONSE, np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
+        checked = _checked_limits(trim, aerodynamics, axes, limits or {})
+        rehearsal = Rehearsal(model, aircraft, trim, checked, envelope, pause, thrust, seed)
         planner = _Planner(rehearsal, float(seconds), names)
         return planner.plan_of(planner.searched())
 
@@ -521,11 +520,6 @@ def _room(trim: Trim, axis: str, ends: Iterable[float], what: str, remedy: str) 
             f"which leaves it no room: {remedy}, or choose another trim."
         )
     return float(room)
-
-
-def pause_of(airspeed: float) -> float:
-    """Return the time that an aircraft needs to be back at its trim: see `plan` [s]."""
-    return max(RESPONSE, np.pi * airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
 
 
 @dataclass(frozen=True, eq=False)

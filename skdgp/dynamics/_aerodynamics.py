@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
-from sklearn.frozen import FrozenEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.predicting import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
@@ -461,13 +461,7 @@ def turbulence_of(model: BaseEstimator) -> Any:
 
 def _steps_of(model: BaseEstimator) -> list:
     """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
-    inner = (
-        model.estimator
-        if isinstance(model, FrozenEstimator)
-        else getattr(model, "best_estimator_", None)
-    )
-    if inner is not None:
-        return _steps_of(inner)
+    model = unwrap(model)
     if isinstance(model, Pipeline):
         steps = [step for _, step in model.steps if step not in (None, "passthrough")]
         return [*steps[:-1], *_steps_of(steps[-1])]

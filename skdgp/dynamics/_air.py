@@ -579,19 +579,16 @@ class GustyAir:
 
     wind: AirAt
     gusts: Gusts  #: At each stage, (n_stages, ..., 3)
-    #: Whether the rate of change is asked for: a model whose regressors do not follow from the
-    #: loads needs none
-    with_rate: bool = True
 
     def __call__(self, stage: Any, state: Array) -> LocalAir:
         """Return the air at a stage, or at several, and states (..., 13)."""
         velocity, acceleration, rotation = (part[stage] for part in self.gusts)
         steady, attitude = self.wind(stage, state), state[..., ATTITUDE]
-        gust, rate = body_to_ned(attitude, velocity), None
-        if self.with_rate:  # a gust turns with the aircraft
-            rate = body_to_ned(attitude, acceleration + cross(state[..., RATES], velocity))
+        gust = body_to_ned(attitude, velocity)
+        # a gust turns with the aircraft
+        rate = body_to_ned(attitude, acceleration + cross(state[..., RATES], velocity))
         if steady is None:
             return LocalAir(gust, rate, rotation)
-        if rate is not None and steady.wind_rate is not None:
+        if steady.wind_rate is not None:
             rate = steady.wind_rate + rate
         return LocalAir(steady.wind + gust, rate, rotation)

@@ -152,7 +152,7 @@ def gusty_air(
     parts = [part.reshape(len(part), -1, n, 3) for part in drawn]
     if tables_of(described.wind):
         parts[:2] = (np.zeros_like(part) for part in parts[:2])
-    return GustyAir(air, Gusts(*parts), motion.is_implicit)
+    return GustyAir(air, Gusts(*parts))
 
 
 def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:

@@ -34,6 +34,9 @@ TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the 
 # Fraction of an output's variance that starts in the shared latents (guess; 0.1 ends alike)
 SHARED_VARIANCE = 0.5
 WIDTHS = 0.05, 1e3  # bounds, over the standard deviation of the regressor
+# Largest width, over that, from which a fit of few rows may start the next: from wider ones, where
+# the likelihood is flat, it does not come back (a log keeps them)
+WIDEST_START = 10.0
 MOST_COUNTED = (
     400  # samples for the smallest width: searches learn from a few hundred, however long the log
 )
@@ -245,6 +248,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             params["length_scale_bounds"] = None
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
+            if self.length_scale_bounds is None:
+                widest = WIDEST_START * column_scale(X)
+                start["length_scale"] = np.minimum(start["length_scale"], widest)
         if coarse:
             start |= {name: coarse.value(name) for name in ("amplitude", "length_scale")}
         if self.covariance_type == "tied":

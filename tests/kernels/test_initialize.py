@@ -114,6 +114,16 @@ class TestGivenValues:
             kernel.initialize(*data, 0)
 
 
+def test_a_search_does_not_start_where_the_likelihood_is_flat(data):
+    X, Y = data
+    for bounds, widest in ((None, 10.0), ("spacing", 500.0)):
+        kernel = ConvolvedGaussian(0, length_scale_bounds=bounds)
+        singles = [kernel.single_output().initialize(X, Y[:, [i]], 0) for i in range(3)]
+        wide = [single.set_params(length_scale=500.0 * X.std(axis=0)) for single in singles]
+        widths = kernel.initialize(X, Y, 0, wide).length_scale / X.std(axis=0)
+        np.testing.assert_allclose(widths.max(), widest)
+
+
 class TestSpacing:
     """length_scale_bounds="spacing": no width below n^(-1/d) deviations, of the samples and regressors that count."""
 

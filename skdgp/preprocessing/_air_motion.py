@@ -87,7 +87,7 @@ MAX_PASSES = 30
 # the first diverges.
 ATTEMPTS = 0, 6
 DAMPING = 0.3  # of the first step, over the information
-LARGEST_PATH = 3.0  # standard deviations by which errors of the path may exceed their prior
+LARGEST_PATH = 2.0  # m/s, of the air velocity that errors of the path may make
 TOLERANCE = 0.5  # squared length of the last two steps, in standard deviations of all parameters
 NOISE_TOLERANCE = 5.0  # that of the last step of the noises
 LARGEST_LOG = 0.7  # step of the logarithm of a noise
@@ -98,6 +98,7 @@ DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
     "with inputs of every surface, and look at the signs and units of their sensors."
 )
+LEAST_DIRECTION = 1e-6  # of the instruments, relative to the largest singular value
 BLOCK = 2.0  # s of scores that are summed before their covariance is taken
 LAG_ERROR = 0.1  # standard deviation by what a surface does between samples, in steps
 MODEL_ERROR = 0.03  # standard deviation of a derivative by what the model leaves out, relative
@@ -227,11 +228,12 @@ def estimate_air_motion(
     .. math:: \sum_k Z_k^T e_k + \Lambda (\theta - \theta_0) = 0, \quad
               Z_k = L_k^{-T} P (L_k^{-1} D_k), \quad S_k = L_k L_k^T,
 
-    where P is the projection on the past of the surfaces and on the heading (instruments; Soderstrom &
-    Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of gusts correlate with past
-    gusts, and so with D, but hardly with past inputs. An autopilot that answers gusts by its
-    surfaces leaves part of this error. Noises maximise the likelihood of the innovations. Priors
-    :math:`\Lambda` are wide; they bound what a flight does not tell. The covariance is
+    where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
+    variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
+    gusts correlate with past gusts, and so with D, but hardly with this motion. What past innovations
+    explain of the surfaces is taken out of them: an autopilot answers gusts. Noises maximise the
+    likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound what a flight does
+    not tell. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, and 3 % of each derivative are added for what a linear model leaves out. All slopes by
     alpha, and all by beta, share an error of 5 % of the scale of the angle.
@@ -414,6 +416,7 @@ class _Fit:
         """Return the estimate, for a table of ``n_rows``."""
         damping, small, converged = DAMPING, False, False
         free = slice(self.n_held, None)
+        share, last = 1.0, np.zeros(len(self.x) - self.n_held)
         for number in range(MAX_PASSES):
             sums = self._pass(number >= n_before)
             self.states = sums.states
@@ -422,7 +425,10 @@ class _Fit:
             step = self._step(damped, sums.score[free])
             if not np.isfinite(step).all():
                 raise np.linalg.LinAlgError
-            self.x[free] += step
+            turns_back = step @ damped @ last < 0
+            share = max(0.5 * share, 0.25) if turns_back else min(1.4 * share, 1.0)
+            self.x[free] += share * step
+            last = step
             settled = self._noise_step(sums.parts) if number else np.inf
             before, small = small, bool(step @ information @ step < TOLERANCE)
             converged = before and small and settled < NOISE_TOLERANCE
@@ -434,8 +440,7 @@ class _Fit:
     def _is_plausible(self) -> bool:
         """Whether the estimated errors of the path are as small as attitude and GPS make them."""
         at = [k for k, name in enumerate(self.noises.names) if name.startswith("path_")]
-        excess = (self.psi[at] - np.log(self.noises.mean[at])) / self.noises.std[at]
-        return bool(np.all(excess < LARGEST_PATH))
+        return bool(np.all(np.exp(self.psi[at]) < LARGEST_PATH))
 
     def _step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the parameters that are not held, with a lag that stays at or above zero."""
@@ -523,15 +528,20 @@ class _Fit:
         for record in self.records if self.known is None else ():
             self._add_mean_lift(record, information, score)
         scatter = information.copy()
-        for record, before in zip(self.records, self.states, strict=True):
+        for j, (record, before) in enumerate(zip(self.records, self.states, strict=True)):
             at = self.parameters.places[record.flight]
-            linear = self.linearised(record, before).of(np.flatnonzero(at >= self.n_held))
+            linear = self.linearised(record, before)
             run = filtered(linear, self.noise(self.psi, record))
             whitener = np.linalg.inv(np.linalg.cholesky(run.covariance))
-            D = whitener @ innovation_slopes(linear, run)
             e = (whitener @ run.innovation[..., None])[..., 0]
+            if self.known is None and by_instruments:
+                self.records[j] = record.with_answers(e)
+            slopes = whitener @ innovation_slopes(linear, run)
+            D = slopes[:, :, np.flatnonzero(at >= self.n_held)]
             at = at[at >= self.n_held]
-            Z = D if self.known or not by_instruments else _projected(D, record.inputs_past())
+            Z = D
+            if self.known is None and by_instruments:
+                Z = _projected(D, slopes[:, :, len(self.layout.rows) :])
             information[np.ix_(at, at)] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
             scatter[np.ix_(at, at)] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
             scores = np.einsum("nmk,nm->nk", Z, e)
@@ -610,7 +620,7 @@ class _Fit:
             out[record.rows, :9] = np.column_stack([*air_data(velocity), states[:, TURN], wind])
             variance = np.einsum("nij,njk,nik->ni", slopes, P, slopes)
             at = self.parameters.places[record.flight]
-            shift = self._shift(record, linear, run, slopes, velocity)
+            shift = self._shift(record, linear, run, slopes, velocity)[:, :, : len(at)]
             variance += np.einsum("nij,jk,nik->ni", shift, covariance[np.ix_(at, at)], shift)
             out[record.rows, 9:18] = np.sqrt(variance)
             earth = np.swapaxes(record.attitude, 1, 2)
@@ -707,10 +717,13 @@ def _likelihood_slopes(run: Pass) -> tuple[Vector, Matrix]:
     return np.array(gradient), rows @ rows.T
 
 
-def _projected(slopes: Array, basis: Matrix) -> Array:
-    """Return slopes (n, m, p) projected on an orthonormal basis (n, k)."""
-    flat = slopes.reshape(len(slopes), -1)
-    return (basis @ (basis.T @ flat)).reshape(slopes.shape)
+def _projected(slopes: Array, instruments: Array) -> Array:
+    """Return slopes (n, m, p) projected on instruments (n, m, q)."""
+    rows = instruments.reshape(-1, instruments.shape[2])
+    size = np.linalg.norm(rows, axis=0)
+    U, s, _ = np.linalg.svd(rows[:, size > 0] / size[size > 0], full_matrices=False)
+    U = U[:, s > LEAST_DIRECTION * s[0]]
+    return (U @ (U.T @ slopes.reshape(len(U), -1))).reshape(slopes.shape)
 
 
 def _covariance(sums: _Sums) -> Matrix:

@@ -34,12 +34,10 @@ PATH_TIME = 10.0  # s, correlation of errors of the path; guess
 RATE_START = 0.1  # (rad/s)^2, variance of the rates of the first sample
 NOT_SAMPLED = 1e12
 LEAST_LAG, LAG_STEP = 1e-4, 1e-4  # s
-INPUT_SECONDS = 4.0  # past of the surfaces that moves the aircraft
-N_BINS = 14  # of this past, wider the earlier
-LATE = 2  # samples; a command follows the gust of the same sample
-LEAST_DIRECTION = (
-    0.05  # relative to the largest singular value; chosen on the trainer and the delta
-)
+RESPONSE_TIME = 4.0  # s, memory of the motion that surfaces cause
+ANSWER_TIME = 8.0  # s, memory of what surfaces answer to gusts
+N_BINS = 16  # of this past
+LATE = 1  # samples; a command follows the noise of the same sample
 WINDS = ("wind_north", "wind_east", "wind_down")
 ARM = ("arm_x", "arm_y", "arm_z")
 BIASES = {"p_bias": 3, "q_bias": 4, "r_bias": 5, "alpha_bias": 7, "beta_bias": 8}
@@ -57,6 +55,7 @@ class Record(NamedTuple):
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) ax, ay, az, p, q, r, airspeed, alpha, beta; NaN where not sampled
     inputs: Inputs  # as logged
+    answers: Matrix | None = None  # (n, k) of the surfaces to gusts, by an autopilot
 
     def first(self, n: int) -> Record:
         """Return the first n samples."""
@@ -71,26 +70,21 @@ class Record(NamedTuple):
         measured[:, 0] = np.nan
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
-    def inputs_past(self) -> Matrix:
-        """Return an orthonormal basis (n - 1, k) of what past surfaces and heading tell of each sample but the first.
+    def with_answers(self, innovation: Matrix) -> Record:
+        """Return the record with what innovations (n - 1, m) up to each sample explain of its surfaces.
 
-        Columns are means of the surfaces over bins of their past, heading and a constant. The last
-        samples and small directions are left out: they are the answers of an autopilot to gusts.
+        By least squares on sums over bins of the past, wider the earlier.
         """
-        n, surfaces = len(self.rows), self.inputs.surfaces
-        reach = max(INPUT_SECONDS / np.median(self.step), 2.0)
-        edges = np.unique(np.geomspace(1, reach, N_BINS).round().astype(int))
-        edges = LATE + np.append(0, edges)
-        before = np.tile(surfaces[:1], (edges[-1] + 1, 1))
-        total = np.cumsum(np.concatenate([before, surfaces]), axis=0)
-        columns = [np.ones((n, 1)), self.attitude[:, :2].mean(axis=1)]
-        for early, late in pairwise(edges):
-            last = np.arange(n) + edges[-1] - early
-            columns.append((total[last + 1] - total[last + 1 - (late - early)]) / (late - early))
-        W = np.concatenate(columns, axis=1)[1:]
-        size = np.linalg.norm(W, axis=0)
-        U, s, _ = np.linalg.svd(W[:, size > 0] / size[size > 0], full_matrices=False)
-        return U[:, s > LEAST_DIRECTION * s[0]]
+        n, m = len(self.rows), innovation.shape[1]
+        reach = max(ANSWER_TIME / np.median(self.step), 2.0)
+        edges = np.append(0, np.unique(np.geomspace(1, reach, N_BINS).round().astype(int)))
+        before = np.zeros((edges[-1] + 2, m))
+        total = np.cumsum(np.concatenate([before, innovation]), axis=0)
+        at = np.arange(n) + edges[-1] + 1
+        sums = [total[at - early] - total[at - late] for early, late in pairwise(edges)]
+        columns = np.concatenate([np.ones((n, 1)), *sums], axis=1)
+        weights = np.linalg.lstsq(columns, self.inputs.surfaces)[0]
+        return self._replace(answers=columns @ weights)
 
     @property
     def sampled(self) -> Mask:
@@ -105,6 +99,11 @@ class Layout(NamedTuple):
     columns: Indices
     names: list[str]
     n_features: int
+
+    @property
+    def n_slopes(self) -> int:
+        """Number of parameters, and of instruments of the derivatives, which follow them."""
+        return len(self.names) + len(self.rows)
 
     @classmethod
     def of(cls, derivatives: list[str], surfaces: list[str]) -> Layout:
@@ -174,14 +173,19 @@ class Point(NamedTuple):
     values: Matrix
     slopes: Array  # (n, k, 12)
     terms: Matrix  # (n, f) of the coefficients
+    response: Matrix  # (n, f) their values in the motion that surfaces cause
     changes: Array  # (n, 6, 2) d coefficients / d (lag, thrust_scale)
 
     def by_parameters(self, layout: Layout, attitude: Array | None) -> Array:
-        """Return the derivatives (n, k, parameters); those by wind and arm where the air velocity contains them."""
-        out = np.zeros((*self.slopes.shape[:2], len(layout.names)))
+        """Return derivatives (n, k, parameters) and instruments.
+
+        Those by wind and arm are given where the air velocity contains them, that is with ``attitude``.
+        """
+        out = np.zeros((*self.slopes.shape[:2], layout.n_slopes))
         by_error = self.slopes[:, :, ERRORS]
         nd = len(layout.rows)
         out[:, :, :nd] = by_error[:, :, layout.rows] * self.terms[:, None, layout.columns]
+        out[:, :, -nd:] = by_error[:, :, layout.rows] * self.response[:, None, layout.columns]
         out[:, :, layout.place("servo_lag", "thrust_scale")] = by_error @ self.changes
         if attitude is not None:
             by_air = self.slopes[:, :, AIR]
@@ -194,7 +198,6 @@ class Predictions(NamedTuple):
     """Predictions of each sample but the first, at filtered states."""
 
     by_state: Array  # (n, 3, N) d air velocity / d states
-    terms: Matrix  # (n - 1, f) where a step starts
     start: Point  # air velocity and rates at the end of a step, about its start
     past: Point  # sensors, from the past alone
     known: Point  # sensors, with the recorded path
@@ -217,7 +220,8 @@ def _predictions(
         state = np.concatenate([air, rates, np.zeros((len(air), 6))], axis=1)
         values, slopes = differentiated(lambda s: model.sensors(s, later), state)
         terms = model.terms(air, rates, later.surfaces)
-        return _with_errors(Point(state, values, slopes, terms, changes[1:]), value)
+        at = Point(state, values, slopes, terms, response[1:], changes[1:])
+        return _with_errors(at, value)
 
     # The step from the filtered state to the next sample.
     rates = states[:-1, TURN]
@@ -225,16 +229,40 @@ def _predictions(
     gravity = STANDARD_GRAVITY * record.attitude[:-1, :, 2]
     drift = -(by_state[:-1] * decay @ states[:-1, :, None])[..., 0]
     end, slopes = differentiated(lambda s: model.step(s, gravity, drift, inputs, step), state)
+    surfaces = inputs.surfaces
+    if record.answers is not None:
+        surfaces = surfaces - lagged(record.answers, value["servo_lag"], float(np.median(step)))
+    response = _response(model, state, slopes, surfaces, step)
     past = point(end[:, AIR], end[:, RATES])
     terms = model.terms(air[:-1], rates, inputs.surfaces[:-1])
-    middle = 0.5 * (past.terms + terms), 0.5 * (changes[1:] + changes[:-1])
-    start = Point(state, end, slopes, *middle)
+    middle = 0.5 * (past.terms + terms), 0.5 * (response[1:] + response[:-1])
+    start = Point(state, end, slopes, *middle, 0.5 * (changes[1:] + changes[:-1]))
 
     kept = np.exp(-step[:, None] * decay)
     predicted = states[:-1] * kept
     predicted[:, TURN] = end[:, RATES]
     known = point(ground[1:] + (by_state[1:] @ predicted[..., None])[..., 0], end[:, RATES])
-    return Predictions(by_state, terms, start, past, known, predicted, kept)
+    return Predictions(by_state, start, past, known, predicted, kept)
+
+
+def _response(
+    model: AirMotionModel, state: Matrix, slopes: Array, surfaces: Matrix, step: Vector
+) -> Matrix:
+    """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
+
+    Gusts are not in it. ``slopes`` (n - 1, 6, 12) are those of a step.
+    """
+    late = np.concatenate([surfaces[:1]] * LATE + [surfaces[: len(surfaces) - LATE]])
+    change = late - late.mean(axis=0)
+    A = slopes[:, :, :6]
+    B = slopes[:, :, ERRORS] @ model.derivatives[:, len(STATE_TERMS) :]
+    push = (B @ (0.5 * (change[1:] + change[:-1]))[..., None])[..., 0]
+    growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
+    A = A * np.exp(-np.median(step) / RESPONSE_TIME) / max(growth, 1.0)
+    motion = np.zeros((len(surfaces), 6))
+    for k in range(len(A)):
+        motion[k + 1] = A[k] @ motion[k] + push[k]
+    return model.terms(state[:, AIR].mean(axis=0) + motion[:, AIR], motion[:, RATES], late)
 
 
 def linearised(
@@ -254,7 +282,7 @@ def linearised(
     transition[:, TURN] = moved[:, RATES]
 
     by_parameters = at.start.by_parameters(layout, record.attitude[:-1])
-    transition_slopes = np.zeros((len(moved), N_STATES, len(layout.names)))
+    transition_slopes = np.zeros((len(moved), N_STATES, layout.n_slopes))
     transition_slopes[:, TURN] = by_parameters[:, RATES]
     past_slopes = at.past.by_parameters(layout, None) + at.past.slopes[:, :, :6] @ by_parameters
     past_slopes += _direct(at.past, layout, model, later, value)
@@ -336,8 +364,8 @@ def _with_errors(point: Point, value: dict) -> Point:
 def _direct(
     point: Point, layout: Layout, model: AirMotionModel, inputs: Inputs, value: dict
 ) -> Array:
-    """Return derivatives of the sensors by their own errors (n, 9, parameters)."""
-    slopes = np.zeros((len(point.values), 9, len(layout.names)))
+    """Return derivatives of the sensors by their own errors (n, 9, parameters and instruments)."""
+    slopes = np.zeros((len(point.values), 9, layout.n_slopes))
     for name, sensor in BIASES.items():
         slopes[:, sensor, layout.names.index(name)] = 1.0
     (scale,) = layout.place("airspeed_scale")

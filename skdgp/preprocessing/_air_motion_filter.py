@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 
 CHUNK = 256  # samples whose covariances of all noises are in memory at a time
 
@@ -36,11 +36,6 @@ class Linearisation(NamedTuple):
     step: Vector  # (n - 1,) [s]
     surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
     weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
-
-    def of(self, parameters: Indices) -> Linearisation:
-        """Return the linearisation in some of the parameters."""
-        names = ("transition_slopes", "innovation_slopes", "residual_slopes")
-        return self._replace(**{name: getattr(self, name)[..., parameters] for name in names})
 
 
 class Noise(NamedTuple):

@@ -72,7 +72,7 @@ OWN_NOISES: Prior = {
     "gust_east": (0.5, 1.5),
     "gust_down": (0.5, 1.5),
     "path_y": (0.1, 1.0),  # air velocity that errors of attitude and ground path make, body axes
-    "path_z": (0.1, 1.0),
+    "path_z": (0.1, 0.6),
 }
 
 

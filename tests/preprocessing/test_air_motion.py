@@ -206,17 +206,35 @@ def test_slopes_by_states_are_those_of_the_predictions():
             np.testing.assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
 
 
-def test_basis_of_inputs_holds_a_surface_and_its_past():
-    record, *_ = flight_of_sines(200)
-    basis = record.inputs_past()
-    np.testing.assert_allclose(basis.T @ basis, np.eye(basis.shape[1]), atol=1e-10)
-    surface = record.inputs.surfaces[:, 0]
-    for late in (2, 4, 12):
-        wanted = surface[51 - late : 200 - late]
-        rest = wanted - basis[50:] @ np.linalg.lstsq(basis[50:], wanted, rcond=None)[0]
-        assert rest.std() < 0.05 * wanted.std()
+def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
+    record, layout, value, calm = flight_of_sines(200)
+    record.inputs.surfaces[:] *= 5
+    gusty = calm.copy()
+    gusty[:, :3] += np.random.default_rng(0).standard_normal((200, 3))
     still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
-    assert still.inputs_past().shape[1] < 6
+    at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
+    slopes, instruments = [], []
+    for flown, states in ((record, calm), (record, gusty), (still, gusty)):
+        linear = linearised(flown, layout, AIRCRAFT, value, states, DECAY)
+        for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
+            offset, slope = linear.innovation_slopes[:, 2, columns].T
+            out.append(
+                slope - offset * (offset @ slope) / (offset @ offset)
+            )  # without the pressure
+    assert np.corrcoef(slopes)[0, 1] < 0.7
+    assert np.corrcoef(instruments)[0, 1] > 0.95
+    assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
+
+
+def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
+    record, *_ = flight_of_sines(2000)
+    pushes, later = np.random.default_rng(0).standard_normal((2, 1999))
+    answer = np.convolve(np.append(0, pushes), 0.9 ** np.arange(50))[:2000]
+    record.inputs.surfaces[:, 0] = answer
+    record.inputs.surfaces[:, 1] = np.append(later[3:], np.zeros(4))
+    answers = record.with_answers(np.column_stack([pushes, later])).answers
+    assert np.std(answer - answers[:, 0]) < 0.15 * np.std(answer)
+    assert np.std(answers[:, 1]) < 0.2 * np.std(later)
 
 
 def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():

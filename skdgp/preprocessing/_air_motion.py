@@ -352,7 +352,6 @@ def _path(log: Log):
         NOISE | GUSTS,
         learn=NOISE.keys() - {*AIR_DATA},
         free=list(PATH_CONSTANTS),
-        gust_time=10.0,
     ).path
 
 

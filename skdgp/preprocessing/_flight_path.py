@@ -66,7 +66,6 @@ DIFFERENCES = (
     3  # order of the differences that show noise: the squares of their coefficients add up to 20
 )
 OVERLAP = 32  # of the rows of a part of a long flight, one in so many is added on either side
-GUST_TIME = 10.0  # correlation time of gusts [s]
 # By sensor: columns of a log, what contradicts if its residual is large, its unit and factor
 FOLLOWS = {
     "gyro": ("rate", slice(3), "the attitude does not follow the gyros", "deg/s", 180 / np.pi),
@@ -95,16 +94,16 @@ class FlightPathReconstruction(TableTransformer):
     biases of inertial sensors, wind and gusts separately for each flight. Raises ValueError if
     time, a rate, specific force, attitude, v_north, v_east, v_down or airspeed is missing, or has
     no value throughout a flight; if time does not increase within a flight; if angles are not
-    radians.
+    radians. Rates of change of single samples are NaN.
 
     Parameters
     ----------
     optional : bool, default=False
         Whether all tables pass unchanged, if the flights of ``fit`` lack a needed channel
-        (``missing_``), or a sensor contradicts the others: its residuals are larger than its noise,
-        6 times of an inertial sensor, 1.4 times of airspeed, alpha and beta. A log without alpha or
-        beta is reconstructed all the same. If only flights of ``transform`` lack a channel,
-        `FlightSmoother` smooths them.
+        (``missing_``), or an inertial sensor, or two of air data, contradict the others: residuals
+        are larger than their noise, 6 times of an inertial sensor, 1.4 times of airspeed, alpha and
+        beta. A log without alpha or beta is reconstructed all the same. If only flights of
+        ``transform`` lack a channel, `FlightSmoother` smooths them.
     max_rows : int, default=65536
         Rows of a flight that are estimated at a time, of 20 kB each: a longer flight is estimated
         in parts of equal length that overlap, each with its own biases, wind and gusts.
@@ -221,8 +220,10 @@ class FlightPathReconstruction(TableTransformer):
         )
         self.calibration_ = _calibration(estimates)
         if contradictions := _contradictions(estimates, self.noise_std_):
-            self.reason_ = "; ".join(contradictions)
-            self.used_ = not (self.optional and has_vanes)
+            of_air = contradictions.keys() & {*AIR_DATA}
+            alone = len(contradictions) == len(of_air) == 1  # probably filtered by the autopilot
+            self.used_ = alone or not (self.optional and has_vanes)
+            self.reason_ = "although " * self.used_ + "; ".join(contradictions.values())
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
@@ -338,7 +339,7 @@ class FlightPathReconstruction(TableTransformer):
             for part, inner in _parts(len(rows), self.max_rows):
                 log = whole.part(part.start, part.stop)
                 start = first_guess(log, np.zeros(len(CONSTANTS)))
-                each = estimate(log, start, noise, learn=learn, free=FREE, gust_time=GUST_TIME)
+                each = estimate(log, start, noise, learn=learn, free=FREE)
                 path = each.path.part(inner.start, inner.stop)
                 kept = rows[part][inner], log.part(inner.start, inner.stop)
                 estimates.append((name, *kept, each._replace(path=path)))
@@ -418,13 +419,13 @@ def _calibration(estimates: Flights) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def _contradictions(estimates: Flights, residuals: Mapping[str, float]) -> list[str]:
+def _contradictions(estimates: Flights, residuals: Mapping[str, float]) -> dict[str, str]:
     """Return the sensors whose residuals, learned with the path, exceed their noise, in words."""
-    words = []
+    words = {}
     for name, (kind, columns, what, unit, factor) in FOLLOWS.items():
         residual, noise = factor * residuals[name], factor * _noise(kind, columns, estimates)
         if residual > (MAX_AIR_NOISE if name in AIR_DATA else MAX_INERTIAL_NOISE) * noise:
-            words.append(f"{what} (residual {residual:.2g} {unit}, noise {noise:.2g})")
+            words[name] = f"{what} (residual {residual:.2g} {unit}, noise {noise:.2g})"
     return words
 
 

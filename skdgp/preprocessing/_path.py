@@ -46,6 +46,7 @@ INERTIAL = {
 }  # fmt: skip
 MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), 30.0)
 # Prior deviations (SI) of: truth + bias; truth a lag [s] ago; the mean wind
+GUST_TIME = 10.0  # correlation time of gusts [s]
 CONSTANTS = INERTIAL | {"velocity_lag": 0.1, "attitude_lag": 0.1} | MEAN_WIND
 PLACE = {name: place for place, name in enumerate(CONSTANTS)}
 LAGS = (*["velocity_lag"] * 3, *["attitude_lag"] * 3)  # of the measurements after air data
@@ -386,7 +387,6 @@ def estimate(
     *,
     learn: Collection[str],
     free: Sequence[str],
-    gust_time: float,
 ) -> Estimate:
     """Return the most likely path, and the maximum-likelihood noise of the channels in ``learn``.
 
@@ -408,8 +408,8 @@ def estimate(
             log = log._replace(
                 delays=tuple(np.round(path.constant(*LAGS) / interval).astype(int).tolist())
             )
-        equations = _equations(path, log, noise, places, gust_time)
-        prior = _prior(path, log, noise, places, gust_time)
+        equations = _equations(path, log, noise, places)
+        prior = _prior(path, log, noise, places)
         posterior = solve(*equations, prior, draws)
         sums = _residual_sums((*process_names, *MEASUREMENTS), equations, posterior)
         move = posterior.constants / np.sqrt(
@@ -530,13 +530,13 @@ def _process_names(log: Log) -> tuple[str, ...]:
 
 
 def _equations(
-    path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
+    path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int]
 ) -> tuple[Equations, Equations]:
     """Return process and measurement equations in units of their noise, by the constants at some places."""
     step = np.diff(log.time)
-    correlation = np.exp(-step / gust_time)
+    correlation = np.exp(-step / GUST_TIME)
     scale = np.tile([noise[name] for name in _process_names(log)], (len(step), 1))
-    scale[:, GUST] *= np.sqrt(gust_time / 2 * (1 - correlation**2))[:, None]
+    scale[:, GUST] *= np.sqrt(GUST_TIME / 2 * (1 - correlation**2))[:, None]
     sensors = np.array([noise[name] for name in MEASUREMENTS])
     return (
         process_equations(path, log, correlation).whitened(scale, places),
@@ -544,12 +544,10 @@ def _equations(
     )
 
 
-def _prior(
-    path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int], gust_time: float
-) -> Prior:
+def _prior(path: FlightPath, log: Log, noise: Mapping[str, float], places: list[int]) -> Prior:
     """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
     first = np.concatenate([[True], ~log.joined])[:, None]
-    gusts = np.array([noise[name] for name in _process_names(log)[GUST]]) * np.sqrt(gust_time / 2)
+    gusts = np.array([noise[name] for name in _process_names(log)[GUST]]) * np.sqrt(GUST_TIME / 2)
     precision = first * np.concatenate([START_PRECISION, gusts**-2])
     states_offset = np.zeros_like(precision)
     states_offset[:, GUST] = path.gust

@@ -27,7 +27,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     VANES,
 )
-from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
+from skdgp._flight.checks import WRAPPED, check_columns, check_radians, numeric, unwrapped
 from skdgp._flight.clock import (
     check_clock,
     flight_codes,
@@ -35,7 +35,6 @@ from skdgp._flight.clock import (
     runs_by_flight,
     uniform_grid,
 )
-from skdgp.preprocessing._flight_path import GUST_TIME
 from skdgp.preprocessing._path import (
     CONSTANTS,
     GUSTS,
@@ -128,8 +127,7 @@ class LagCorrector(TableTransformer):
     lags_ : DataFrame
         By group or column: ``lag`` and ``std`` [s], ``applied`` (the removed lag [s]) and
         ``remark``. A lag below 3 standard deviations (a third of Student's quantile of equal
-        probability for few pieces) or below
-        10 ms is not removed.
+        probability for few pieces) or below 10 ms is not removed.
 
     Examples
     --------
@@ -194,7 +192,8 @@ class LagCorrector(TableTransformer):
                 if lag and name in table:
                     values, noisy = unwrapped(table, [name])[:, 0], name not in CONTROLS
                     channel = time, values, lag, table.get("flight")
-                    new[name] = _shifted(*channel, noisy=noisy, repeats=group not in KINEMATIC)
+                    repeats = not any(name in GROUPS[each] for each in KINEMATIC)
+                    new[name] = _shifted(*channel, noisy=noisy, repeats=repeats)
                     if name in WRAPPED:
                         new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
@@ -322,6 +321,7 @@ def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
     Vanes are left out, as gusts would resemble a lag. Flights are weighted by their precision, with
     the prior counted once.
     """
+    check_radians(table, ("theta", *RATES))
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
     since = table["time"] - table.groupby(codes)["time"].transform("min")
     inertial = table[since < KINEMATIC_SECONDS].drop(columns=[*VANES], errors="ignore")
@@ -332,7 +332,7 @@ def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
     precision, weighted = prior.copy(), np.zeros(len(lags))
     for _, _, log in flight_logs(inertial):
         start, noise = first_guess(log, np.zeros(len(CONSTANTS))), NOISE | GUSTS
-        solved = estimate(log, start, noise, learn=noise, free=free, gust_time=GUST_TIME)
+        solved = estimate(log, start, noise, learn=noise, free=free)
         of_flight = np.linalg.inv(solved.covariance[at, at])
         weighted += of_flight @ solved.path.constant(*lags)
         precision += of_flight - prior

@@ -93,6 +93,11 @@ class TestEstimate:
         assert abs(lags.lag["gps"] + 0.05) < 0.005
         assert lags.remark[["attitude", "gps"]].tolist() == ["removed"] * 2
 
+    @pytest.mark.parametrize("name", ["theta", "p"])
+    def test_degrees_are_refused(self, latlon, name):
+        with pytest.raises(ValueError, match=rf"{name} up to.*numpy.deg2rad"):
+            LagCorrector().fit(latlon[:1600].assign(**{name: 57.3 * latlon[name]}))
+
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
         table = linear_aircraft(0)
         rng = np.random.default_rng(9)
@@ -148,6 +153,11 @@ class TestTransform:
             )
         changed = [name for name in latlon if not latlon[name].equals(there[name])]
         assert sorted(changed) == ["airspeed", "alpha", "beta", "psi"]
+
+    def test_attitude_and_position_are_unknown_beyond_the_end_however_named(self, latlon):
+        for name, lags in (("psi", {"psi": 0.1}), ("psi", {"attitude": 0.1})):
+            assert np.isnan(LagCorrector(lags).fit_transform(latlon)[name].iloc[-1])
+        assert np.isfinite(LagCorrector({"alpha": 0.1}).fit_transform(latlon)["alpha"].iloc[-1])
 
     def test_white_noise_stays_white(self, latlon):
         noise = FlightSmoother(joint=None).fit(latlon).noise_std_["alpha"]

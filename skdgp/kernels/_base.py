@@ -446,6 +446,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
         values, gradients = zip(*parts, strict=True)
         return sum(values), lambda w: np.concatenate([gradient(w) for gradient in gradients])
 
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
+        return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
+
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
 

@@ -385,6 +385,15 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return np.full(len(Xi), (self.value("amplitude")[:, i] ** 2).sum())
 
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
+        Xi, Xj, pair = np.asarray(Xi, float), np.asarray(Xj, float), self.pair(i, j)
+        slopes = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
+        for gain, mu, Sigma in zip(pair.gain, pair.mu, pair.Sigma, strict=True):
+            apart = Xi.T[:, :, None] - Xj.T[:, None] - mu[:, None, None]
+            E = gain * np.exp(-0.5 * np.tensordot(Sigma, apart**2, 1))
+            slopes -= E * apart * Sigma[:, None, None]
+        return slopes
+
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         if not self.couples(i, j):
             return np.zeros(self.n_dims)

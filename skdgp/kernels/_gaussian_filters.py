@@ -61,7 +61,7 @@ class FilterPair:
     c, gain : array (m,)
         Factor of the exponential for unit amplitudes, and for the amplitudes w.
     F, Sigma : array (m, d)
-        Diagonals of Sigma and of its root.
+        Diagonals of the root of Sigma, and of Sigma.
     """
 
     def __init__(self, w: Array, widths: Array, mu: Matrix) -> None:

@@ -27,7 +27,7 @@ def matrices(kernel):
 
 
 def smoothing(kernel, m, i, s):
-    """Equation 14's impulse response h_mi at s, (..., d)."""
+    """Equation 15's impulse response h_mi at s, (..., d)."""
     away = s - kernel.mu[m, i]
     return kernel.v[m, i] * np.exp(
         -0.5 * np.einsum("...k,kl,...l->...", away, matrices(kernel)[m, i], away)

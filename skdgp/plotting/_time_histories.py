@@ -225,17 +225,20 @@ class TimeHistoryDisplay(Display):
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
         single = trajectories if n_paths == 1 else mean
-        lower = upper = None
+        lower = upper = middle = None
         if n_paths > 1:
             bands = trajectory_bands(trajectories, LEVEL, names)
-            line, lower, upper = (
+            middle, lower, upper = (
                 bands[[f"{name}{end}" for name in names]].to_numpy()
                 for end in ("", "_low", "_high")
             )
+        line: Any = middle
         if single is not None:
             line = single[names].to_numpy(float, copy=True)
             for k in (k for k, name in enumerate(names) if name in EULER):
                 line[:, k] = unwrapped_paths(line[None, :, k])[0]
+                if middle is not None:  # in the same turn as the band
+                    line[:, k] += 2 * np.pi * np.round((middle[0, k] - line[0, k]) / (2 * np.pi))
         beyond = None
         if "beyond" in trajectories:
             outside = (trajectories["beyond"] != "").to_numpy()

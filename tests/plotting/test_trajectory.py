@@ -49,6 +49,24 @@ def test_the_line_is_the_trajectory_of_the_mean():
     np.testing.assert_allclose(display.upper - display.lower, of_paths.upper - of_paths.lower)
 
 
+@pytest.mark.parametrize("turns", [-1, 1])
+def test_line_and_band_are_on_one_turn_where_the_first_angles_are_on_either_side_of_it(turns):
+    paths = ensemble()
+    away = 0.02 * (np.arange(20) - 8.5) + np.pi  # most of the paths start beyond half a turn
+    psi = np.repeat(turns * away, len(TIME)) + np.tile(turns * 0.3 * TIME, 20)
+    paths["psi"] = np.angle(np.exp(1j * psi))
+    for start in (3.1, 3.2):
+        heading = np.angle(np.exp(1j * turns * (start + 0.3 * TIME)))
+        mean = pd.DataFrame({"time": TIME + 7, "psi": heading})
+        for each in (paths, paths.assign(path=19 - paths["path"]).sort_values(["path", "time"])):
+            display = TimeHistoryDisplay.from_trajectories(
+                each.reset_index(drop=True), mean, mean=mean, columns=["psi"], ax=False
+            )
+            assert (display.lower < display.mean).all()
+            assert (display.mean < display.upper).all()
+            np.testing.assert_allclose(display.measured, display.mean, atol=1e-9)
+
+
 def test_the_flown_heading_is_on_the_turn_of_the_simulation():
     flown = pd.DataFrame({"time": TIME + 7, "psi": np.mod(3.0 + 0.3 * TIME, 2 * np.pi)})
     display = TimeHistoryDisplay.from_trajectories(ensemble(), flown, columns=["psi"], ax=False)

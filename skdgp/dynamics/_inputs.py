@@ -71,6 +71,11 @@ def constant_wind(wind: Any, n_starts: int = 1) -> LocalAir | None:
     """Return the air in a constant wind, None in still air."""
     if wind is None:
         return None
+    if callable(wind) or tables_of(wind):
+        raise ValueError(
+            f"Got a wind that is {'a function' if callable(wind) else 'a table'}, but expected a "
+            f"constant, north, east, down [m/s], or, for simulate() only, a table with time."
+        )
     constant = as_floats(wind)
     if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
         raise ValueError(

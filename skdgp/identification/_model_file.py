@@ -104,6 +104,8 @@ class _Pickler(pickle.Pickler):
         if isinstance(value, pd.DataFrame):
             columns = [_array(value.iloc[:, k]) for k in range(value.shape[1])]
             return _table, (columns, value.columns, value.index, value.attrs)
+        if isinstance(value, pd.MultiIndex):
+            raise TypeError("Got a table with levels, but expected one index: reset_index().")
         if isinstance(value, pd.Index):
             return _index, (_array(value), value.name)
         kind = type(value)

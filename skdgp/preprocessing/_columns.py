@@ -35,8 +35,7 @@ OPTIONAL = ("throttle", *SURFACES)
 RATED = (*VANES, *RATES)
 # The column that another is made from, and the step that does it
 MAKERS = {
-    **{f"{name}_dot": (name, "FlightSmoother()") for name in ("alpha", "beta")},
-    **{f"{name}_dot": (name, f"FlightSmoother(derivatives={[*RATED]})") for name in "pqr"},
+    **{f"{name}_dot": (name, f"FlightSmoother(derivatives={[*RATED]})") for name in RATED},
     **dict.fromkeys(MIXED, (ELEVONS[0], "ElevonSplitter()")),
 }
 LARGEST = 1e60  # regressor; squares of larger numbers overflow
@@ -332,6 +331,7 @@ class RegressorSelector(TableTransformer):
             raise ValueError(
                 f"Got regressors {chosen}, but expected at least one, each once (twice: {twice})."
             )
+        _check_made(table, chosen)
         check_columns(table, chosen)
         numeric(table, chosen)
         truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
@@ -378,6 +378,9 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
             f"{', '.join(dict.fromkeys(MAKERS[name][1] for name in made))} before RegressorSelector in the pipeline, "
             f"or name other regressors."
         )
+    check_columns(
+        table, [MAKERS[name][0] for name in lacking if name in MAKERS and name.endswith("_dot")]
+    )
 
 
 def _warn_of_little_information(values: Matrix, names: list[str]) -> None:

@@ -370,7 +370,7 @@ class TestControls:
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"x0": UncertainStart(START, {"phi": 0.1})}, "nothing would show it"),
         (table_of(1.0), {"air": {"wind_north": 5.0}}, r"wind of shape \(\), but expected \(3,\)"),
-        (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, r"wind of shape \(\)"),
+        (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, "a wind that is a function"),
         (table_of(1.0).assign(rudder="left"), {}, "rudder.*expected numbers"),
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
         ({"elevator": [0.0] * 50}, {"duration": 1.0}, r"control elevator of shape \(50,\)"),
@@ -379,6 +379,12 @@ class TestControls:
     def test_mistakes_are_told_at_the_door(self, aircraft, controls, options, match):
         with pytest.raises(ValueError, match=match):
             simulate(linear(), aircraft, controls=controls, **{"x0": START} | options)
+
+    def test_a_simulator_takes_no_table_of_wind(self, aircraft):
+        wind = pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})
+        for air, kind in ((wind, "table"), (lambda t: [1.0, 2.0, 3.0], "function")):
+            with pytest.raises(ValueError, match=rf"a wind that is a {kind}, .*for simulate\(\)"):
+                Simulator(linear(), aircraft, dt=0.02, air=air)
 
     def test_a_whole_log_may_be_given_whatever_tells_the_thrust(self, aircraft, flown):
         def thrust(controls, airspeed, density):

@@ -168,7 +168,7 @@ def _faults(derivatives: pd.DataFrame, fit: dict, messages: Sequence[str]) -> di
         faults[GUSTS_UNKNOWN] = air[0]
     if unconverged := fit.get("paths_not_converged"):
         faults[UNCONVERGED] = (
-            f"Paths of flights of the fit did not converge: {_some(unconverged)}. "
+            f"The paths of these flights did not converge: {_some(unconverged)}. "
             f"Their sensors contradict one another."
         )
     values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
@@ -398,7 +398,7 @@ def simulation_errors(
     error = np.sqrt(total)
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
     noises = [noise_level(unwrapped(table, STATES), table["time"]) for table in tables]
-    noise = np.median(np.nan_to_num(noises), axis=0)  # of short flights it is not known
+    noise = pd.DataFrame(noises).median().fillna(0.0).to_numpy()  # of short flights not known
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
     ends = np.append(elapsed[edges], elapsed[-1])
 

@@ -270,7 +270,7 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
 
 def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
     found = verdict(messages=["A gap."], paths_not_converged=["a"])
-    assert "Paths of flights of the fit did not converge: a." in found.warnings[0]
+    assert "The paths of these flights did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
     assert "yes" in {use.fit for use in verdict().uses}
     assert found.warnings[1:] == ("A gap.",)

@@ -201,6 +201,16 @@ class TestSimulation:
         found = simulation_errors(glider(), AIRCRAFT, [turns], SETTINGS)
         pd.testing.assert_frame_equal(found, known, rtol=1e-6)
 
+    def test_flights_too_short_to_show_their_noise_do_not_narrow_the_limit(self, flight):
+        noise = np.random.default_rng(0).normal(0, 0.05, len(flight))
+        noisy = flight.assign(q=flight["q"] + noise)
+        tables = [noisy, noisy[:8], noisy[8:16].reset_index(drop=True)]
+        alone, found = (
+            simulation_errors(glider(), AIRCRAFT, each, SETTINGS).loc["q", "limit"]
+            for each in ([noisy], tables)
+        )
+        assert found == pytest.approx(alone) == pytest.approx(3 * 0.05, rel=0.2)
+
     def test_gaps_are_not_flown_through(self, flight):
         broken = flight.assign(time=flight["time"] + 100.0 * (flight["time"] > 12))
         found = simulation_errors(glider(), AIRCRAFT, [broken], SETTINGS)

@@ -59,7 +59,7 @@ class Identification:
     messages, held_out : list of str, str or None
         Warnings, and the part held out because no test flight was named.
     supplements : sequence
-        Further parts such as `skdgp.design.FlownPlan`: ``name`` and ``to_dict()`` for the metrics,
+        Further parts such as `skdgp.design.PlanCheck`: ``name`` and ``to_dict()`` for the metrics,
         ``summary()``, a list of lines, and ``section()``, HTML for the report.
     assumed : list of str
         Assumptions where flights and aircraft do not say, and measurements to make; empty without

@@ -132,7 +132,7 @@ def identify(
         Y = prepared.coefficients()
         targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))
 
-        notify("transforming")  # 3: regressors, paper eq 22, and the fit to them, eq 20
+        notify("transforming")  # 3: regressors (paper eq 22 is the set "paper"), eq 20
         model = _pipeline_for(prepared, regressors, regressor, pipeline or {})
         began = time.monotonic()
         X = model.fit_regressors(prepared.table, targets)

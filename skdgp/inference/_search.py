@@ -376,8 +376,8 @@ class Optimum(NamedTuple):
 class _Loss:
     """The negative log likelihood for a minimiser; it keeps the best point and reports progress."""
 
-    def __init__(self, log_likelihood, theta, stage, stop):
-        self.log_likelihood, self.stage, self.stop = log_likelihood, stage, stop
+    def __init__(self, objective, theta, stage, stop):
+        self.objective, self.stage, self.stop = objective, stage, stop
         self.theta = np.array(theta)
         self.value = -np.inf
         self.latest = -np.inf
@@ -387,7 +387,7 @@ class _Loss:
         if self.stop.is_set():
             raise KeyboardInterrupt
         try:
-            value, gradient = self.log_likelihood(theta)
+            value, gradient = self.objective(theta)
         except np.linalg.LinAlgError:
             value, gradient = -np.inf, np.zeros_like(theta)
         if not (np.isfinite(value) and np.isfinite(gradient).all()):
@@ -408,7 +408,7 @@ class _Loss:
 
 
 def maximize(
-    log_likelihood: Callable,
+    objective: Callable,
     theta: Vector,
     bounds: Matrix,
     stop: Event,
@@ -422,7 +422,7 @@ def maximize(
 
     Parameters
     ----------
-    log_likelihood : callable
+    objective : callable
         theta (n,) -> value and gradient (n,).
     theta : ndarray (n,)
         Starting point.
@@ -450,7 +450,7 @@ def maximize(
         nearest = bounds[:, 0] + step * np.round((theta - bounds[:, 0]) / step) if grid else theta
         return np.clip(nearest, *bounds.T)
 
-    loss = _Loss(log_likelihood, rounded(theta), stage, stop)
+    loss = _Loss(objective, rounded(theta), stage, stop)
     n_iter, remaining, converged = 0, np.inf, False
     try:
         n_iter, remaining, converged = _minimized(

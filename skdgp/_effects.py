@@ -109,8 +109,9 @@ def effects(model: BaseEstimator) -> Effects:
     Parameters
     ----------
     model : DependentGPRegressor or Pipeline
-        Fitted; a pipeline ends in a ``DependentGPRegressor``. Scalers before it are undone in the
-        result.
+        Fitted; a pipeline ends in a ``DependentGPRegressor``. ``StandardScaler``, ``MinMaxScaler``
+        (without ``clip``), ``MaxAbsScaler`` and ``RobustScaler`` before it are undone in the
+        result; behind other transformers regressors keep the transformed units and names.
 
     Returns
     -------

@@ -7,6 +7,7 @@ from skdgp.identification._identify import identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
+    default_regressor,
     flight_regressors,
     make_identification_pipeline,
     predict_flight,
@@ -18,6 +19,7 @@ __all__ = [
     "Identification",
     "ModelFileError",
     "check_identified",
+    "default_regressor",
     "flight_regressors",
     "identify",
     "load_model",

@@ -230,8 +230,8 @@ def estimate_air_motion(
 
     where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
     variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
-    gusts correlate with past gusts, and so with D, but hardly with this motion. What past innovations
-    explain of the surfaces is taken out of them: an autopilot answers gusts. Noises maximise the
+    gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot answers
+    gusts: the part of the surfaces that past innovations explain is left out of it. Noises maximise the
     likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound what a flight does
     not tell. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
@@ -424,7 +424,7 @@ class _Fit:
             step = self._step(damped, sums.score[free])
             if not np.isfinite(step).all():
                 raise np.linalg.LinAlgError
-            turns_back = step @ damped @ last < 0
+            turns_back = step @ damped @ last < 0  # two solutions could follow each other for ever
             share = max(0.5 * share, 0.25) if turns_back else min(1.4 * share, 1.0)
             self.x[free] += share * step
             last = step
@@ -533,14 +533,13 @@ class _Fit:
             run = filtered(linear, self.noise(self.psi, record))
             whitener = np.linalg.inv(np.linalg.cholesky(run.covariance))
             e = (whitener @ run.innovation[..., None])[..., 0]
-            if self.known is None and by_instruments:
-                self.records[j] = record.with_answers(e)
             slopes = whitener @ innovation_slopes(linear, run)
             D = slopes[:, :, np.flatnonzero(at >= self.n_held)]
             at = at[at >= self.n_held]
             Z = D
             if self.known is None and by_instruments:
                 Z = _projected(D, slopes[:, :, len(self.layout.rows) :])
+                self.records[j] = record.with_answers(e)  # for the next pass
             information[np.ix_(at, at)] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
             scatter[np.ix_(at, at)] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
             scores = np.einsum("nmk,nm->nk", Z, e)

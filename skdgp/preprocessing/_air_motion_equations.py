@@ -35,8 +35,8 @@ RATE_START = 0.1  # (rad/s)^2, variance of the rates of the first sample
 NOT_SAMPLED = 1e12
 LEAST_LAG, LAG_STEP = 1e-4, 1e-4  # s
 RESPONSE_TIME = 4.0  # s, memory of the motion that surfaces cause
-ANSWER_TIME = 8.0  # s, memory of what surfaces answer to gusts
-N_BINS = 16  # of this past
+ANSWER_TIME = 8.0  # s, memory of the surfaces' answers to gusts
+N_BINS = 16  # of this time
 LATE = 1  # samples; a command follows the noise of the same sample
 WINDS = ("wind_north", "wind_east", "wind_down")
 ARM = ("arm_x", "arm_y", "arm_z")
@@ -55,7 +55,7 @@ class Record(NamedTuple):
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) ax, ay, az, p, q, r, airspeed, alpha, beta; NaN where not sampled
     inputs: Inputs  # as logged
-    answers: Matrix | None = None  # (n, k) of the surfaces to gusts, by an autopilot
+    answers: Matrix | None = None  # (n, k) part of the surfaces by which an autopilot answers gusts
 
     def first(self, n: int) -> Record:
         """Return the first n samples."""
@@ -71,9 +71,9 @@ class Record(NamedTuple):
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
     def with_answers(self, innovation: Matrix) -> Record:
-        """Return the record with what innovations (n - 1, m) up to each sample explain of its surfaces.
+        """Return the record with the part of its surfaces that innovations (n - 1, m) up to each sample explain.
 
-        By least squares on sums over bins of the past, wider the earlier.
+        By least squares on sums of the innovations over bins of the past, wider the earlier.
         """
         n, m = len(self.rows), innovation.shape[1]
         reach = max(ANSWER_TIME / np.median(self.step), 2.0)
@@ -83,7 +83,7 @@ class Record(NamedTuple):
         at = np.arange(n) + edges[-1] + 1
         sums = [total[at - early] - total[at - late] for early, late in pairwise(edges)]
         columns = np.concatenate([np.ones((n, 1)), *sums], axis=1)
-        weights = np.linalg.lstsq(columns, self.inputs.surfaces)[0]
+        weights = np.linalg.lstsq(columns, self.inputs.surfaces, rcond=None)[0]
         return self._replace(answers=columns @ weights)
 
     @property
@@ -250,7 +250,8 @@ def _response(
 ) -> Matrix:
     """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
-    Gusts are not in it. ``slopes`` (n - 1, 6, 12) are those of a step.
+    It contains no gusts. ``slopes`` (n - 1, 6, 12) are the derivatives of a step from ``state``. The
+    motion is damped to a memory of `RESPONSE_TIME`, as that of an unstable aircraft would grow.
     """
     late = np.concatenate([surfaces[:1]] * LATE + [surfaces[: len(surfaces) - LATE]])
     change = late - late.mean(axis=0)

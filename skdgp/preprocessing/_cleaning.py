@@ -304,9 +304,8 @@ class FlightSmoother(TableTransformer):
         for group, partners in self._groups(names):
             columns = unwrapped(table, group + partners)
             values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **_clock(table))
-            new |= dict(
-                zip(group, values.T, strict=False)
-            )  # without the partners, which are in other groups
+            # without the partners, which are in other groups
+            new |= dict(zip(group, values.T, strict=False))
         return {name: new[name] for name in names}
 
     def _groups(self, names):

@@ -70,6 +70,7 @@ MIN_SIGNIFICANCE = 3.0  # standard deviations
 MIN_LAG = 0.01  # lags below this [s] do not change a model
 KINEMATIC = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 KINEMATIC_SECONDS = 120.0  # of each flight, which show these lags to the millisecond
+KINEMATIC_ROWS = 32768  # at most of them, of 20 kB each
 BAND = (0.3, 4.0)  # frequencies [Hz] of the response to surfaces and gusts, between trim and noise
 # airspeed below this frequency [Hz] scales accelerations to coefficients, independent of its lag
 STEADY = 0.2
@@ -323,8 +324,10 @@ def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
     """
     check_radians(table, ("theta", *RATES))
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
-    since = table["time"] - table.groupby(codes)["time"].transform("min")
-    inertial = table[since < KINEMATIC_SECONDS].drop(columns=[*VANES], errors="ignore")
+    flights = table.groupby(codes)
+    since = table["time"] - flights["time"].transform("min")
+    first = (since < KINEMATIC_SECONDS) & (flights.cumcount() < KINEMATIC_ROWS)
+    inertial = table[first].drop(columns=[*VANES], errors="ignore")
     lags, biases = list(KINEMATIC.values()), ("p_bias", "q_bias", "r_bias")
     free = [*biases, *lags, *MEAN_WIND]
     at = slice(len(biases), len(biases) + len(lags))

@@ -55,7 +55,7 @@ from skdgp.dynamics._rigid_body import (
     rk4,
     rk4_step,
 )
-from skdgp.dynamics._simulate import SimulationWarning, Simulator, simulate, trajectory_bands
+from skdgp.dynamics._simulate import SimulationWarning, simulate, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [
@@ -79,7 +79,6 @@ __all__ = [
     "Record",
     "ScaleFactor",
     "SimulationWarning",
-    "Simulator",
     "ThrustLine",
     "Trim",
     "Turbulence",

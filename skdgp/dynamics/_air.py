@@ -233,8 +233,6 @@ class Turbulence(NamedTuple):
     length: Array  #: (3,) [m]
     #: Mean of the flights [m/s]; None where intensity and length are given.
     airspeed: float | None = None
-    #: Whether u and v share intensity and length, since the wind does not tell them apart
-    is_tied: bool = False
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
@@ -283,18 +281,11 @@ class Turbulence(NamedTuple):
         rows = flight_segments(flight["time"], flight.get("flight"))
         winds = [_wind_of(flight.iloc[part][columns].dropna()) for part in rows]
         long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= SHORTEST]
-        try:
-            return cls._of(long, [wind["airspeed"].mean() for wind in long], span)
-        except TooShort as error:
-            raise ValueError(
-                f"Got no flight of {SHORTEST:g} s in the air, without gaps, sampled every "
-                f"{LONGEST / SAMPLES:g} m, "
-                f"with values in {columns}, but gusts last for seconds: fly longer."
-            ) from error
+        return cls.from_wind(long, [wind["airspeed"].mean() for wind in long], span)
 
     @classmethod
     def from_wind(
-        cls, wind: pd.DataFrame | Sequence[pd.DataFrame], airspeed: ArrayLike, span: float
+        cls, winds: Sequence[pd.DataFrame], airspeeds: ArrayLike, span: float
     ) -> Turbulence:
         r"""Return the turbulence of winds that were met at some airspeeds.
 
@@ -305,18 +296,16 @@ class Turbulence(NamedTuple):
                   - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
 
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
-        one, all winds and axes. The direction of flight is not known here: u and v share intensity
+        one, all winds and axes. Where the direction of flight is not known, u and v share intensity
         and length (MIL-F-8785C, 3.7.2), and of north and east, S is the mean of their spectra.
-        Raises ValueError if a column is
-        missing, there is not one airspeed or as many as winds, the span is not > 0, or the winds
-        are too short or too rarely sampled.
+        Raises ValueError if the span is not > 0, or the winds are too short or too rarely sampled.
 
         Parameters
         ----------
-        wind : DataFrame or list of DataFrame
-            Each with time, wind_north, wind_east, wind_down. Winds of a few seconds show the rates
-            of the gusts, not their lengths.
-        airspeed : float or array-like (n_winds,)
+        winds : list of DataFrame
+            Each with time, wind_north, wind_east, wind_down, and perhaps the heading of the flight
+            through the air. Winds of a few seconds show the rates of the gusts, not their lengths.
+        airspeeds : array-like (n_winds,)
             [m/s].
         span : float
             Of the wing [m].
@@ -329,55 +318,35 @@ class Turbulence(NamedTuple):
         --------
         >>> from skdgp.dynamics import Turbulence, dryden_wind
         >>> wind = dryden_wind(600.0, airspeed=25.0, height=100.0, wind_at_6m=7.7, random_state=0)
-        >>> Turbulence.from_wind(wind, 25.0, span=2.0).intensity.round(1)
+        >>> Turbulence.from_wind([wind], [25.0], span=2.0).intensity.round(1)
         array([1. , 1. , 0.8])
         """
-        wind = [wind] if isinstance(wind, pd.DataFrame) else list(wind)
-        for table in wind:
-            check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
-        if np.shape(airspeed) not in ((), (len(wind),)):
-            raise ValueError(
-                f"Got {np.size(airspeed)} airspeeds of {len(wind)} winds, but expected one, or "
-                f"one for each."
-            )
-        return cls._of([table[["time", *WIND]] for table in wind], airspeed, span)
-
-    @classmethod
-    def _of(cls, wind: Sequence[pd.DataFrame], airspeed: ArrayLike, span: float) -> Turbulence:
-        """Return the turbulence of winds, exact ones, or of sensors with the heading of the aircraft."""
         check_number("span", span, unit="m")
-        speeds = np.broadcast_to(np.asarray(airspeed, dtype=float), (len(wind),))
-        periodograms = [
-            _periodogram(table, speed, span)
-            for table, speed in zip(wind, speeds.tolist(), strict=True)
-        ]
+        pairs = zip(winds, np.asarray(airspeeds, dtype=float).tolist(), strict=True)
+        periodograms = [_periodogram(table, speed, span) for table, speed in pairs]
         spectra = [spectrum for spectrum in periodograms if spectrum is not None]
         if sum(len(spectrum.frequency) for spectrum in spectra) < FEWEST:
-            raise TooShort(
-                "Got winds that are too short, or too rarely sampled, to show gusts, but expected "
-                "some seconds, with a "
-                "row for each 300 m: give longer ones."
+            raise ValueError(
+                f"Got winds that are too short, or too rarely sampled, to show gusts, but expected "
+                f"a flight of {SHORTEST:g} s in the air, without gaps or missing values, or some "
+                f"seconds of a wind, with a row for each {LONGEST / SAMPLES:g} m: fly longer."
             )
         along, vertical = _fitted(spectra, (0, 1)), _fitted(spectra, (2,))
-        across, is_tied = along, True
+        across = along
         if spectra[0].is_along:
             apart = [_fitted(spectra, (axis,)) for axis in (0, 1)]
-            is_tied = bool(2 * (along.loss - sum(fit.loss for fit in apart)) < chi2.ppf(LEVEL, 2))
-            along, across = (along, across) if is_tied else apart
+            if 2 * (along.loss - sum(fit.loss for fit in apart)) >= chi2.ppf(LEVEL, 2):
+                along, across = apart
         fits = along, across, vertical
         intensity, length = (np.array(x) for x in zip(*(fit[:2] for fit in fits), strict=True))
         mean = np.average(
             [p.airspeed for p in spectra], weights=[p.step * len(p.values) for p in spectra]
         )
-        return cls(intensity, length, float(mean), is_tied)
+        return cls(intensity, length, float(mean))
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
         return self._replace(intensity=factor * np.asarray(self.intensity))
-
-
-class TooShort(ValueError):
-    """There is no wind to estimate from."""
 
 
 class _Spectra(NamedTuple):

@@ -16,7 +16,6 @@ from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
 from skdgp.dynamics._linearize import LAGS, check_paths, check_settled, flight_point, lag_of
 from skdgp.dynamics._motion import Instant, Motion
-from skdgp.dynamics._rigid_body import Thrust
 from skdgp.dynamics._trim import Trim
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
@@ -33,7 +32,7 @@ def stability_derivatives(
     *,
     n_paths: int = 200,
     random_state: Seed = 0,
-    thrust: Thrust = "auto",
+    thrust: str | None = "auto",
     air: Any = None,
     added: ArrayLike | None = None,
 ) -> pd.DataFrame:

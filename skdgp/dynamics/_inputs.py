@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
@@ -49,7 +50,6 @@ from skdgp.dynamics._air import (
     Gusts,
     GustyAir,
     LocalAir,
-    TooShort,
     Turbulence,
     dryden_gusts,
     dryden_system,
@@ -67,30 +67,18 @@ ROUGHEST = 2.0
 HORIZON, POINTS = 1.0, 101
 
 
-def constant_wind(wind: Any, n_starts: int = 1) -> LocalAir | None:
-    """Return the air in a constant wind, None in still air."""
-    if wind is None:
-        return None
-    if callable(wind) or tables_of(wind):
-        raise ValueError(
-            f"Got a wind that is {'a function' if callable(wind) else 'a table'}, but expected a "
-            f"constant, north, east, down [m/s], or, for simulate() only, a table with time."
-        )
-    constant = as_floats(wind)
-    if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
-        raise ValueError(
-            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
-            f"finite velocity of the air, north, east, down [m/s]; or, to simulate, a table with "
-            f"time."
-        )
-    return LocalAir(constant)
-
-
 def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
-    """Return a function (stage, state) to the air."""
+    """Return a function (stage, state) to the air, None where it is still."""
+    if wind is None:
+        return lambda stage, state: None
     if not tables_of(wind):
-        local = constant_wind(wind, n_starts)
-        return lambda stage, state: local
+        constant = as_floats(wind)
+        if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
+            raise ValueError(
+                f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
+                f"finite velocity of the air, north, east, down [m/s]; or a table with time."
+            )
+        return lambda stage, state: LocalAir(constant)
     tables = as_tables(wind, "wind", n_starts)
     for table in tables:
         check_columns(table, WIND, what="wind")
@@ -111,13 +99,13 @@ def met_turbulence(
         return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
     if tables := tables_of(described.wind):
         speeds = airspeeds(states, air)
-        try:
+        with suppress(ValueError):  # of winds too short to show gusts
             found = Turbulence.from_wind(
-                tables, speeds if len(tables) > 1 else speeds.mean(), motion.aircraft.span
+                [table[["time", *WIND]] for table in tables],
+                speeds if len(tables) > 1 else [speeds.mean()],
+                motion.aircraft.span,
             )
             return found, f"Gusts as those of the wind, {_sizes(found)}."
-        except TooShort:
-            pass
     if flown is None:
         return (
             None,
@@ -133,7 +121,7 @@ def met_turbulence(
 def _sizes(turbulence: Turbulence) -> str:
     """Return the intensities in words."""
     u, v, w = turbulence.intensity
-    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w{', of which u and v are not told apart' * turbulence.is_tied})"
+    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w)"
 
 
 def gusty_air(
@@ -425,12 +413,12 @@ class FlightComputer(NamedTuple):
 
 
 def control_schedule(
-    controls: Any, clock: Clock, is_control: Callable[[str], bool], n_starts: int
+    controls: Any, clock: Clock, names: Collection[str], n_starts: int
 ) -> Callable:
     """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
 
-    ``wanted`` returns whether a column of a table is a control; ``observe()`` returns what a
-    feedback law sees.
+    ``names`` of controls choose columns of a table, which may be a whole log; ``observe()``
+    returns what a feedback law sees.
     """
     if isinstance(controls, FlightComputer):
         held: dict[int, Mapping] = {}
@@ -455,14 +443,14 @@ def control_schedule(
                 )
         return lambda step, stage, observe: constants
     tables = as_tables(controls, "controls", n_starts)
-    names = [name for name in map(str, tables[0]) if name != "time" and is_control(name)]
-    if not names:
+    chosen = [name for name in map(str, tables[0]) if name in names]
+    if not chosen:
         raise ValueError(
             f"Got controls with columns {list(tables[0])}, none of which is a control of this "
             f"aircraft."
         )
-    values = interpolated(tables, names, clock, "controls")
-    return lambda step, stage, observe: {name: values[name][stage] for name in names}
+    values = interpolated(tables, chosen, clock, "controls")
+    return lambda step, stage, observe: {name: values[name][stage] for name in chosen}
 
 
 def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:

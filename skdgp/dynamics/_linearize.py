@@ -40,7 +40,7 @@ from skdgp._flight.frames import (
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._motion import Instant, Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, Thrust, thrust_control
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 
 # Rates of change, and the rates whose slopes theirs are shares of
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
@@ -289,7 +289,7 @@ def linearize(
     *,
     n_paths: int = 0,
     random_state: Seed = 0,
-    thrust: Thrust = "auto",
+    thrust: str | None = "auto",
     air: Any = None,
 ) -> LinearModel:
     """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.

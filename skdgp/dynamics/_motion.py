@@ -32,7 +32,6 @@ from skdgp.dynamics._rigid_body import (
     ATTITUDE,
     RATES,
     VELOCITY,
-    Thrust,
     aerodynamic_loads,
     propulsive_loads,
     rigid_body_derivative,
@@ -103,7 +102,7 @@ class Motion:
         model: Aerodynamics | BaseEstimator,
         aircraft: Aircraft,
         *,
-        thrust: Thrust = "auto",
+        thrust: str | None = "auto",
         air: Any = None,
         lagged: bool = False,
     ) -> None:

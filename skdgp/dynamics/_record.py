@@ -154,7 +154,6 @@ def fly_record(
     clock: Clock,
     state: Array,
     drifts: Array | None = None,
-    deflections: Mapping[str, Array] | None = None,
 ) -> Record:
     """Return the flight from states: the loop of RK4 over time.
 
@@ -171,8 +170,6 @@ def fly_record(
         At the start.
     drifts : array (n_stages, ..., 6) or None
         Added to the coefficients.
-    deflections : mapping of str to array (...), optional
-        Of the surfaces at the start, by default as commanded.
 
     Returns
     -------
@@ -202,7 +199,8 @@ def fly_record(
         part = round(2 * t / clock.dt)
         return now.derivative if part == 0 else instant(step, part, state, now, begin)[0].derivative
 
-    now, reached = None, dict(deflections or {})  # and the deflections at the end of the last step
+    now = None
+    reached: dict[str, Array] = {}  # deflections at the end of the last step
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(n):
             now, controls, wind, first = instant(k, 0, state, now, None)

@@ -8,7 +8,7 @@ length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the gr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -158,7 +158,6 @@ def rk4(derivative: Callable[[float, Array], Array], state0: ArrayLike, times: A
 
 
 CENTRED = ThrustLine()
-Thrust: TypeAlias = "str | Callable | None"  # Sources of the thrust in a simulation
 
 
 def aerodynamic_loads(
@@ -232,7 +231,7 @@ def propeller_loads(
 
 
 def propulsive_loads(
-    values: Mapping | pd.DataFrame, aircraft: Aircraft, thrust: Thrust = "auto"
+    values: Mapping | pd.DataFrame, aircraft: Aircraft, thrust: str | None = "auto"
 ) -> tuple[Array, Array]:
     """Return the propulsive force (..., 3) [N] and moment (..., 3) [N m], in body axes about the CG.
 
@@ -240,26 +239,16 @@ def propulsive_loads(
     ``thrust`` "auto": ``thrust_x`` ... ``thrust_z``, absent ones zero, and ``thrust_l`` ...
     ``thrust_n``, or without any of these r_T x F_T at the thrust line's position; else ``thrust``
     [N] along the thrust line; else the propeller of the aircraft at ``propeller_speed`` or, where
-    its ``speed_range`` is given, at ``throttle``. A function (values, airspeed, density) to newtons
-    along the thrust line. None: zero, for a glider, or for an unknown thrust as part of the
-    coefficients. Raises ValueError if nothing gives the thrust.
+    its ``speed_range`` is given, at ``throttle``. None: zero, for a glider, or for an unknown
+    thrust as part of the coefficients. Raises ValueError if nothing gives the thrust.
     """
     airspeed = np.asarray(values["airspeed"], dtype=float)
     density = np.asarray(values["density"], dtype=float)
     line = aircraft.thrust_line or CENTRED
     if thrust is None:
         return np.zeros((*airspeed.shape, 3)), np.zeros((*airspeed.shape, 3))
-    if callable(thrust):
-        newtons = thrust(values, airspeed, density)
-        if np.ndim(newtons) > airspeed.ndim:
-            raise ValueError(
-                f"Got thrust of shape {np.shape(newtons)} at airspeeds of shape {airspeed.shape}, "
-                f"but expected a function (controls, airspeed, density) to newtons along the thrust "
-                f"line, one for each airspeed."
-            )
-        return line.loads(newtons)
     if thrust != "auto":
-        raise ValueError(f"Got thrust={thrust!r}, but expected 'auto', None or a function.")
+        raise ValueError(f"Got thrust={thrust!r}, but expected 'auto' or None.")
     if any(name in values for name in THRUST_FORCES):
         force = stacked(values, THRUST_FORCES, airspeed.shape)
         if any(name in values for name in THRUST_MOMENTS):
@@ -304,12 +293,10 @@ def propeller_speed_of(propeller: Propeller | None, values: Mapping | pd.DataFra
     return propeller.speed_at(values["throttle"]) if by_throttle else None
 
 
-def thrust_control(aircraft: Aircraft, thrust: Thrust) -> str | None:
+def thrust_control(aircraft: Aircraft, thrust: str | None) -> str | None:
     """Return the control that sets the thrust of an aircraft in trim; None without thrust."""
     if thrust is None:
         return None
-    if callable(thrust):
-        return "throttle"
     if aircraft.propeller is None:
         return "thrust"
     return "propeller_speed" if aircraft.propeller.speed_range is None else "throttle"

@@ -1,8 +1,8 @@
-"""Simulation of a model: one trajectory, an ensemble and its bands, or step by step for controllers."""
+"""Simulation of a model: one trajectory, or an ensemble and its bands."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,14 @@ from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import (
     AIR_DATA,
-    CHANNELS,
     COEFFICIENTS,
     EARTH_VELOCITY,
     EULER,
     RATES,
     SPECIFIC_FORCE,
-    TRUTH_SUFFIX,
     WIND,
 )
-from skdgp._flight.checks import check_columns, check_number
+from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -33,7 +31,6 @@ from skdgp.dynamics._inputs import (
     UncertainStart,
     airspeeds,
     as_starts,
-    constant_wind,
     control_schedule,
     drift_in,
     gusty_air,
@@ -44,15 +41,8 @@ from skdgp.dynamics._inputs import (
     warn_of_clocks,
     wind_schedule,
 )
-from skdgp.dynamics._motion import CONTROLS, PROPULSION, Motion
-from skdgp.dynamics._record import (
-    FLYING,
-    REASONS,
-    Clock,
-    channels,
-    fly_record,
-)
-from skdgp.dynamics._rigid_body import Thrust
+from skdgp.dynamics._motion import PROPULSION, Motion
+from skdgp.dynamics._record import REASONS, Clock, channels, fly_record
 
 BEYOND = 0.02  # Fraction of its training range by which a regressor may exceed it without a warning
 TINY = 1e-12
@@ -69,7 +59,7 @@ def simulate(
     air: Any = None,
     n_paths: int | None = None,
     random_state: Seed = 0,
-    thrust: Thrust = "auto",
+    thrust: str | None = "auto",
 ) -> pd.DataFrame:
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
@@ -106,11 +96,10 @@ def simulate(
         flight. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
-    thrust : "auto", callable or None, default="auto"
+    thrust : "auto" or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line,
-        or the propeller at propeller_speed [rad/s] or throttle. A function (controls, airspeed,
-        density) to newtons along the thrust line. None: a glider, or a model whose coefficients
-        include the thrust.
+        or the propeller at propeller_speed [rad/s] or throttle. None: a glider, or a model whose
+        coefficients include the thrust.
 
     Returns
     -------
@@ -159,7 +148,9 @@ def simulate(
     clock = Clock.of(dt, duration, tables_of(controls, described.wind))
     warn_of_clocks(starts, controls, clock.dt)
     local = wind_schedule(described.wind, clock, len(starts))
-    commands = control_schedule(controls, clock, is_control(motion), len(starts))
+    mixing = motion.aerodynamics.mixing
+    names = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
+    commands = control_schedule(controls, clock, names, len(starts))
     states = initial_states(starts, lambda start: local(0, start))
     if n_paths is None and isinstance(described.gusts, Turbulence):
         raise ValueError(
@@ -188,132 +179,6 @@ def simulate(
     )
     table.attrs["air"] = sentence
     return table
-
-
-def is_control(motion: Motion) -> Callable[[str], bool]:
-    """Return the function that finds the controls among the columns of a table, which may be a whole log."""
-    if callable(motion.thrust):
-        return lambda name: (
-            (name in CONTROLS or name not in CHANNELS) and not name.endswith(TRUTH_SUFFIX)
-        )
-    mixing = motion.aerodynamics.mixing
-    names = {*motion.controls, *PROPULSION, *(() if mixing is None else mixing.surfaces)}
-    return lambda name: name in names
-
-
-class Simulator:
-    """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
-
-    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4).
-
-    Parameters
-    ----------
-    model, aircraft
-        As for :func:`skdgp.dynamics.simulate`.
-    dt : float, default=0.02
-        Time step [s].
-    air, thrust
-        As for :func:`skdgp.dynamics.simulate`; the wind is constant, no gusts are drawn.
-
-    Attributes
-    ----------
-    ended : str
-        Why the flight is over; "" while it is not.
-    beyond : str
-        After a step: the regressor farthest outside its training range, or "".
-
-    Examples
-    --------
-    A controller that holds the bank angle:
-
-    >>> import numpy as np
-    >>> from skdgp.dynamics import Aerodynamics, Aircraft, Simulator
-    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    >>> def coefficients(X):
-    ...     alpha, beta, p, q, r, aileron = X.T
-    ...     Cl = -0.05 * beta - 0.4 * p + 0.1 * aileron
-    ...     return np.stack([-0.02 + 2 * alpha**2, -0.4 * beta, -0.2 - 4.5 * alpha, Cl,
-    ...                      0.02 - 0.4 * alpha - 8 * q, 0.08 * beta - 0.1 * r], axis=-1)
-    >>> model = Aerodynamics(coefficients, ["alpha", "beta", "p_hat", "q_hat", "r_hat", "aileron"])
-    >>> simulator = Simulator(model, glider, thrust=None)
-    >>> seen = simulator.reset({"airspeed": 12.0, "alpha": 0.05, "phi": 0.0, "altitude": 100.0})
-    >>> for _ in range(150):
-    ...     seen = simulator.step({"aileron": 1.5 * (0.4 - seen["phi"]) - 0.3 * seen["p"]})
-    >>> round(float(seen["time"]), 2), bool(abs(seen["phi"] - 0.4) < 0.05)
-    (3.0, True)
-    """
-
-    def __init__(
-        self,
-        model: Aerodynamics | BaseEstimator,
-        aircraft: Aircraft,
-        dt: float = 0.02,
-        *,
-        air: Any = None,
-        thrust: Thrust = "auto",
-    ) -> None:
-        air = as_air(air)
-        if isinstance(air.gusts, Turbulence):
-            raise ValueError("Got a Turbulence, but a Simulator draws no gusts: simulate() does.")
-        self.motion = Motion(model, aircraft, thrust=thrust, air=air)
-        self.dt = check_number("dt", dt, unit="s")
-        self._mean = self.motion.aerodynamics
-        self._air = constant_wind(air.wind)
-        self._steps = 0
-        self.ended = FLYING
-        self.beyond = ""
-        self._state: Any = None
-
-    @property
-    def time(self) -> float:
-        """Since the reset [s]."""
-        return self._steps * self.dt
-
-    def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, float]:
-        """Begin a flight, and return ``time``, position, velocities, angles, rates, air data, altitude.
-
-        ``x0`` is one start of :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean
-        of the model flies, else a function drawn from its posterior.
-        """
-        states = initial_states(as_starts(x0), lambda start: self._air)
-        if len(states) > 1:
-            raise ValueError(
-                f"Got {len(states)} starts, but expected one: simulate() flies several at once."
-            )
-        self.motion.aerodynamics = self._mean
-        if random_state is not None:
-            self.motion.aerodynamics = self._mean.sample(1, random_state, correlated=True)
-        self._state = states
-        self._steps = 0
-        self._reached: dict[str, Array] = {}  # deflections at the end of the last step
-        self.ended = FLYING
-        self.beyond = ""
-        return self._seen()
-
-    def step(self, controls: Mapping) -> dict[str, float]:
-        """Return the observation after a step with controls by name; ValueError before `reset` or after the end."""
-        if self._state is None or self.ended:
-            what = (
-                "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
-            )
-            raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
-        record = fly_record(
-            self.motion, lambda step, stage, observe: controls, lambda stage, state: self._air,
-            Clock(self.dt, 1), self._state, deflections=self._reached,
-        )  # fmt: skip
-        self._steps += 1
-        self.ended = record.ended[0]
-        farthest = beyond(self.motion, record.regressors[-1])[0]
-        self.beyond = ["", *self.motion.regressors][farthest]
-        if not self.ended:
-            self._state = record.states[-1]
-            self._reached = {name: values[-1] for name, values in record.controls.items()}
-        return self._seen()
-
-    def _seen(self) -> dict[str, float]:
-        columns = channels(self._state, None if self._air is None else self._air.wind)
-        values = {name: np.nan if self.ended else float(v[0]) for name, v in columns.items()}
-        return {"time": self.time} | values
 
 
 class SimulationWarning(UserWarning):

@@ -26,7 +26,6 @@ from skdgp.dynamics._rigid_body import (
     CENTRED,
     RATES,
     VELOCITY,
-    Thrust,
     aerodynamic_loads,
     thrust_control,
 )
@@ -112,7 +111,7 @@ def trim(
     bank: float | None = None,
     fixed: Mapping[str, float] | None = None,
     limits: Mapping[str, tuple[float, float]] | None = None,
-    thrust: Thrust = "auto",
+    thrust: str | None = "auto",
     air: Any = None,
 ) -> Trim | list[Trim]:
     r"""Return the steady flight of an aircraft at an airspeed.

@@ -16,9 +16,7 @@ from skdgp.dynamics import (
     Air,
     Aircraft,
     FlightComputer,
-    Propeller,
     SimulationWarning,
-    Simulator,
     UncertainStart,
     aerodynamic_coefficients,
     as_aerodynamics,
@@ -336,7 +334,6 @@ class TestControls:
         np.testing.assert_allclose([phi for _, phi in seen], flown["phi"], atol=1e-12)
 
     def test_throttle_turns_the_propeller(self, aircraft):
-        propeller = Propeller(0.5, (0.1, -0.05, -0.08), speed_range=(200.0, 800.0))
         engine = {
             "diameter": 0.5,
             "thrust_coefficients": (0.1, -0.05, -0.08),
@@ -349,12 +346,6 @@ class TestControls:
             linear(), powered, START, surfaces | {"propeller_speed": 500.0}, duration=1.0
         )
         np.testing.assert_allclose(by_throttle[STATES], by_speed[STATES])
-
-        def thrust(controls, airspeed, density):
-            return propeller.thrust(500.0, airspeed, density)
-
-        by_function = simulate(linear(), aircraft, START, surfaces, duration=1.0, thrust=thrust)
-        np.testing.assert_allclose(by_function[STATES], by_speed[STATES])
 
     @pytest.mark.parametrize(("controls", "options", "match"), [
         (table_of(1.0), {"duration": 2.0}, "ends after 1 s, but the simulation lasts 2 s"),
@@ -370,34 +361,20 @@ class TestControls:
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"x0": UncertainStart(START, {"phi": 0.1})}, "nothing would show it"),
         (table_of(1.0), {"air": {"wind_north": 5.0}}, r"wind of shape \(\), but expected \(3,\)"),
-        (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, "a wind that is a function"),
+        (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, r"wind of shape \(\)"),
         (table_of(1.0).assign(rudder="left"), {}, "rudder.*expected numbers"),
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
         ({"elevator": [0.0] * 50}, {"duration": 1.0}, r"control elevator of shape \(50,\)"),
-        (commands, {"duration": 1.0, "thrust": lambda controls, V, rho: [9.0, 0.0, 0.0]}, r"thrust of shape \(3,\)"),
     ])  # fmt: skip
     def test_mistakes_are_told_at_the_door(self, aircraft, controls, options, match):
         with pytest.raises(ValueError, match=match):
             simulate(linear(), aircraft, controls=controls, **{"x0": START} | options)
 
-    def test_a_simulator_takes_no_table_of_wind(self, aircraft):
-        wind = pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})
-        for air, kind in ((wind, "table"), (lambda t: [1.0, 2.0, 3.0], "function")):
-            with pytest.raises(ValueError, match=rf"a wind that is a {kind}, .*for simulate\(\)"):
-                Simulator(linear(), aircraft, dt=0.02, air=air)
-
-    def test_a_whole_log_may_be_given_whatever_tells_the_thrust(self, aircraft, flown):
-        def thrust(controls, airspeed, density):
-            return 100.0 * controls["throttle"]
-
-        table = table_of(1.0).assign(throttle=0.12)
+    def test_a_whole_log_may_be_given(self, aircraft):
+        table = table_of(1.0)
         log = table.assign(flight="monday", v_north=np.nan, phi=99.0, elevator_true=5.0)
-        alone = simulate(
-            linear(), aircraft, START, table[["time", *NAMES[5:], "throttle"]], thrust=thrust
-        )
-        pd.testing.assert_frame_equal(
-            simulate(linear(), aircraft, START, log, thrust=thrust)[list(alone)], alone
-        )
+        alone = simulate(linear(), aircraft, START, table)
+        pd.testing.assert_frame_equal(simulate(linear(), aircraft, START, log), alone)
 
     def test_starts_of_other_times_than_the_controls_are_noticed(self, aircraft):
         log = table_of(4.0, step=0.02)
@@ -615,80 +592,3 @@ class TestEnsembles:
         start = UncertainStart(START, {"speed": 1.0})
         with pytest.raises(ValueError, match="standard deviations of a start lack 'speed'"):
             simulate(uncertain(0.1), aircraft, start, commands, duration=1.0, n_paths=3)
-
-
-class TestSimulator:
-    @pytest.mark.parametrize("lag", [0.0, 0.1])
-    def test_steps_are_those_of_a_held_law(self, aircraft, lag):
-        def law(t, state):
-            return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
-
-        at_once = simulate(
-            linear(servo_lag=lag),
-            aircraft,
-            START,
-            FlightComputer(law),
-            dt=0.02,
-            duration=1.0,
-            air=[1.0, 2.0, 0.0],
-        )
-        simulator = Simulator(linear(servo_lag=lag), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
-        seen = simulator.reset(START)
-        for _, row in at_once.iterrows():
-            assert seen["time"] == pytest.approx(row["time"])
-            np.testing.assert_allclose(
-                [seen[name] for name in STATES], row[STATES].to_numpy(float), atol=1e-10
-            )
-            seen = simulator.step(law(seen["time"], seen))
-
-    def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft):
-        simulator = Simulator(uncertain(0.1), aircraft)
-
-        def end(seed):
-            simulator.reset(START, random_state=seed)
-            for _ in range(20):
-                seen = simulator.step(commands(0.0))
-            return seen["phi"]
-
-        assert end(1) == pytest.approx(end(1))
-        assert end(1) != pytest.approx(end(2))
-
-    def test_tells_what_is_beyond_what_was_flown(self, aircraft):
-        limits = np.array([[-0.5] * 8, [0.5] * 8])
-        limits[:, 0] = [0.0, 0.07]
-        simulator = Simulator(linear(limits=limits), aircraft, dt=0.02)
-        with pytest.warns(SimulationWarning):
-            flown = simulate(
-                linear(limits=limits),
-                aircraft,
-                START,
-                FlightComputer(lambda t, s: commands(0.0)),
-                duration=1.0,
-            )
-        simulator.reset(START)
-        told = [simulator.beyond]
-        for _ in range(50):
-            simulator.step(commands(0.0))
-            told.append(simulator.beyond)
-        assert told[1:] == flown["beyond"].tolist()[1:]
-
-    def test_says_when_it_is_over(self, aircraft):
-        simulator = Simulator(linear(0.0 * SLOPES, np.zeros(6)), aircraft, thrust=None)
-        with pytest.raises(ValueError, match="call reset"):
-            simulator.step({})
-        with pytest.raises(ValueError, match="2 starts, but expected one"):
-            simulator.reset(pd.DataFrame([START, START]))
-        seen = simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
-        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
-        while not simulator.ended:
-            seen = simulator.step(controls)
-        assert simulator.ended == "airspeed"
-        simulator.reset(START)
-        simulator.step(controls | {"elevator": np.nan})
-        assert simulator.ended == "diverged"
-        simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
-        while not simulator.ended:
-            seen = simulator.step(controls)
-        assert np.isnan(seen["airspeed"])
-        with pytest.raises(ValueError, match="has ended"):
-            simulator.step(controls)

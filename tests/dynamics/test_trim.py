@@ -12,7 +12,6 @@ from skdgp.dynamics import (
     body_to_ned,
     quaternion_to_euler,
     rk4,
-    simulate,
     trim,
 )
 from skdgp.dynamics._motion import Motion
@@ -212,29 +211,6 @@ class TestShape:
         found = trim(model, glider, 20.0, **AIR)
         now = Motion(model, glider, **AIR).at(found.state, found.controls)
         assert now.regressors[8] == pytest.approx(-GRAVITY * np.cos(found.theta))
-
-
-def test_an_engine_by_a_function_is_trimmed_by_its_throttle(aircraft):
-    def engine(controls, airspeed, density):
-        return (5.0 + 80.0 * controls["throttle"] - 1.5 * airspeed) * density / 1.2
-
-    slopes = np.zeros((6, 5))
-    slopes[2, 0], slopes[4, 0], slopes[4, 2] = -4.0, -0.5, -0.6
-    slopes[1, 1], slopes[3, 1], slopes[5, 1], slopes[3, 3], slopes[5, 4] = (
-        -0.5,
-        -0.03,
-        0.06,
-        0.1,
-        -0.05,
-    )
-    intercept = np.array([-0.03, 0, -0.1, 0, 0.03, 0])
-    model = Aerodynamics(
-        lambda X: intercept + X @ slopes.T, ["alpha", "beta", "elevator", "aileron", "rudder"]
-    )
-    steady = trim(model, aircraft, airspeed=20.0, thrust=engine)
-    flown = simulate(model, aircraft, steady, steady.controls, duration=0.5, thrust=engine)
-    np.testing.assert_allclose(flown["airspeed"], 20.0, atol=1e-5)
-    assert 0 < steady.controls["throttle"] < 1
 
 
 @pytest.mark.parametrize(("arguments", "asked", "match"), [

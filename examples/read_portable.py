@@ -22,7 +22,7 @@ class Model:
             self.head = json.loads(file["model.json"])
             self.arrays = {name: file[name] for name in file.files if name != "model.json"}
         found = self.head["format"], self.head["version"]
-        if found != ("skdgp portable model", 4):
+        if found != ("skdgp portable model", 5):
             raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):
@@ -75,7 +75,7 @@ class Model:
         variance = (mixture * (variances + (means - mean[:, None]) ** 2)).sum(axis=1)
         slopes /= a["scale"]
         variance += input_noise * ((slopes @ a["input_covariance"]) * slopes).sum(axis=2)
-        return a["center"] + a["output_scale"] * mean, a["deviation_scale"] * np.sqrt(variance)
+        return a["center"] + a["output_scale"] * mean, a["output_scale"] * np.sqrt(variance)
 
 
 def main(arguments=None):

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 # isort: off
 if TYPE_CHECKING:
     from skdgp import (
-        calibration as calibration,
         datasets as datasets,
         design as design,
         dynamics as dynamics,
@@ -50,7 +49,6 @@ _HOMES = {
     "make_identification_pipeline": "identification",
 }
 _FOLDERS = [
-    "calibration",
     "datasets",
     "design",
     "dynamics",

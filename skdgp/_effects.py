@@ -247,11 +247,10 @@ def _interaction(posterior, rows, pair, output, n_grid, names, shift, factor, sc
 def _split_model(model):
     """Return the regressor, the steps before it, shift and scale of the scalers at their end, the regressors' names."""
     steps = [step for _, step in model.steps] if isinstance(model, Pipeline) else [model]
-    last = steps.pop()
-    regressor = getattr(last, "estimator_", last)  # of a CalibratedRegressor
+    regressor = steps.pop()
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
-            f"Got {type(last).__name__}, but expected a fitted DependentGPRegressor, or a "
+            f"Got {type(regressor).__name__}, but expected a fitted DependentGPRegressor, or a "
             f"pipeline that ends in one."
         )
     check_is_fitted(regressor)

@@ -36,9 +36,9 @@ FLOORS = [
     ["inference"],
     ["_regressor", "datasets"],
     ["_effects"],
-    ["plotting", "calibration"],
+    ["plotting"],
     ["report"],  # shows arrays; it knows no models
-    ["identification"],  # calibrates its models, and fills their reports
+    ["identification"],  # fills the reports of its models
     ["export", "design"],  # what is done with a model: written for other programs; what to fly next
     ["_cli"],
     ["__main__", "__init__"],

@@ -11,7 +11,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, effects
-from skdgp.calibration import CalibratedRegressor
 from skdgp.inference import SparsePosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, inducing_features
 
@@ -173,17 +172,6 @@ def test_names_of_pairs_and_of_a_single_regressor(fitted):
     x = np.linspace(0, 1, 30)[:, None]
     only = effects(DependentGPRegressor(n_latent=0, optimizer=None).fit(x, np.sin(x[:, 0])))
     assert list(only.importance.index) == list(only.curves) == ["x0"]
-
-
-@pytest.mark.filterwarnings("ignore:Got one flight", "ignore:Got level")
-def test_a_calibrated_pipeline(data):
-    X, Y = data
-    regressor = CalibratedRegressor(DependentGPRegressor(structure="trend"))
-    model = make_pipeline(StandardScaler(), regressor).fit(X[:100], Y[:100])
-    found = effects(model)
-    np.testing.assert_allclose(
-        sum(found.evaluate(X)[0].values()) + found.intercept, model.predict(X), atol=1e-8
-    )
 
 
 class TestBadInput:

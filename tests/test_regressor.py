@@ -71,7 +71,7 @@ class TestScikitLearnContract:
         assert passed >= 50  # none vanished: scikit-learn 1.6 has as many
 
     def test_no_estimator_of_the_package_goes_unchecked(self):
-        """Who is found here is held to check_estimator here, in tests/preprocessing or in tests/calibration.
+        """Who is found here is held to check_estimator here or in tests/preprocessing.
 
         A pipeline has no estimator of its own to check:
         tests/identification/test_flight_pipeline.py.
@@ -95,7 +95,6 @@ class TestScikitLearnContract:
             "RateNondimensionalizer"
         )
         assert found == {
-            "CalibratedRegressor",
             "DependentGPRegressor",
             *others.split(),
             "RegressorSelector",

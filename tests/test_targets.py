@@ -9,7 +9,6 @@ from sklearn.pipeline import make_pipeline
 from skdgp import DependentGPRegressor
 from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
-from skdgp.calibration import CalibratedRegressor
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
 from skdgp.dynamics._inputs import as_starts
@@ -62,15 +61,6 @@ def test_regressor(library):
     assert model.output_names_ == ["CZ", "Cm"]
     assert model.feature_names_in_.tolist() == ["alpha", "q"]
     assert {name.split("_")[-1] for name in score_outputs(model, inputs, Y)} == {"CZ", "Cm"}
-
-
-@pytest.mark.filterwarnings("ignore:Got .* flights")
-def test_the_model_inside_a_calibration_learns_the_names(library):
-    model = DependentGPRegressor(n_latent=0, max_iter=1)
-    model = CalibratedRegressor(model, cv=2, level=0.5).fit(
-        X, library.DataFrame(TARGETS), groups=[1, 2] * 20
-    )
-    assert model.output_names_ == model.estimator_.output_names_ == ["CZ", "Cm"]
 
 
 def test_thinned(library):

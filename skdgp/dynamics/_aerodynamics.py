@@ -244,10 +244,10 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
 
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned
-    from a table whose columns are regressors; or either in a fitted search or a
-    ``CalibratedRegressor``. It predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where
-    it keeps no names. Raises TypeError for any other model; ValueError if regressors
-    have no names or were scaled before they were chosen, or a coefficient is missing.
+    from a table whose columns are regressors; or either in a fitted search. It
+    predicts all six coefficients, in the order CX CY CZ Cl Cm Cn where it keeps no names. Raises
+    TypeError for any other model; ValueError if regressors have no names or were scaled before they
+    were chosen, or a coefficient is missing.
 
     Notes
     -----
@@ -264,8 +264,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     These stand before the choice of regressors or are it. A step behind it works row by row, by
     ``transform``. The regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n,
     d); ``sample_paths``, functions with ``each`` and ``gradient``; and a drift in time,
-    ``drift_variance_`` and ``drift_memory_`` (P,). A
-    meta-estimator whose ``acts_on_outputs`` is true may hold a pipeline in ``estimator_``.
+    ``drift_variance_`` and ``drift_memory_`` (P,).
 
     Examples
     --------
@@ -361,11 +360,7 @@ class _Chain:
 
         With ``added`` (k, d): expected after these rows are flown too.
         """
-        errors = getattr(
-            getattr(self.regressor, "estimator_", self.regressor),
-            "slope_errors",
-            lambda X, added: None,
-        )
+        errors = getattr(self.regressor, "slope_errors", lambda X, added: None)
         if added is not None:
             added = (added - self.shift) / self.scale
         slope_errors = errors((X - self.shift) / self.scale, added)
@@ -375,9 +370,7 @@ class _Chain:
 
     def training_rows(self) -> Array | None:
         """Return the regressors (n, d) that the model was learned from, None where they are not known."""
-        posterior = getattr(
-            getattr(self.regressor, "estimator_", self.regressor), "posterior_", None
-        )
+        posterior = getattr(self.regressor, "posterior_", None)
         data = None if posterior is None else posterior.data
         return None if data is None else data.X[0] * self.scale + self.shift
 
@@ -387,9 +380,7 @@ class _Chain:
 
     @cached_property
     def _function_errors(self) -> Any:
-        errors = getattr(
-            getattr(self.regressor, "estimator_", self.regressor), "function_errors", lambda: None
-        )()
+        errors = getattr(self.regressor, "function_errors", lambda: None)()
         return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
 
     def drift(self) -> Drift | None:
@@ -454,20 +445,16 @@ def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
 
 
 def turbulence_of(model: BaseEstimator) -> Any:
-    """Return the turbulence that a pipeline was learned in, in a search or calibrated too; None if it is not known."""
-    inner = getattr(model, "best_estimator_", getattr(model, "estimator_", None))
-    return getattr(model, "turbulence_", None) if inner is None else turbulence_of(inner)
+    """Return the turbulence that a pipeline was learned in, in a search too; None if it is not known."""
+    return getattr(unwrap(model), "turbulence_", None)
 
 
 def _steps_of(model: BaseEstimator) -> list:
-    """Return the fitted steps of a model: of the pipeline in a search, frozen, or calibrated as a whole, too."""
+    """Return the fitted steps of a model: of the pipeline in a search, or frozen, too."""
     model = unwrap(model)
     if isinstance(model, Pipeline):
         steps = [step for _, step in model.steps if step not in (None, "passthrough")]
         return [*steps[:-1], *_steps_of(steps[-1])]
-    if getattr(model, "acts_on_outputs", False):  # so it may stand around the last step alone
-        *before, last = _steps_of(model.estimator_)
-        return [*before, _with(model, estimator_=last)]
     return [model]
 
 
@@ -479,17 +466,8 @@ def _for_arrays(transform: Any) -> Any:
 
 def _without_names(step: Any) -> Any:
     """Return the step as if fitted on an array: one that was fitted on a table warns at arrays."""
-    if getattr(step, "acts_on_outputs", False):
-        return _with(step, estimator_=_without_names(step.estimator_))
     twin = object.__new__(type(step))
     twin.__dict__.update(
         {name: value for name, value in vars(step).items() if name != "feature_names_in_"}
     )
-    return twin
-
-
-def _with(model: BaseEstimator, **attributes: Any) -> Any:
-    """Return a copy of the model with other attributes."""
-    twin = copy.copy(model)
-    twin.__dict__.update(attributes)
     return twin

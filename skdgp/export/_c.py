@@ -23,7 +23,7 @@ TERM_BYTES = 56
 PART_BYTES = 64  # pointers and numbers of a part
 CODE_BYTES = 4096  # of the functions and names
 SHARED = (
-    *("shift", "scale", "center", "output_scale", "deviation_scale", "trend_center"),
+    *("shift", "scale", "center", "output_scale", "trend_center"),
     *("mixture", "prior_variance", "trend_scale", "trend_weights"),
 )
 

@@ -21,7 +21,7 @@ from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import reduced
 
-FORMAT, VERSION = "skdgp portable model", 4
+FORMAT, VERSION = "skdgp portable model", 5
 HEAD = "model.json"
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
 MEMBER_BYTES = 300  # of an array in the file, besides its numbers

@@ -68,7 +68,7 @@ def casadi_function(model: PortableModel) -> Any:
     away = of_parts - ca.repmat(mixed, len(model.mixture), 1)
     variance = ca.DM(mixer(model).T) @ (ca.vertcat(*variances) + away**2)
     mean = ca.DM(model.center) + ca.DM(model.output_scale) * mixed
-    values = [mean, ca.DM(model.deviation_scale) * ca.sqrt(variance), ca.jacobian(mean, x)]
+    values = [mean, ca.DM(model.output_scale) * ca.sqrt(variance), ca.jacobian(mean, x)]
     return ca.Function("aero", [x], values, ["x"], ["mean", "std", "jacobian"])
 
 
@@ -126,7 +126,7 @@ def onnx_model(model: PortableModel) -> Any:
     spread = graph("Add", graph("Concat", *variances, axis=1), graph("Mul", away, away))
     deviation = graph("Sqrt", graph("MatMul", spread, mixer(model)))
     graph("Add", graph("Mul", mixed, model.output_scale), model.center, out="mean")
-    graph("Mul", deviation, model.deviation_scale, out="std")
+    graph("Mul", deviation, model.output_scale, out="std")
     return _checked(onnx, graph, model)
 
 

@@ -207,14 +207,14 @@ class PortableModel:
 
     An output is the mixture of K posteriors, the components of an average; K is 1 for a single one.
     Component k of output i is the part j = k P + i, with mean mu and variance nu as in
-    :class:`Part`. With the weights q (``mixture``), c ``center``, s ``output_scale`` and t
-    ``deviation_scale``, mean and variance of the coefficient are
+    :class:`Part`. With the weights q (``mixture``), c ``center`` and s ``output_scale``,
+    mean and variance of the coefficient are
 
     .. math:: \mu_i = \sum_k q_{ki} \mu_j, \quad m_i = c_i + s_i \mu_i, \quad
-              \sigma_i^2 = t_i^2 \sum_k q_{ki} \left(\nu_j + (\mu_j - \mu_i)^2\right).
+              \sigma_i^2 = s_i^2 \sum_k q_{ki} \left(\nu_j + (\mu_j - \mu_i)^2\right).
 
     This is the posterior of the function at exact regressors. At measured ones, whose noise has the
-    covariance S (``input_covariance``), their noise adds :math:`(t_i / s_i)^2 J_i S J_i^T` to the
+    covariance S (``input_covariance``), their noise adds :math:`J_i S J_i^T` to the
     variance, with the slopes J of the mean: on most flights the larger part.
 
     Parameters
@@ -224,7 +224,7 @@ class PortableModel:
     aircraft : Aircraft
     shift, scale : ndarray (d,)
         Scaled regressors are z = (x - shift) / scale.
-    center, output_scale, deviation_scale : ndarray (P,)
+    center, output_scale : ndarray (P,)
     trend_center : ndarray (d,)
     parts : tuple of Part
         K P.
@@ -251,7 +251,6 @@ class PortableModel:
     scale: Vector
     center: Vector
     output_scale: Vector
-    deviation_scale: Vector
     trend_center: Vector
     parts: tuple[Part, ...]
     mixture: Matrix
@@ -341,7 +340,7 @@ class PortableModel:
                 noise = np.einsum("npd,npd->np", slopes @ self.input_covariance, slopes)
                 variance[rows] += factor[rows, None] * noise
         mean = self.center + self.output_scale * mean
-        return (mean, self.deviation_scale * np.sqrt(variance)) if return_std else mean
+        return (mean, self.output_scale * np.sqrt(variance)) if return_std else mean
 
     def predict_gradient(self, X: Any) -> Array:
         """Return the slopes of the mean, d mean / d regressor, (n, P, d), per unit of the regressors."""
@@ -400,7 +399,7 @@ class PortableModel:
         away = self._mixed(mean)[1]
         whole = self._mixed(variance + away**2)[0]
         of_variance = self._mixed(error + 2 * np.abs(away) * mean_error)[0]
-        return self.deviation_scale * of_variance / np.sqrt(np.maximum(whole, of_variance))
+        return self.output_scale * of_variance / np.sqrt(np.maximum(whole, of_variance))
 
     def head(self) -> dict[str, Any]:
         """Return names, formulas of the regressors, aircraft and provenance, as JSON knows them."""
@@ -489,7 +488,7 @@ class PortableModel:
 
 # Arrays of a model
 NUMBERS = (
-    *("shift", "scale", "center", "output_scale", "deviation_scale", "trend_center", "mixture"),
+    *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
     *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
 # Arrays with one row for each part

@@ -17,7 +17,6 @@ from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
-from skdgp.identification import regressor_and_scale
 from skdgp.inference import ExactPosterior, SinglePosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
@@ -30,7 +29,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
 
     The pipeline is read as :func:`skdgp.dynamics.as_aerodynamics` reads it for a simulation. Behind
     the choice of regressors it may have scalers such as ``StandardScaler``, and at the end a
-    ``DependentGPRegressor``, exact or sparse, perhaps in a ``CalibratedRegressor``. The ``facts``
+    ``DependentGPRegressor``, exact or sparse. The ``facts``
     of a model file become the provenance: ``portable_model(**load_model(path))``. Raises TypeError
     if ``pipeline`` is no pipeline or ``aircraft`` no `Aircraft`, ValueError if a coefficient is
     lacking, or a step, the kernel or the trend has no portable form.
@@ -61,7 +60,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
             f"Got {type(pipeline).__name__} to export, but expected a fitted pipeline. {REMEDY}"
         )
     check_is_fitted(pipeline)
-    regressor, deviation = regressor_and_scale(pipeline)
+    regressor = pipeline[-1]
     if not isinstance(regressor, DependentGPRegressor):
         raise ValueError(
             f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. "
@@ -83,11 +82,10 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         scale=scale,
         center=np.asarray(regressor.center_, dtype=float),
         output_scale=np.asarray(regressor.scale_, dtype=float),
-        deviation_scale=np.asarray(regressor.scale_ * deviation, dtype=float),
         trend_center=_trend_of(posterior.members[0].kernel)[0],
         parts=tuple(parts),
         mixture=np.asarray(posterior.mixture, dtype=float),
-        noise_variance=np.asarray(regressor.noise_variance_ * np.square(deviation)),
+        noise_variance=np.asarray(regressor.noise_variance_),
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
         limits=np.stack([seen.min(axis=0), seen.max(axis=0)]),
         samples=samples[:: -(-len(samples) // MAX_SAMPLES)],

@@ -11,7 +11,6 @@ from skdgp.identification._pipeline import (
     flight_regressors,
     make_identification_pipeline,
     predict_flight,
-    regressor_and_scale,
 )
 
 __all__ = [
@@ -26,7 +25,6 @@ __all__ = [
     "make_identification_pipeline",
     "named_flights",
     "predict_flight",
-    "regressor_and_scale",
     "save_model",
     "usable_flights_of_model",
     "validate",

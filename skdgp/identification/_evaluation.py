@@ -25,7 +25,7 @@ from skdgp._flight.channels import (
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights, regressor_columns, usable_flights
-from skdgp.identification._pipeline import flight_regressors, regressor_and_scale
+from skdgp.identification._pipeline import flight_regressors
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 from skdgp.report import Evaluation
 
@@ -36,7 +36,7 @@ STD_ROWS = 3000
 
 def fit_facts(pipeline: Pipeline) -> dict:
     """Return what a fitted pipeline knows of its fit."""
-    regressor = regressor_and_scale(pipeline)[0]
+    regressor = pipeline[-1]
     names = [str(name) for name in pipeline["regressorselector"].regressors_]
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     return {
@@ -66,7 +66,7 @@ def fit_facts(pipeline: Pipeline) -> dict:
 
 def settings_of(pipeline, horizons) -> dict:
     """Return what a pipeline was made with, by the names of the command line's options."""
-    regressor = regressor_and_scale(pipeline)[0]
+    regressor = pipeline[-1]
     reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
     return {
         "inference": regressor.inference,
@@ -146,7 +146,7 @@ def _evaluate(name, table, pipeline, aircraft, settings, fit) -> Evaluation:
     loads = {key: settings[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
     regressors, noise_ratio = flight_regressors(pipeline, table)
-    regressor, scale = regressor_and_scale(pipeline)
+    regressor = pipeline[-1]
     mean = regressor.predict(regressors)
     step = -(-len(table) // STD_ROWS)
     rows = np.arange(step // 2, len(table), step)
@@ -168,8 +168,8 @@ def _evaluate(name, table, pipeline, aircraft, settings, fit) -> Evaluation:
         table=table,
         measured=measured,
         mean=mean,
-        std=scale * std,
-        measured_std=scale * np.sqrt(std**2 + regressor.noise_variance_),
+        std=std,
+        measured_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=regressors,
         truth=table[names].to_numpy(float) if set(names) <= set(table) else None,
@@ -225,9 +225,7 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
 def check_identified(pipeline: Pipeline) -> None:
     """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
     steps = getattr(pipeline, "named_steps", {})
-    if not set(steps) >= STEPS or not isinstance(
-        regressor_and_scale(pipeline)[0], DependentGPRegressor
-    ):
+    if not set(steps) >= STEPS or not isinstance(pipeline[-1], DependentGPRegressor):
         raise ValueError(
             f"Got a model of {list(steps) or type(pipeline).__name__}, but expected what "
             f"make_identification_pipeline "

@@ -21,7 +21,6 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
 from skdgp.identification import _evaluation, _model_file
 from skdgp.identification._evaluation import group_means
-from skdgp.identification._pipeline import regressor_and_scale
 from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
 from skdgp.report import (
@@ -218,7 +217,7 @@ class Identification:
     def _facts(self) -> dict[str, str]:
         """Return the facts of the fit as text; empty where a fact does not apply."""
         fit, aircraft, settings = self.fit, self.aircraft, self.settings
-        regressor = regressor_and_scale(self.pipeline)[0]
+        regressor = self.pipeline[-1]
         tested = {flight.name: flight.table for flight in self.evaluations}
         sources = _evaluation.thrust_sources(
             settings["thrust"], [*self.train.values(), *tested.values()]

@@ -14,10 +14,9 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._regressor import DependentGPRegressor
-from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
 from skdgp.inference import KnownSlopes
 from skdgp.preprocessing import (
@@ -157,9 +156,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
-    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1, also
-    where the pipeline ends in a :class:`skdgp.calibration.CalibratedRegressor`, whose bands hold at
-    the noise of the fit.
+    as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
     """
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
@@ -170,17 +167,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
             ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (
                 step.gust_std_**2 + SENSOR_GUST**2
             )
-    if isinstance(pipeline[-1], CalibratedRegressor):
-        ratio = np.ones(len(flight))
     return np.asarray(flight), ratio
-
-
-def regressor_and_scale(pipeline: Pipeline) -> tuple[DependentGPRegressor, Array | float]:
-    """Return the fitted regressor of a pipeline, and the factor of its standard deviations: 1 unless calibrated."""
-    last = pipeline[-1]
-    return (
-        (last.estimator_, last.std_scale_) if isinstance(last, CalibratedRegressor) else (last, 1.0)
-    )
 
 
 class FlightPipeline(Pipeline):
@@ -269,10 +256,9 @@ class FlightPipeline(Pipeline):
     def _clock(self, X):
         """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""
         name, last = self.steps[-1]
-        inner = last.estimator if isinstance(last, CalibratedRegressor) else last
         if (
             get_config()["enable_metadata_routing"]
-            or not isinstance(inner, DependentGPRegressor)
+            or not isinstance(last, DependentGPRegressor)
             or "time" not in X
         ):
             return {}
@@ -295,8 +281,6 @@ class FlightPipeline(Pipeline):
 
 def _predict(last, regressors, ratio, params):
     """Return the prediction of the last step; ``ratio`` (n,) multiplies the variance of noisy regressors."""
-    if isinstance(last, CalibratedRegressor):
-        return last.predict(regressors, **{"include_noise": False} | params)
     if isinstance(last, DependentGPRegressor):
         params = params | {"include_input_noise": ratio}
     return last.predict(regressors, **params)

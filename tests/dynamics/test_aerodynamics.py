@@ -19,7 +19,6 @@ from sklearn.preprocessing import (
 
 from skdgp import DependentGPRegressor
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aerodynamics, as_aerodynamics
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
@@ -151,8 +150,7 @@ def test_sampled_functions_have_the_posterior_moments_in_the_units_of_the_flight
     np.testing.assert_allclose(slopes[..., 0], difference, atol=1e-3 * np.abs(difference).max())
 
 
-def test_a_model_in_a_search_frozen_or_calibrated_is_the_model_inside(flight, targets, fitted, X):
-    groups = np.repeat([0, 1, 2], 40)
+def test_a_model_in_a_search_or_frozen_is_the_model_inside(flight, targets, fitted, X):
     expected = as_aerodynamics(fitted)(X)
     search = GridSearchCV(pipeline(StandardScaler(), Ridge()), {"ridge__alpha": [1.0]}, cv=3).fit(
         flight, targets
@@ -160,17 +158,9 @@ def test_a_model_in_a_search_frozen_or_calibrated_is_the_model_inside(flight, ta
     np.testing.assert_allclose(
         as_aerodynamics(search)(X), as_aerodynamics(search.best_estimator_)(X)
     )
-    around = CalibratedRegressor(FrozenEstimator(fitted), cv="prefit", level=0.6).fit(
-        flight, targets, groups=groups
-    )
-    inside = CalibratedRegressor(fitted[-1], cv="prefit", level=0.6)
-    inside.fit(fitted[:-1].transform(flight), targets, groups=groups)
-    np.testing.assert_allclose(inside.std_scale_, around.std_scale_)
-    for model in (around, make_pipeline(*fitted[:-1], inside)):
-        flown = as_aerodynamics(model)
-        assert flown.regressors == tuple(REGRESSORS)
-        np.testing.assert_allclose(flown(X), expected)
-        assert not flown.is_uncertain
+    flown = as_aerodynamics(FrozenEstimator(fitted))
+    assert flown.regressors == tuple(REGRESSORS)
+    np.testing.assert_allclose(flown(X), expected)
 
 
 def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targets):

@@ -9,7 +9,6 @@ import pytest
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
-from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import Aircraft
 from skdgp.export import portable_model
 from skdgp.identification import make_identification_pipeline
@@ -31,7 +30,6 @@ KINDS = {
     "sparse": SPARSE | AVERAGE,
     "sparse-joint": SPARSE | JOINT,
     "sparse-constant": SPARSE | JOINT | {"trend": "constant"},
-    "calibrated": JOINT | {"input_noise": 0.1},
     "precise": JOINT | {"max_iter": 20},  # little noise: the variance is a millionth of the prior
 }
 AIRCRAFT = Aircraft(
@@ -75,12 +73,9 @@ def fitted(cut_short):
     @cache
     def get(kind):
         options = {"n_latent": 1, "max_iter": 2, "random_state": 0} | KINDS[kind]
-        regressor = DependentGPRegressor(**options)
-        if kind == "calibrated":
-            regressor = CalibratedRegressor(regressor, level=0.5, cv=2)
         with cut_short(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of few rows, and of one flight to calibrate on
-            model = pipeline_of(regressor).fit(
+            warnings.simplefilter("ignore")  # of few rows
+            model = pipeline_of(DependentGPRegressor(**options)).fit(
                 *make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
             )
         return Bunch(

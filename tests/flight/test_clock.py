@@ -3,12 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.dummy import DummyRegressor
 
 from skdgp._flight.checks import check_flight
 from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, true_runs
 from skdgp._flight.faults import find_faults
-from skdgp.calibration import CalibratedRegressor
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
@@ -71,9 +69,6 @@ ASKING = {
     "BlockSplit": lambda flights: list(BlockSplit(2).split(flights)),
     "BlockSplit, groups": lambda flights: list(
         BlockSplit(2).split(flights.drop(columns="flight"), groups=flights["flight"])
-    ),
-    "CalibratedRegressor": lambda flights: CalibratedRegressor(DummyRegressor()).fit(
-        flights[["alpha"]], flights["alpha"], groups=flights["flight"]
     ),
     "identify": flights_of,
 }

@@ -100,7 +100,7 @@ void aero_predict(const double x[AERO_INPUTS], double mean[AERO_OUTPUTS], double
             continue;
         for (int m = 0; m < COMPONENTS; m++)
             spread += mixture[m][i] * (variance[m] + (value[m] - total) * (value[m] - total));
-        std[i] = deviation_scale[i] * sqrt(spread);
+        std[i] = output_scale[i] * sqrt(spread);
     }
 }
 

@@ -5,36 +5,32 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.page import (
     DASH,
     THIN,
-    WIDTH,
     can_draw,
-    figure,
     number,
     percent,
-    picture,
     render_page,
     table,
     text,
 )
-from skdgp._display.style import PALETTE, ROLES, display_unit, tidy
+from skdgp._display.style import display_unit
 from skdgp._excitation import Signal, Steps
-from skdgp.design._envelope import QUANTITIES, quantities
+from skdgp.design._envelope import QUANTITIES
 from skdgp.design._manoeuvres import REACTION, RESPONSE
 from skdgp.design._planner import Plan
+from skdgp.plotting import TimeHistoryDisplay
 
 QUICK = 0.5  # shortest step that a pilot can time by counting [s]
-SHOWN = ("alpha", "load_factor", "airspeed", "bank", "beta")  # responses that are drawn
-NEAR = 0.6  # a limit is drawn if it is nearer to the response than this part of its range
+SHOWN = ("alpha", "airspeed", "phi", "beta")  # responses that are drawn
+BANDS_OF_BANK = {"bank_low": "phi_low", "bank_high": "phi_high"}
 WIND_TO_GUST = 10.0  # wind at 6 m over vertical gusts below 1000 ft (MIL-F-8785C, 3.7.3)
 DIRECTIONS = {
     "elevator": ("nose down", "nose up"),
@@ -264,57 +260,26 @@ def _steps(
 
 
 def _pictures(plan: Plan, k: int, inputs: Mapping[str, Signal]) -> str:
-    flight = plan.flight[plan.flight["flight"] == k]
-    names = [*inputs, *SHOWN]
-    draw = partial(_draw, plan, flight, quantities(flight), inputs)
-    panels = [
-        picture(partial(draw, name), label=f"{_label(name)[0]} against time", size=(WIDTH, 1.65))
-        for name in names
-    ]
-    key = [
-        ("purple", "input, deviation from trim", ""),
-        ("blue", "expected", ""),
-        *[("sky", "95 % of the aircraft drawn", "area")] * ("alpha_low" in flight),
-        ("vermillion", "abort limit", ""),
-    ]
-    caption = (
-        "Inputs and expected responses, from the start of the manoeuvre. Limits that the response "
-        "does not come near are not drawn."
-    )
-    return figure(panels, caption, key)
-
-
-def _draw(
-    plan: Plan,
-    flight: pd.DataFrame,
-    values: pd.DataFrame,
-    inputs: Mapping[str, Signal],
-    name: str,
-    figure: Any,
-) -> None:
-    """Draw an input or a response of a manoeuvre against time."""
-    ax = figure.subplots()
-    label, factor, unit = _label(name)
+    """Return figures of the inputs of a manoeuvre, and of the responses, with the band of the aircraft drawn."""
+    flight = plan.flight[plan.flight["flight"] == k].rename(columns=BANDS_OF_BANK)
     time = flight["time"].to_numpy(float)
-    if name in inputs:
-        fine = np.linspace(0.0, time[-1], 2000)
-        ax.plot(fine, factor * inputs[name](fine), color=PALETTE["purple"], linewidth=1.2)
-    else:
-        if f"{name}_low" in flight:
-            low, high = (
-                factor * flight[f"{name}_{end}"].to_numpy(float) for end in ("low", "high")
-            )
-            ax.fill_between(time, low, high, color=ROLES["band"], alpha=0.45, linewidth=0)
-        ax.plot(time, factor * values[name].to_numpy(), color=ROLES["mean"], linewidth=1.2)
-        bottom, top = ax.get_ylim()
-        room = NEAR * (top - bottom)
-        limits = plan.abort_limits
-        for limit in factor * limits.loc[name, ["low", "high"]] if name in limits.index else ():
-            if bottom - room < limit < top + room:
-                ax.axhline(limit, color=PALETTE["vermillion"], linewidth=1.0, linestyle=(0, (4, 2)))
-    ax.set(xlabel="time [s]", ylabel=f"{label} [{unit}]" if unit else label)
-    ax.yaxis.set_label_coords(-0.14, 0.5)
-    tidy(ax)
+    fine = np.linspace(0.0, time[-1], 2000)
+    signals = np.column_stack([signal(fine) for signal in inputs.values()])
+    moved = TimeHistoryDisplay(
+        time=fine, names=tuple(inputs), mean=signals, estimate="input, deviation from trim"
+    )
+    low, high = (
+        flight[[f"{name}_{end}" for name in SHOWN]].to_numpy(float)
+        if "alpha_low" in flight
+        else None
+        for end in ("low", "high")
+    )
+    responses = TimeHistoryDisplay(
+        time=time, names=SHOWN, mean=flight[[*SHOWN]].to_numpy(float), lower=low, upper=high,
+        estimate="expected",
+    )  # fmt: skip
+    caption = "Expected responses, from the start of the manoeuvre."
+    return moved.html("Inputs.") + responses.html(caption)
 
 
 def _section(title: str, body: str, kind: str = "") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any, Self
 
@@ -9,12 +10,14 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import ArrayLike, Indices, Matrix, Vector
+from skdgp._compute.typing import Indices, Vector
+from skdgp._display.page import MARGINS, WIDTH, figure, picture
 from skdgp._display.style import legend_above, tidy
-from skdgp._flight.channels import COEFFICIENTS
 
 GAP = 5.0  # usual steps; no line is drawn across a longer one
 N_SLICES = 300  # of a long record, each drawn with its lowest and its highest sample
+# Distance of the vertical axis' label from the left edge of a panel of a page [in]
+LABEL_PLACE = 0.17
 BAND = 1.959964  # half the width of a 95 % interval, in standard deviations
 
 
@@ -68,40 +71,47 @@ class Display:
         legend_above(cells[0])
         return self
 
+    def html(self, caption: str, *beneath: Display) -> str:
+        """Return the figure of a page: all panels, and under each the panels of ``beneath`` of its key."""
+        layout = "" if self.size[0] >= WIDTH else "trio"
+        entries: list[list[tuple[str, str, str]]] = []
 
-def as_columns(values: ArrayLike, what: str, shape: tuple[int, ...] | None = None) -> Matrix:
-    """Return ``values`` as floats ``(n, P)``, NaN allowed; a vector is one column."""
-    values = np.asarray(values, dtype=float)
-    values = values[:, np.newaxis] if values.ndim == 1 else values
-    if values.ndim != 2 or (shape is not None and values.shape != shape):
-        raise ValueError(
-            f"Got {what} of shape {values.shape}, but expected {shape or '(n_samples, n_outputs)'}."
-        )
-    return values
+        def image(display: Display, key: Any) -> str:
+            def draw(figure: Any) -> None:
+                ax = figure.subplots()
+                tidy(ax)
+                display.draw(ax, key)
+                inches = ax.get_position().width * figure.get_figwidth()
+                ax.yaxis.set_label_coords((LABEL_PLACE - MARGINS[0]) / inches, 0.5)
+                entries.append(_legend(ax))
 
+            return picture(draw, label=display.words(key), size=display.size)
 
-def check_time(time: ArrayLike, n_samples: int | None = None) -> Vector:
-    """Return ``time`` as finite floats, ``(n,)`` with n at least one."""
-    time = np.asarray(time, dtype=float)
-    if time.ndim != 1 or time.size == 0 or not np.isfinite(time).all():
-        raise ValueError(
-            f"Got time of shape {time.shape} with {np.count_nonzero(~np.isfinite(time))} values "
-            f"that are not "
-            "finite, but expected (n,) seconds, n at least 1: drop the rows without a time."
-        )
-    if n_samples is not None and len(time) != n_samples:
-        raise ValueError(f"Got {len(time)} times for {n_samples} samples: give one per sample.")
-    return time
+        panels = [
+            f"<div>{''.join(image(display, key) for display in (self, *beneath))}</div>"
+            for key in self.keys
+        ]
+        return figure(panels, caption, entries[0], layout if len(panels) > 1 else "single")
 
 
-def names_of(values: object, n_outputs: int) -> tuple[str, ...]:
-    """Return the outputs' names: a DataFrame's columns, else CX CY CZ Cl Cm Cn of six, else y0, y1, ..."""
-    columns = getattr(values, "columns", None)
-    if columns is not None:
-        return tuple(map(str, columns))
-    if n_outputs == len(COEFFICIENTS):
-        return COEFFICIENTS
-    return tuple(f"y{k}" for k in range(n_outputs))
+def _legend(ax: Any) -> list[tuple[str, str, str]]:
+    """Return colour, name and kind of each labelled artist of a panel; none where it has a legend itself."""
+    from matplotlib.collections import Collection
+    from matplotlib.colors import to_hex
+
+    if ax.get_legend() is not None:
+        return []
+    entries = []
+    artist: Any
+    for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
+        label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
+        if isinstance(artist, Collection):
+            area: Any = artist.get_facecolor()
+            entries.append((to_hex(area[0]), label, "area"))
+        else:
+            sign = "•" if artist.get_linestyle() == "None" else ""
+            entries.append((to_hex(artist.get_color()), label, sign))
+    return entries
 
 
 def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:

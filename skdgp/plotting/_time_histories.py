@@ -7,21 +7,19 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from sklearn.utils import check_array, check_consistent_length
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.style import PALETTE, ROLES, axis_label, display_unit
-from skdgp._flight.channels import ELEVONS, EULER, SURFACES
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,
     Display,
-    as_columns,
     band_points,
-    check_time,
     line_points,
-    names_of,
     segment_starts,
 )
 
@@ -96,19 +94,6 @@ class TimeHistoryDisplay(Display):
         less = {name: values - self.mean for name, values in arrays.items() if values is not None}
         return replace(self, suffix=" less estimate", **less)
 
-    def between(self, begin: float, end: float) -> Self:
-        """Return the display of a time span [s]; raise ValueError if it holds no sample."""
-        rows = (self.time >= begin) & (self.time <= end)
-        if not rows.any():
-            raise ValueError(
-                f"Got {begin:g} to {end:g} s, but the samples run from {self.time.min():g} to "
-                f"{self.time.max():g} s: choose a span inside."
-            )
-        arrays = {name: getattr(self, name) for name in (*VALUES, "time", "window", "beyond")}
-        return replace(
-            self, **{name: values[rows] for name, values in arrays.items() if values is not None}
-        )
-
     def draw(self, ax: Any, key: str) -> None:
         """Draw the lines and the band of a name."""
         k = self.names.index(key)
@@ -157,45 +142,46 @@ class TimeHistoryDisplay(Display):
         Outputs are named by the columns of a DataFrame ``measured``; six unnamed ones are CX CY CZ
         Cl Cm Cn.
         """
-        values = as_columns(measured, "measured outputs")
-        mean = as_columns(mean, "mean", values.shape)
-        half = None if std is None else BAND * as_columns(std, "std", values.shape)
+        check_consistent_length(time, measured, mean, std, truth)
+        n = len(check_array(time, ensure_2d=False))
+        given = (measured, mean, std, truth)
+        values, center, deviation, noise_free = (
+            None if part is None else np.asarray(part, dtype=float).reshape(n, -1) for part in given
+        )
+        half = None if deviation is None else BAND * deviation
         if half is not None and np.any(half < 0):
             raise ValueError(
-                f"Got standard deviations down to {np.nanmin(half) / BAND:.3g}, but expected none below 0."
+                f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0."
             )
+        unnamed = (
+            COEFFICIENTS if values.shape[1] == 6 else [f"y{k}" for k in range(values.shape[1])]
+        )
         return cls(
-            time=check_time(time, len(values)),
+            time=np.asarray(time, dtype=float),
             measured=values,
-            mean=mean,
-            lower=None if half is None else mean - half,
-            upper=None if half is None else mean + half,
-            truth=None if truth is None else as_columns(truth, "truth", values.shape),
-            names=names_of(measured, values.shape[1]),
+            mean=center,
+            lower=None if half is None else center - half,
+            upper=None if half is None else center + half,
+            truth=noise_free,
+            names=tuple(map(str, getattr(measured, "columns", unnamed))),
         ).plot(ax)
 
     @classmethod
     def from_replay(cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, ax: Any = None) -> Self:
         """Draw a :func:`skdgp.dynamics.replay` and the flight that it replays (the paper's figure 7).
 
-        ``trajectory`` has ``time``, ``horizon``, ``window`` and states, and a row for each row of
-        the flight and horizon. Drawn are v_east, p and r, where the flight has them, over the
-        shortest horizon.
+        ``trajectory`` has ``time``, ``window`` and states, and a row for each row of the flight.
+        Drawn are v_east, p and r, where the flight has them.
         """
-        check_columns(trajectory, ["time", "horizon", "window", *LATERAL_STATES], what="trajectory")
-        rows = trajectory[trajectory["horizon"] == trajectory["horizon"].min()]
+        check_columns(trajectory, ["time", "window", *LATERAL_STATES], what="trajectory")
+        check_consistent_length(trajectory, flight)
         states = [name for name in LATERAL_STATES if name in flight]
-        if len(rows) != len(flight):
-            raise ValueError(
-                f"Got a trajectory of {len(rows)} rows for a flight of {len(flight)}: give the "
-                f"flight that was replayed, with all its rows."
-            )
         return cls(
-            time=check_time(rows["time"]),
+            time=trajectory["time"].to_numpy(float),
             names=tuple(states),
             measured=flight[states].to_numpy(float),
-            mean=rows[states].to_numpy(float),
-            window=rows["window"].to_numpy(),
+            mean=trajectory[states].to_numpy(float),
+            window=trajectory["window"].to_numpy(),
             estimate="replayed",
         ).plot(ax)
 
@@ -262,7 +248,7 @@ class TimeHistoryDisplay(Display):
         if not names:
             raise ValueError(f"Got a flight without inputs, but expected some of {list(INPUTS)}.")
         return cls(
-            time=check_time(flight["time"]),
+            time=flight["time"].to_numpy(float),
             names=tuple(names),
             measured=flight[names].to_numpy(float),
         ).plot(ax)

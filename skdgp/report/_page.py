@@ -13,20 +13,16 @@ import pandas as pd
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._display.page import (
     DASH,
-    MARGINS,
     THIN,
-    WIDTH,
     can_draw,
-    figure,
     number,
     percent,
-    picture,
     render_page,
     symbol,
     table,
     text,
 )
-from skdgp._display.style import display_unit, tidy, units_shown
+from skdgp._display.style import display_unit, units_shown
 from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import (
@@ -163,6 +159,7 @@ MODES = {
     "rudder": ("Dutch roll", "roll"),
 }
 # Flights that a page shows in full; of more only the one that is predicted worst has figures
+EXCERPT = 15.0  # length of the close look at a flight [s]
 MOST_OPEN = 3
 
 
@@ -452,7 +449,7 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
             "holds 95 % of the aircraft that the model allows, in the same air: gusts that no sensor "
             "shows are not in it."
         )
-        parts.append(display_figure(mechanics.simulated, caption=caption))
+        parts.append(mechanics.simulated.html(caption))
     return _section("Simulation", *parts)
 
 
@@ -463,7 +460,7 @@ def _flights(content: ReportContent, draw: bool) -> list[str]:
     for result, error in zip(content.test, errors, strict=True):
         body = _errors(result)
         if draw and (len(errors) <= MOST_OPEN or not error < max(errors)):
-            body += coefficient_figure(result) + state_figure(result)
+            body += _figures(result)
         parts.append(_section(f"Test flight {text(result.name)}", body, classes="flight"))
     return parts
 
@@ -482,11 +479,53 @@ def _errors(result: Evaluation) -> str:
     return f'<div class="pair">{tables}</div>{_note(legend)}'
 
 
+def _figures(result: Evaluation) -> str:
+    """Return coefficients with residuals, and replayed states, of a long flight where the estimates move most."""
+    rows = liveliest_rows(result.time, result.mean)
+    moments = (values[rows] for values in (result.measured, result.mean, result.measured_std))
+    truth = None if result.truth is None else result.truth[rows]
+    display = TimeHistoryDisplay.from_predictions(
+        result.time[rows], *moments, truth=truth, ax=False
+    )
+    caption = f"Coefficients of {text(result.name)}"
+    if rows != slice(None):
+        caption += f", the {EXCERPT:g}{THIN}s in which the estimates move most"
+    caption += ", and beneath each measured less estimated, in the 95 % band."
+    body = display.html(caption, display.residuals())
+    if result.replay is None:
+        return body
+    horizon = number(result.replay["horizon"].iloc[0], "g")
+    caption = (
+        f"Coefficients of {text(result.name)} in motion (the paper's figure 7): states integrated "
+        f"from the coefficients estimated at the measured states, restarted from the measured state "
+        f"every {horizon}{THIN}s. No control or stability of the aircraft corrects their drift, so "
+        f"this is not a simulation."
+    )
+    states = TimeHistoryDisplay.from_replay(result.replay[rows], result.table[rows], ax=False)
+    return body + states.html(caption)
+
+
+def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> slice:
+    """Return the rows of the ``length`` seconds with the most motion of ``values``; all rows of a short record.
+
+    Motion is the sum of squared steps, each column in units of its standard deviation.
+    """
+    if np.any(np.diff(time) <= 0) or time[-1] - time[0] < 1.5 * length:
+        return slice(None)
+    spread = np.nanstd(values, axis=0)
+    steps = np.diff(values, axis=0, prepend=values[:1]) / np.where(spread > 0, spread, 1.0)
+    moved = np.cumsum(np.nansum(steps**2, axis=1))
+    begin = np.flatnonzero(time <= time[-1] - length)
+    end = np.searchsorted(time, time[begin] + length, side="right")
+    liveliest = int(np.argmax(moved[end - 1] - moved[begin]))
+    return slice(int(begin[liveliest]), int(end[liveliest]))
+
+
 def _of_model(content: ReportContent) -> list[str]:
     """Return the sections of effects, and of where the model knows."""
     displays = (content.effects, content.envelope)
     return [
-        _section(title, display_figure(display, caption=caption))
+        _section(title, display.html(caption))
         for display, (title, caption) in zip(displays, DISPLAYS.items(), strict=True)
         if display is not None
     ]
@@ -497,9 +536,7 @@ def _flown(content: ReportContent) -> str:
     flights = {f"{name} (train)": table for name, table in content.train.items()}
     flights |= {f"{result.name} (test)": result.table for result in content.test}
     parts = [
-        display_figure(
-            TimeHistoryDisplay.from_inputs(table, ax=False), caption=f"Inputs of {text(name)}."
-        )
+        TimeHistoryDisplay.from_inputs(table, ax=False).html(f"Inputs of {text(name)}.")
         for name, table in flights.items()
     ]
     return _section("What was flown", *parts)
@@ -511,103 +548,3 @@ def _what_was_done(content: ReportContent) -> str:
     sign = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
     pairs = [*content.facts.items(), ("Command", content.command)]
     return _section("What was done", facts(pairs), sign)
-
-
-LABEL_PLACE = 0.17  # distance of the vertical axis' label from the left edge of a panel [in]
-EXCERPT = 15.0  # length of the close look at a flight [s]
-
-
-def display_figure(*displays: Any, caption: str) -> str:
-    """Return a figure of all panels of displays, side by side; panels of one key stand beneath each other."""
-    layout = {1: "single"}.get(
-        len(displays[0].keys), "" if displays[0].size[0] >= WIDTH else "trio"
-    )
-    first: list[Any] = []
-
-    def image(display: Any, key: Any) -> str:
-        def draw(figure: Any) -> None:
-            ax = figure.subplots()
-            first.append(ax)
-            tidy(ax)
-            display.draw(ax, key)
-            inches = ax.get_position().width * figure.get_figwidth()
-            ax.yaxis.set_label_coords((LABEL_PLACE - MARGINS[0]) / inches, 0.5)
-
-        return picture(draw, label=display.words(key), size=display.size)
-
-    panels = [
-        f"<div>{''.join(image(display, key) for display in displays)}</div>"
-        for key in displays[0].keys
-    ]
-    return figure(panels, caption, _legend(first[0]), layout)
-
-
-def _legend(ax: Any) -> list[tuple[str, str, str]]:
-    """Return colour, name and kind of each labelled artist of a panel; none where it has a legend itself."""
-    from matplotlib.collections import Collection
-    from matplotlib.colors import to_hex
-
-    if ax.get_legend() is not None:
-        return []
-    entries = []
-    artist: Any
-    for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
-        label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
-        if isinstance(artist, Collection):
-            area: Any = artist.get_facecolor()
-            entries.append((to_hex(area[0]), label, "area"))
-        else:
-            sign = "•" if artist.get_linestyle() == "None" else ""
-            entries.append((to_hex(artist.get_color()), label, sign))
-    return entries
-
-
-def busiest_span(
-    time: Vector, values: Matrix, length: float = EXCERPT
-) -> tuple[float, float] | None:
-    """Return begin and end of the ``length`` seconds with the most motion of ``values``; None for a short record.
-
-    Movement is the sum of squared steps, each column in units of its standard deviation.
-    """
-    if np.any(np.diff(time) <= 0) or time[-1] - time[0] < 1.5 * length:
-        return None
-    spread = np.nanstd(values, axis=0)
-    steps = np.diff(values, axis=0, prepend=values[:1]) / np.where(spread > 0, spread, 1.0)
-    moved = np.cumsum(np.nansum(steps**2, axis=1))
-    begin = np.searchsorted(time, time[time <= time[-1] - length])
-    gain = moved[np.searchsorted(time, time[begin] + length, side="right") - 1] - moved[begin]
-    first = float(time[begin[np.argmax(gain)]])
-    return first, first + length
-
-
-def coefficient_figure(result: Evaluation) -> str:
-    """Return the coefficients of a flight, of a long one where the estimates move most, with residuals beneath."""
-    moments = result.measured, result.mean, result.measured_std
-    display = TimeHistoryDisplay.from_predictions(
-        result.time, *moments, truth=result.truth, ax=False
-    )
-    caption = f"Coefficients of {text(result.name)}"
-    span = busiest_span(result.time, result.mean)
-    if span is not None:
-        display = display.between(*span)
-        caption += f", the {EXCERPT:g}{THIN}s in which the estimates move most"
-    caption += ", and beneath each measured less estimated, in the 95 % band."
-    return display_figure(display, display.residuals(), caption=caption)
-
-
-def state_figure(result: Evaluation) -> str:
-    """Return the lateral states that were replayed over the shortest horizon; empty where there are none."""
-    if result.replay is None:
-        return ""
-    horizon = float(result.replay["horizon"].min())
-    display = TimeHistoryDisplay.from_replay(result.replay, result.table, ax=False)
-    span = busiest_span(result.time, result.mean)
-    if span is not None:
-        display = display.between(*span)
-    caption = (
-        f"Coefficients of {text(result.name)} in motion (the paper's figure 7): states integrated "
-        f"from the coefficients estimated at the measured states, restarted from the measured state "
-        f"every {number(horizon, 'g')}{THIN}s. No control or stability of the aircraft corrects "
-        f"their drift, so this is not a simulation."
-    )
-    return display_figure(display, caption=caption)

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from skdgp._display.page import MARGINS, picture
-from skdgp.report._page import busiest_span
+from skdgp.report._page import liveliest_rows
 
 SIZE = 3.0, 3.0
 
@@ -46,16 +46,18 @@ def test_coordinates_keep_their_shape_and_written_numbers_are_not_rounded():
     assert np.abs(points[:, 1] / 72 - (above + height * line)).max() < 0.02
 
 
-def test_busiest_span_finds_the_manoeuvre():
+def test_the_liveliest_rows_hold_the_manoeuvre():
     time = np.arange(4000) / 20.0
     values = np.zeros((4000, 2))
     values[2000:2400, 1] = 1e-6 * np.sin(np.arange(400))
-    begin, end = busiest_span(time, values, length=30.0)
-    assert end - begin == 30.0
-    assert begin <= 100.0
-    assert end >= 120.0
+    shown = time[liveliest_rows(time, values, length=30.0)]
+    assert shown[-1] - shown[0] == 30.0
+    assert shown[0] <= 100.0
+    assert shown[-1] >= 120.0
 
 
-def test_no_span_of_a_short_record_or_one_that_goes_back():
-    assert busiest_span(np.arange(40.0), np.zeros((40, 1)), length=30.0) is None
-    assert busiest_span(np.tile(np.arange(100.0), 2), np.zeros((200, 1)), length=30.0) is None
+def test_all_of_a_short_record_or_one_that_goes_back():
+    assert liveliest_rows(np.arange(40.0), np.zeros((40, 1)), length=30.0) == slice(None)
+    assert liveliest_rows(np.tile(np.arange(100.0), 2), np.zeros((200, 1)), length=30.0) == slice(
+        None
+    )

@@ -144,25 +144,26 @@ class TimeHistoryDisplay(Display):
         """
         check_consistent_length(time, measured, mean, std, truth)
         n = len(check_array(time, ensure_2d=False))
-        given = (measured, mean, std, truth)
-        values, center, deviation, noise_free = (
-            None if part is None else np.asarray(part, dtype=float).reshape(n, -1) for part in given
-        )
-        half = None if deviation is None else BAND * deviation
+
+        def columns(values: ArrayLike) -> Matrix:
+            return np.asarray(values, dtype=float).reshape(n, -1)
+
+        center = columns(mean)
+        half = None if std is None else BAND * columns(std)
         if half is not None and np.any(half < 0):
             raise ValueError(
-                f"Got standard deviations down to {np.nanmin(std):.3g}, but expected none below 0."
+                f"Got standard deviations down to {np.nanmin(half) / BAND:.3g}, but expected none below 0."
             )
         unnamed = (
-            COEFFICIENTS if values.shape[1] == 6 else [f"y{k}" for k in range(values.shape[1])]
+            COEFFICIENTS if center.shape[1] == 6 else [f"y{k}" for k in range(center.shape[1])]
         )
         return cls(
             time=np.asarray(time, dtype=float),
-            measured=values,
+            measured=columns(measured),
             mean=center,
             lower=None if half is None else center - half,
             upper=None if half is None else center + half,
-            truth=noise_free,
+            truth=None if truth is None else columns(truth),
             names=tuple(map(str, getattr(measured, "columns", unnamed))),
         ).plot(ax)
 

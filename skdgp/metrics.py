@@ -2,7 +2,7 @@
 
 Targets are (n,) or (n, P). A NaN target was not observed and is left out, output by output.
 ``multioutput`` is scikit-learn's: ``"raw_values"`` for one number per output, ``"uniform_average"``
-for their mean, or an array of weights. The metric of an output that is never observed is NaN, with
+for their mean. The metric of an output that is never observed is NaN, with
 a warning. The metrics raise ValueError if shapes differ, a prediction is not finite, a standard
 deviation is not positive, or a level is not inside (0, 1). The
 scorers serve ``scoring=`` of ``cross_validate`` and ``GridSearchCV``.
@@ -18,22 +18,22 @@ import numpy as np
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._compute.messages import warn
-from skdgp._compute.predicting import accepts, predict_observed
+from skdgp._compute.predicting import predict_observed
 from skdgp._compute.sklearn_compat import safe_indexing
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
+from skdgp._flight.checks import check_choice
 
 __all__ = [
     "SCORERS", "interval_coverage", "median_relative_error", "negative_log_predictive_density",
-    "normalized_rmse", "score_outputs",
+    "normalized_rmse",
 ]  # fmt: skip
 
-Average: TypeAlias = "str | ArrayLike"
 Score: TypeAlias = "float | Vector"
 
 
 def median_relative_error(
-    y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average"
+    y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: str = "uniform_average"
 ) -> Score:
     """Return the median of ``|y_true - y_pred| / |y_true|``, a fraction (0.09 is 9 %), of (n,) or (n, P) targets.
 
@@ -53,7 +53,7 @@ def median_relative_error(
 
 
 def normalized_rmse(
-    y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: Average = "uniform_average"
+    y_true: ArrayLike, y_pred: ArrayLike, *, multioutput: str = "uniform_average"
 ) -> Score:
     """Return the root mean squared error over the standard deviation of the targets, (n,) or (n, P).
 
@@ -79,7 +79,7 @@ def negative_log_predictive_density(
     y_pred: ArrayLike,
     y_std: ArrayLike,
     *,
-    multioutput: Average = "uniform_average",
+    multioutput: str = "uniform_average",
 ) -> Score:
     """Return the mean of ``log(2 pi s^2) / 2 + (y - m)^2 / 2 s^2`` (Rasmussen & Williams 2006, eq 2.34).
 
@@ -88,7 +88,7 @@ def negative_log_predictive_density(
     Parameters
     ----------
     y_true, y_pred, y_std : array-like (n,) or (n, P)
-    multioutput : str or array-like (P,), default="uniform_average"
+    multioutput : str, default="uniform_average"
 
     Returns
     -------
@@ -107,7 +107,7 @@ def negative_log_predictive_density(
 
 def interval_coverage(
     y_true: ArrayLike, y_pred: ArrayLike, y_std: ArrayLike, *, level: float = 0.95,
-    multioutput: Average = "uniform_average",
+    multioutput: str = "uniform_average",
 ) -> Score:  # fmt: skip
     """Return the fraction of targets inside the central ``level`` interval of a normal prediction.
 
@@ -118,7 +118,7 @@ def interval_coverage(
     y_true, y_pred, y_std : array-like (n,) or (n, P)
     level : float, default=0.95
         Nominal probability of the interval.
-    multioutput : str or array-like (P,), default="uniform_average"
+    multioutput : str, default="uniform_average"
 
     Returns
     -------
@@ -173,21 +173,12 @@ def _by_output(statistic: Callable, values: np.ndarray, y_true: Matrix) -> Vecto
     return np.array([statistic(column) if column.size else np.nan for column in columns])
 
 
-def _aggregate(values: Vector, multioutput: Average) -> Score:
-    if isinstance(multioutput, str):
-        if multioutput == "raw_values":
-            return values
-        if multioutput != "uniform_average":
-            raise ValueError(
-                f"Got {multioutput=}, but expected 'raw_values', 'uniform_average' or weights."
-            )
-        multioutput = np.ones(len(values))
+def _aggregate(values: Vector, multioutput: str) -> Score:
+    check_choice("multioutput", str(multioutput), ("raw_values", "uniform_average"))
+    if multioutput == "raw_values":
+        return values
     scored = ~np.isnan(values)
-    return (
-        float(np.average(values[scored], weights=np.asarray(multioutput)[scored]))
-        if scored.any()
-        else np.nan
-    )
+    return float(values[scored].mean()) if scored.any() else np.nan
 
 
 def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
@@ -217,8 +208,6 @@ class _Scorer:
         return self.sign * self.metric(safe_indexing(y, rows), *predicted)
 
 
-POINT = (median_relative_error, normalized_rmse)
-PROBABILISTIC = (negative_log_predictive_density, interval_coverage)
 # Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near
 # its level
 SCORERS = {
@@ -227,28 +216,3 @@ SCORERS = {
     "log_predictive_density": _Scorer(negative_log_predictive_density),
     "interval_coverage": _Scorer(interval_coverage, sign=1),
 }
-
-
-def score_outputs(estimator: Any, X: Any, y: Any) -> dict[str, float]:
-    """Return the metrics of each output, ``{"normalized_rmse_CX": ..., ...}``, for ``scoring=`` of ``cross_validate``.
-
-    There are four metrics where the estimator predicts standard deviations, otherwise the two that
-    need none. Outputs are named by the columns of ``y``, or numbered.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn.linear_model import LinearRegression
-    >>> X, Y = np.arange(6.0)[:, None], np.arange(12.0).reshape(6, 2)
-    >>> sorted(score_outputs(LinearRegression().fit(X, Y), X, Y))
-    ['median_relative_error_0', 'median_relative_error_1', 'normalized_rmse_0', 'normalized_rmse_1']
-    """
-    rows, *predicted = predict_observed(estimator, X, y, with_std=accepts(estimator, "return_std"))
-    found = {}
-    for metric in (*POINT, *(PROBABILISTIC if len(predicted) > 1 else ())):
-        moments = predicted if metric in PROBABILISTIC else predicted[:1]
-        values = metric(safe_indexing(y, rows), *moments, multioutput="raw_values")
-        names = list(getattr(y, "columns", [])) or range(len(values))
-        for name, value in zip(names, values, strict=True):
-            found[f"{metric.__name__}_{name}"] = float(value)
-    return found

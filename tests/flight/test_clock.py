@@ -10,7 +10,6 @@ from skdgp._flight.faults import find_faults
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
-from skdgp.model_selection import BlockSplit
 from skdgp.preprocessing import (
     FlightCheck,
     FlightPathReconstruction,
@@ -66,10 +65,6 @@ ASKING = {
     "FlightSmoother": lambda flights: FlightSmoother(cutoff=2.0).fit_transform(flights),
     "LagCorrector": lambda flights: LagCorrector().fit(flights),
     "FlightPathReconstruction": lambda flights: FlightPathReconstruction().fit(flights),
-    "BlockSplit": lambda flights: list(BlockSplit(2).split(flights)),
-    "BlockSplit, groups": lambda flights: list(
-        BlockSplit(2).split(flights.drop(columns="flight"), groups=flights["flight"])
-    ),
     "identify": flights_of,
 }
 

@@ -24,7 +24,6 @@ from skdgp.metrics import (
     median_relative_error,
     negative_log_predictive_density,
     normalized_rmse,
-    score_outputs,
 )
 
 METRICS = [
@@ -78,9 +77,6 @@ class TestEveryMetric:
         got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
         np.testing.assert_allclose(got, expected, rtol=1e-12)
         assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), 1e-12)
-        weights = [1.0, 0.0, 3.0]
-        weighted = metric(*arguments(metric, y, mean, std), multioutput=weights)
-        assert weighted == pytest.approx((expected[0] + 3 * expected[2]) / 4, rel=1e-12)
 
     def test_shapes_and_types_do_not_matter(self, metric):
         y, mean, std = sample(outputs=1)
@@ -112,7 +108,7 @@ class TestEveryMetric:
             metric(*arguments(metric, y, mean, std))
 
     def test_unknown_multioutput(self, metric):
-        with pytest.raises(ValueError, match="expected 'raw_values'"):
+        with pytest.raises(ValueError, match="expected 'raw_values' or"):
             metric(*arguments(metric, *sample()), multioutput="mean")
 
 
@@ -204,19 +200,6 @@ class TestScorers:
         fitted = model.fit(X, y)
         assert SCORERS["log_predictive_density"](fitted, X, holes) == pytest.approx(
             SCORERS["log_predictive_density"](fitted, X[~np.isnan(holes)], y[~np.isnan(holes)])
-        )
-
-    def test_scores_of_every_output_by_name(self):
-        X = np.random.default_rng(0).normal(size=(40, 2))
-        Y = pd.DataFrame(X, columns=["CX", "Cm"])
-        scores = cross_validate(
-            LinearRegression(), X, Y, scoring=score_outputs, cv=3, error_score="raise"
-        )
-        assert "test_normalized_rmse_Cm" in scores
-        scored = score_outputs(NoisyModel().fit(X, X[:, 0]), X, X[:, 0])
-        assert set(scored) == {f"{metric.__name__}_0" for metric in METRICS}
-        assert scored["interval_coverage_0"] == interval_coverage(
-            X[:, 0], np.zeros(40), np.full(40, 2.0)
         )
 
     def test_what_holds_transformers_is_asked_for_every_row(self):

@@ -115,7 +115,6 @@ class TestShapesAndNames:
         assert mean.shape == (6, *rest)
         assert cov.shape == (6 * P, 6 * P)
         assert model.predict_gradient(new).shape == (6, *rest, 2)
-        assert model.sample_y(new, 5).shape == (6, *rest, 5)
         assert model.noise_variance_.shape == (P,)
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
@@ -165,32 +164,6 @@ class TestPrediction:
         )
 
 
-class TestLikelihood:
-    def test_at_the_fitted_values(self, model):
-        assert model.log_marginal_likelihood() == pytest.approx(
-            model.log_marginal_likelihood_value_
-        )
-        assert model.log_marginal_likelihood(model.theta_) == pytest.approx(
-            model.log_marginal_likelihood_value_
-        )
-
-    def test_gradient(self, model):
-        if model.inference_ == "sparse":
-            with pytest.raises(ValueError, match="use inference='exact'"):
-                model.log_marginal_likelihood(eval_gradient=True)
-            return
-        value, gradient = model.log_marginal_likelihood(eval_gradient=True)
-        assert value == pytest.approx(model.log_marginal_likelihood_value_)
-        assert gradient.shape == model.theta_.shape
-
-    def test_wrong_length(self, model):
-        n = len(model.theta_)
-        with pytest.raises(
-            ValueError, match=rf"\({n - 1},\), but expected \({n},\).*2 noise variances"
-        ):
-            model.log_marginal_likelihood(model.theta_[:-1])
-
-
 class TestInvariance:
     """Units are the user's affair."""
 
@@ -198,7 +171,7 @@ class TestInvariance:
         first, again = (
             DependentGPRegressor(max_iter=5, random_state=7).fit(*data) for _ in range(2)
         )
-        np.testing.assert_allclose(first.theta_, again.theta_, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(first.kernel_.theta, again.kernel_.theta, rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(first.predict(new), again.predict(new), rtol=1e-6, atol=1e-9)
         np.random.seed(0)  # noqa: NPY002 - the global state is neither read nor moved
         before = np.random.get_state()[1].copy()  # noqa: NPY002

@@ -73,13 +73,12 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
 REFUSED_QUESTIONS = [
     *((quick(), lambda model, X, call=call: getattr(model, call)(np.zeros((4, 3))),
        "X has 3 features, but DependentGPRegressor is expecting 2")
-      for call in ("predict", "predict_gradient", "sample_y")),
+      for call in ("predict", "predict_gradient")),
     *((quick(), lambda model, X, v=v: model.predict(with_value(X, v)), "Input X") for v in (np.nan, np.inf)),
     (quick(), lambda model, X: model.predict(X * [1e150, 1.0]), r"'x0'.*StandardScaler"),
     (quick(), lambda model, X: model.predict(X, return_std=True, return_cov=True), r"return_cov=True.*at most one"),
     (quick(), lambda model, X: model.predict(np.zeros((200_000, 2)), return_cov=True),
      r"joint covariance of 400000 values.*fewer samples"),
-    (quick(), lambda model, X: model.sample_y(np.zeros((200_000, 2))), r"joint covariance of 400000 values"),
 ]  # fmt: skip
 
 
@@ -97,7 +96,7 @@ def test_what_cannot_be_asked(X, Y, model, ask, match):
 
 
 class TestRegressors:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y"])
+    @pytest.mark.parametrize("call", ["predict", "predict_gradient"])
     def test_by_other_names_or_in_another_order(self, tables, call):
         X, Y = tables
         ask = getattr(quick().fit(X, Y), call)
@@ -249,17 +248,11 @@ class TestParameters:
 
 
 class TestQuestions:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "sample_y", "score"])
+    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "score"])
     def test_before_fit(self, X, Y, call):
         arguments = (X, Y) if call == "score" else (X,)
         with pytest.raises(NotFittedError, match="not fitted yet"):
             getattr(quick(), call)(*arguments)
-
-    def test_likelihood_and_theta_before_fit(self):
-        with pytest.raises(NotFittedError, match="not fitted yet"):
-            quick().log_marginal_likelihood()
-        with pytest.raises(NotFittedError, match="not fitted yet"):
-            _ = quick().theta_
 
 
 class TestMemory:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics import r2_score
-from sklearn.utils import check_array, check_random_state
+from sklearn.utils import check_array
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.linalg import check_memory, eigen_root
+from skdgp._compute.linalg import check_memory
 from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp._regressor import _checks
 from skdgp._regressor._impute import imputed
 from skdgp._regressor._structure import (
@@ -546,37 +546,20 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             errors = self._slopes.added(errors)
         return errors._replace(weights=errors.weights * self.scale_)
 
-    def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
-        """Return samples of the joint posterior of all outputs at X (n, d), without misfit.
-
-        They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
-        """
-        X = self._check_regressors(X)
-        mean = self.posterior_.predict(X)
-        check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
-        cov = self.posterior_.covariance(X)
-        white = check_random_state(random_state).standard_normal((len(cov), n_samples))
-        draws = eigen_root(cov) @ white  # a posterior covariance may be singular
-        draws = draws.reshape(mean.shape[1], len(X), n_samples).swapaxes(0, 1)
-        return self._squeeze(
-            (mean[..., None] + draws) * self.scale_[:, None] + self.center_[:, None]
-        )
-
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors, without noise.
 
-        ``sample_y`` draws values at given points. A path can be evaluated and differentiated at any
-        points, repeatedly, as a simulation needs it. A path is a random function of the prior, a
+        A path can be evaluated and differentiated at any points, repeatedly, as a simulation needs
+        it. A path is a random function of the prior, a
         sum of waves, plus a correction by the data (Matheron's rule: Wilson et al. 2020,
         "Efficiently sampling functions from Gaussian process posteriors"). Mean and covariance
         over many paths equal ``predict(X, return_cov=True, include_input_noise=False)``. Equal
         seeds give equal functions.
 
-        Of the sequence that is returned, ``paths[k](X)`` is (n, P) for X (n, d), or (n,) for
-        one-dimensional targets; ``paths(X)`` are all paths at the same points, (n_paths, n, P),
-        ``paths.each(X)`` each path at its own points X (n_paths, n, d), and ``paths.gradient(X)``
-        slopes at either, (n_paths, n, P, d). Raises ValueError if ``n_paths`` is not a positive
-        integer.
+        ``paths(X)`` are the values at the same points X (n, d), (n_paths, n, P), or (n_paths, n) for
+        one-dimensional targets, ``paths.each(X)`` of each path at its own points X (n_paths, n, d),
+        and ``paths.gradient(X)`` slopes at either, (n_paths, n, P, d). Raises ValueError if
+        ``n_paths`` is not a positive integer.
 
         Examples
         --------
@@ -585,8 +568,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         >>> x = np.linspace(0.0, 6.0, 40)[:, None]
         >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, np.sin(x[:, 0]))
         >>> paths = model.sample_paths(50)
-        >>> paths(x).shape, paths[0](x).shape, paths.gradient(x).shape
-        ((50, 40), (40,), (50, 40, 1))
+        >>> paths(x).shape, paths.gradient(x).shape
+        ((50, 40), (50, 40, 1))
         """
         check_is_fitted(self)
         if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
@@ -616,42 +599,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             if rows.any()
         ]
         return float(np.mean(scores)) if scores else float("nan")
-
-    # -- likelihood and hyperparameters
-    # ------------------------------------------------------------------
-
-    def log_marginal_likelihood(
-        self, theta: Vector | None = None, eval_gradient: bool = False
-    ) -> Any:
-        """Return the log marginal likelihood of the normalised outputs in nats (equation 20), on request its gradient.
-
-        ``theta`` (n_theta,) is ``kernel_.theta`` followed by the logarithms of the noise variances
-        of the normalised outputs, by default the fitted values. The noise of the regressors keeps
-        its fitted value.
-        """
-        check_is_fitted(self)
-        P = len(self.scale_)
-        if theta is None:
-            if not eval_gradient:
-                return self.log_marginal_likelihood_value_
-            theta = self.theta_
-        theta = np.asarray(theta, dtype=float)
-        expected = (self.kernel_.n_dims + P,)
-        if theta.shape != expected:
-            raise ValueError(
-                f"Got theta of shape {theta.shape}, but expected {expected}: the kernel's "
-                f"{expected[0] - P} "
-                f"hyperparameters and the logarithms of {P} noise variances, as in theta_."
-            )
-        kernel = self.kernel_.clone_with_theta(theta[:-P])
-        joint = self.posterior_.members[0]
-        return joint.likelihood_at(kernel, np.exp(theta[-P:]), eval_gradient)
-
-    @property
-    def theta_(self) -> Vector:
-        """Fitted hyperparameters, in the form of the argument of ``log_marginal_likelihood``."""
-        check_is_fitted(self, "kernel_")
-        return np.concatenate([self.kernel_.theta, np.log(self.posterior_.noise)])
 
     def _loading(self, X, factor):
         """Return J R times the root of ``factor``, (n, P, d), with S = R^2; (n, P, 0) for exact regressors."""

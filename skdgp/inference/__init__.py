@@ -26,7 +26,7 @@ from skdgp.inference._fit import (
 )
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._noise import misfit_variance
-from skdgp.inference._posterior import ExactPosterior, Path, Paths, Posterior, SinglePosterior
+from skdgp.inference._posterior import ExactPosterior, Paths, Posterior, SinglePosterior
 from skdgp.inference._search import Optimum, maximize, n_searched, stratified
 from skdgp.inference._slopes import (
     FunctionErrors,
@@ -46,7 +46,6 @@ __all__ = [
     "FunctionErrors",
     "KnownSlopes",
     "Optimum",
-    "Path",
     "Paths",
     "Posterior",
     "SinglePosterior",

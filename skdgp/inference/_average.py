@@ -90,15 +90,12 @@ class AveragePosterior(Posterior):
     members : list of ExactPosterior or SparsePosterior
         Of the same samples. The first has all terms; hyperparameters and likelihood of the average
         are its own.
-    parts : list of tuple of int
-        The terms of the first member's kernel that each member has.
     mixture : ndarray (K, P)
         Weights of each member, for each output; columns add up to one.
     """
 
-    def __init__(self, members: list, parts: list, mixture: Matrix) -> None:
+    def __init__(self, members: list, mixture: Matrix) -> None:
         self.members = members
-        self.parts = parts
         self.mixture = np.asarray(mixture, dtype=float)
         self.data = members[0].data
         self.kernel = members[0].kernel

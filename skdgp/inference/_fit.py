@@ -262,7 +262,7 @@ def average(
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:
         return fit.cut_short()
-    posterior = AveragePosterior(members, parts, weights)
+    posterior = AveragePosterior(members, weights)
     noise = np.sum(weights * noises, axis=0)
     return Fit(posterior, fit.learned._replace(noise=noise))
 
@@ -279,7 +279,6 @@ def mean_of(fits: Sequence[Fit]) -> Fit:
     learned = [fit.learned for fit in fits]
     posterior = AveragePosterior(
         [member for component in posteriors for member in component.members],
-        [part for component in posteriors for part in component.parts],
         np.concatenate([component.mixture for component in posteriors]) / len(fits),
     )
     stds = [part.input_std for part in learned if part.input_std is not None]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from copy import copy
 from functools import cached_property
 from typing import Any
 
@@ -25,7 +24,7 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data, covariance, log_likelihood
+from skdgp.inference._likelihood import Data, covariance
 from skdgp.inference._noise import draw_noise
 from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
 
@@ -48,8 +47,6 @@ class Posterior(ABC):
         The observed values.
     members : sequence of SinglePosterior
         The components of the mixture. The first has all terms.
-    parts : list of tuple of int
-        The terms of the kernel that each component has, by their numbers.
     mixture : ndarray (K, P)
         The weight of each component, for each output.
     """
@@ -59,7 +56,6 @@ class Posterior(ABC):
     log_marginal_likelihood: float
     data: Data
     members: Sequence[SinglePosterior]
-    parts: list[tuple[int, ...]]
     mixture: Matrix
 
     @abstractmethod
@@ -97,20 +93,9 @@ class SinglePosterior(Posterior):
         return [self]
 
     @property
-    def parts(self) -> list[tuple[int, ...]]:  # type: ignore[override]
-        """All terms."""
-        return [tuple(range(len(self.kernel.summands())))]
-
-    @property
     def mixture(self) -> Matrix:  # type: ignore[override]
         """Ones, (1, P)."""
         return np.ones((1, self.kernel.n_outputs))
-
-    @abstractmethod
-    def likelihood_at(
-        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
-    ) -> Any:
-        """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
 
     @abstractmethod
     def of(self, data: Data, noise: Vector) -> SinglePosterior:
@@ -236,12 +221,6 @@ class ExactPosterior(SinglePosterior):
         """Return the posterior of other values with another noise, at the same hyperparameters."""
         return ExactPosterior(self.kernel, noise, data)
 
-    def likelihood_at(
-        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
-    ) -> Any:
-        """Return the log likelihood of the same data at other hyperparameters, with ``eval_gradient`` its gradient."""
-        return log_likelihood(kernel, noise, self.data, eval_gradient)
-
     def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
         return {"L": self.L, "alpha": self.alpha}
 
@@ -294,27 +273,13 @@ class ExactPosterior(SinglePosterior):
 FREQUENCIES = 64  # waves of each latent process in each path
 
 
-class Path:
-    """One sample of the posterior: a function X (n, d) -> (n, P), or (n,) for one-dimensional targets."""
+class Paths:
+    """Sample paths of the posterior, functions X (n, d) -> (n, P), that are evaluated together.
 
-    def __init__(self, alone: Paths) -> None:
-        self._alone = alone
-
-    def __call__(self, X) -> np.ndarray:
-        return self._alone(X)[0]
-
-    def gradient(self, X: Matrix) -> np.ndarray:
-        """Return d value / d regressor at X (n, d), (n, P, d), or (n, d) for one-dimensional targets."""
-        return self._alone.gradient(X)[0]
-
-
-class Paths(Sequence):
-    """Sample paths of the posterior: a sequence of ``Path`` that are evaluated together.
-
-    ``paths[k]`` is one path and ``paths[a:b]`` several. ``paths(X)`` evaluates all paths at the
-    same points, ``paths.each(X)`` each path at its own points, and ``paths.gradient(X)`` their
-    slopes. Paths can be pickled. A path is a function: its value at a point does not depend on the
-    other points or paths of a call, up to rounding.
+    ``paths(X)`` evaluates all paths at the same points, ``paths.each(X)`` each path at its own
+    points, and ``paths.gradient(X)`` their slopes. Paths can be pickled. A path
+    is a function: its value at a point does not depend on the other points or paths of a call, up
+    to rounding.
 
     Parameters
     ----------
@@ -345,17 +310,6 @@ class Paths(Sequence):
             single,
             feature_names,
         )
-
-    def __len__(self):
-        return self.n_paths
-
-    def __getitem__(self, index):
-        if not isinstance(index, slice):
-            k = range(self.n_paths)[index]
-            return Path(self[k : k + 1])
-        subset = copy(self)
-        subset.bundle, subset.n_paths = self.bundle.take(index), len(range(self.n_paths)[index])
-        return subset
 
     def __call__(self, X) -> np.ndarray:
         """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""

@@ -162,18 +162,6 @@ class SparsePosterior(SinglePosterior):
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
         return SparsePosterior(self.kernel, self.features, noise, data)
 
-    def likelihood_at(
-        self, kernel: MultiOutputKernel, noise: Vector, eval_gradient: bool = False
-    ) -> Any:
-        """Return the bound of the same data at other hyperparameters; ValueError for its gradient."""
-        if eval_gradient:
-            raise ValueError(
-                "Got eval_gradient=True for sparse inference, whose bound has no gradient here: use "
-                "inference='exact', or leave it out."
-            )
-        features = self.features.rebuild(kernel)
-        return SparsePosterior(kernel, features, noise, self.data).log_marginal_likelihood
-
     @cached_property
     def mean_function(self) -> PathBundle:
         """The mean, as a single path."""

@@ -297,7 +297,7 @@ def prior_paths(
     """
     raise NotImplementedError(
         f"Got a {type(kernel).__name__}, but expected a kernel with sample paths: register them "
-        "with skdgp.kernels.prior_paths, or use sample_y, which draws values at given points."
+        "with skdgp.kernels.prior_paths."
     )
 
 

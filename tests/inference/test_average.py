@@ -58,7 +58,7 @@ def fit_of(inference, X, Y, kernel=None):
 def mixture(request, data):
     """An average with weights that differ between outputs."""
     found = average(fit_of(request.param, *data), *data).posterior
-    return AveragePosterior(found.members, found.parts, WEIGHTS)
+    return AveragePosterior(found.members, WEIGHTS)
 
 
 def sums_of(means, variances):
@@ -76,7 +76,6 @@ def sums_of(means, variances):
 
 class TestMixture:
     def test_members_have_fewer_and_fewer_terms_of_one_kernel(self, mixture):
-        assert mixture.parts == [(0, 1, 2, 3), (0, 1, 2), (0,)]
         theta = [member.kernel.theta for member in mixture.members]
         for shorter in theta[1:]:  # the same hyperparameters
             np.testing.assert_array_equal(shorter, theta[0][: len(shorter)])
@@ -94,7 +93,7 @@ class TestMixture:
     def test_of_equal_weights_for_all_outputs_is_one_mixture(self, mixture):
         """Then all outputs have the same member: the covariance is the weighted sum of whole ones, and of scatter."""
         w = np.array([0.2, 0.5, 0.3])
-        same = AveragePosterior(mixture.members, mixture.parts, np.repeat(w[:, None], P, axis=1))
+        same = AveragePosterior(mixture.members, np.repeat(w[:, None], P, axis=1))
         means = np.array([member.predict(AT).T.ravel() for member in mixture.members])
         off = means - w @ means
         expected = sum(

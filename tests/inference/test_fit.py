@@ -55,7 +55,7 @@ class TestFit:
         posterior = fit(
             LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
         ).posterior
-        again = posterior.likelihood_at(posterior.kernel, posterior.noise)
+        again = posterior.of(posterior.data, posterior.noise).log_marginal_likelihood
         assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
 
     @pytest.mark.parametrize("threads", [1, 2])
@@ -153,7 +153,8 @@ def test_gradient_vanishes_at_the_end_or_points_out_of_the_bounds(drawn):
         ConvolvedGaussian(1, covariance_type="tied"), X, Y, **(OPTIONS | {"max_iter": 1000})
     )
     posterior = found.posterior
-    _, gradient = posterior.likelihood_at(posterior.kernel, posterior.noise, eval_gradient=True)
+    at = posterior.kernel, posterior.noise, posterior.data
+    _, gradient = log_likelihood(*at, eval_gradient=True)
     theta, bounds = posterior.kernel.theta, posterior.kernel.bounds
     inside = (theta > bounds[:, 0] + 1e-6) & (theta < bounds[:, 1] - 1e-6)
     # One unit of log likelihood is nothing.

@@ -51,17 +51,6 @@ class TestBound:
         assert bounds[0] < bounds[1] < bounds[2] < exact
         assert exact - bounds[2] < 0.02 * (exact - bounds[0])
 
-    def test_at_other_hyperparameters(self, problem):
-        posterior = sparse(problem)
-        kernel = problem.kernel.clone_with_theta(problem.kernel.theta + 0.05)
-        noise = 1.1 * problem.noise
-        features = posterior.features.rebuild(kernel)
-        assert posterior.likelihood_at(kernel, noise) == pytest.approx(
-            SparsePosterior(kernel, features, noise, posterior.data).log_marginal_likelihood
-        )
-        with pytest.raises(ValueError, match="has no gradient"):
-            posterior.likelihood_at(kernel, noise, eval_gradient=True)
-
     def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
         trend = one_problem.kernel.k1
         posterior = SparsePosterior(

@@ -52,5 +52,5 @@ class TestContractOfThePage(contract.TestContract):
 
 
 def test_paths_that_a_kernel_lacks_are_said_to_be_missing():
-    with pytest.raises(NotImplementedError, match="sample_y"):
+    with pytest.raises(NotImplementedError, match="prior_paths"):
         prior_paths(contract.KERNELS[NAME], 1, 4, None)

@@ -28,7 +28,6 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
   skdgp identify a.csv b.csv --aircraft uav.json -o results
   skdgp validate results/model.joblib c.csv      is the model right about another flight?
   skdgp predict results/model.joblib c.csv -o coefficients.csv
-  skdgp simulate results/model.joblib --trim 35 -o flown
   skdgp derivatives results/model.joblib --airspeed 30 35 40
   skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
   skdgp export results/model.joblib --to c -o flight_code

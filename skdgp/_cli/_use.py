@@ -1,4 +1,4 @@
-"""Commands that use a model: predict, simulate, derivatives, plan, export."""
+"""Commands that use a model: predict, derivatives, plan, export."""
 
 from __future__ import annotations
 
@@ -15,36 +15,24 @@ from sklearn.utils import Bunch
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
 from skdgp._compute.files import Writer, csv_writer, text_writer
-from skdgp._compute.messages import listening, warn, without_warnings
+from skdgp._compute.messages import listening, warn
 from skdgp._excitation import AXES
-from skdgp._flight.channels import (
-    AIR_DATA,
-    EULER,
-    RATES,
-)
-from skdgp._flight.checks import check_names
 from skdgp.design import (
     Envelope,
     Plan,
     ardupilot_script,
-    doublet,
     surface_mixes,
     write_flight_card,
 )
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
-    REASONS,
-    Air,
     Aircraft,
-    SimulationWarning,
     Trim,
     linearize,
     stability_derivatives,
-    trajectory_bands,
     trim,
 )
-from skdgp.dynamics import simulate as simulate_flight
-from skdgp.export import FORMATS, export_model, load_portable
+from skdgp.export import FORMATS, export_model
 from skdgp.identification import (
     check_identified,
     load_model,
@@ -56,10 +44,6 @@ from skdgp.identification import (
 # Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
 # MIL-F-8785C
 NOTABLE_GUSTS = 0.5
-DURATION = 10.0
-# Start and length of the pulses of a doublet [s], about a quarter of a period of 1.5 rad/s; a guess
-PULSE = 1.0
-START = (*AIR_DATA, *EULER, *RATES, "altitude")
 
 
 def read_model(options) -> Bunch:
@@ -82,12 +66,12 @@ def read_model(options) -> Bunch:
 
 
 def read_model_to_fly(options) -> tuple[Bunch, str | None]:
-    """Return the model and the thrust of a simulation, "auto" or None; warn of loads and gusts of its flights."""
+    """Return the model and its thrust in motion, "auto" or None; warn of loads and gusts of its flights."""
     model = read_model(options)
     learned = model.get("options", {})
     if learned.get("external_forces"):
         warn(
-            f"The simulation flies without the external forces {learned['external_forces']} of "
+            f"Motion is computed without the external forces {learned['external_forces']} of "
             f"the flights that the "
             "model was learned from.",
             stacklevel=2,
@@ -96,8 +80,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     if turbulence is not None and max(turbulence.intensity) > NOTABLE_GUSTS:
         warn(
             f"The model was learned in gusts of {max(turbulence.intensity):.1f} m/s, so its "
-            f"derivatives by rates are too small: learn from flights in calmer air to simulate or "
-            f"to linearise.",
+            f"derivatives by rates are too small: learn from flights in calmer air.",
             stacklevel=2,
         )
     return model, None if learned.get("thrust", "auto") in (None, "none") else "auto"
@@ -151,137 +134,6 @@ def _predictions(pipeline, flight: pd.DataFrame, include_noise: bool) -> pd.Data
     values = np.hstack(predict_flight(pipeline, flight, include_noise=include_noise))
     table = pd.DataFrame(values, columns=columns)
     return flight[["flight", "time"]].reset_index(drop=True).join(table)
-
-
-def simulate(run: Run) -> None:
-    """Fly a model from a trim with its controls held.
-
-    The mean of the model is flown, and functions drawn from its posterior, each an aircraft that
-    the data allow: the band of 95 % of the paths shows how certain the trajectory is.
-    --doublet AXIS=X moves a control by X about its trim, +X from 1 to 2 s and -X from 2 to 3 s.
-    Any other inputs, or the controls of a log: skdgp.dynamics.simulate. How well flights are
-    followed: skdgp validate. Pictures: skdgp.plotting.TimeHistoryDisplay.from_trajectories.
-
-    The mean flies in still air, unless --wind says otherwise. The drawn functions also meet gusts,
-    as strong as in the training flights. --gusts none: none.
-
-    Writes into DIR, all or none:
-      trajectory.csv    a flight table of the mean; "beyond" names a regressor outside of the training data,
-                        "ended" says why a trajectory is over
-      bands.csv         median, 2.5 % and 97.5 % of the paths over time
-      simulation.json   the command, start, end, when it ended or left the training data
-
-    For example:
-      skdgp simulate results/model.joblib --trim 35 --altitude 200 --bank 0.5 -o turn
-      skdgp simulate results/model.joblib --trim 35 --doublet elevator=0.03 --paths 100 -o doublet
-    """
-    options = run.options
-    run.console.stage("reading")
-    model, thrust = read_model_to_fly(options)
-    steady, controls = _trimmed(options, model, thrust)
-    run.console.stage("simulating")
-    initial = (model.pipeline, model.aircraft, _state(steady), controls, options.dt)
-    conditions: dict[str, Any] = {"duration": options.duration, "thrust": thrust}
-    trajectory = simulate_flight(*initial, **conditions, air=Air(options.wind))
-    sampled = None
-    files = {"trajectory.csv": csv_writer(trajectory)}
-    if options.paths:
-        run.console.stage(f"simulating {options.paths} functions of the posterior")
-        with without_warnings(SimulationWarning):  # the summary counts them
-            sampled = simulate_flight(
-                *initial,
-                **conditions,
-                air=Air(options.wind, gusts=opt.none_of(options.gusts)),
-                n_paths=options.paths,
-                random_state=options.seed,
-            )
-        files["bands.csv"] = csv_writer(trajectory_bands(sampled).drop(columns="start"))
-    numbers = _numbers(options, steady, trajectory, sampled)
-    written = run.write(files, "simulation.json", numbers, r"bands\.csv")
-    run.print(_simulation_text(numbers, written), numbers)
-
-
-def _trimmed(options, model, thrust) -> tuple[Trim, pd.DataFrame]:
-    """Return the trim, and its controls over time with doublets about them."""
-    climb = options.climb
-    if thrust is not None and climb is None:  # without thrust it follows
-        climb = 0.0
-    steady: Any = trim(
-        model.pipeline,
-        model.aircraft,
-        options.trim,
-        climb=climb,
-        bank=options.bank,
-        altitude=options.altitude,
-        thrust=thrust,
-    )
-    time = np.arange(0.0, options.duration + options.dt, options.dt)
-    pulses = {axis: doublet(PULSE, size)(time - PULSE) for axis, size in options.doublet}
-    check_names(pulses, steady.controls, "trim's controls")
-    controls = {name: value + pulses.get(name, 0.0) for name, value in steady.controls.items()}
-    return steady, pd.DataFrame({"time": time} | controls)
-
-
-def _state(steady: Trim) -> dict[str, float]:
-    """Return the state of a trim, with rates by the air, which the wind carries along."""
-    names = (*AIR_DATA, "phi", "theta", "altitude")
-    rates = dict(zip(RATES, steady.rates, strict=True))
-    return {name: getattr(steady, name) for name in names} | rates
-
-
-def _numbers(options, steady, trajectory, paths) -> dict:
-    """Return the summary as numbers, SI units and radians."""
-    flying = trajectory[trajectory["ended"] == ""]
-    first, last = trajectory.iloc[0], pd.concat([trajectory[:1], flying]).iloc[-1]
-    outside = flying[flying["beyond"] != ""]
-    beyond = {
-        "first": outside["time"].min() - first["time"],
-        "fraction": len(outside) / max(len(flying), 1),
-        "regressors": sorted(set(outside["beyond"])),
-    }
-    return {
-        "model": options.model,
-        "start": {name: first[name] for name in START},
-        "trim": steady.controls | {"thrust": steady.thrust},
-        "duration": options.duration,
-        "flown": last["time"] - first["time"],
-        "ended": next((REASONS[why] for why in trajectory["ended"] if why), None),
-        "beyond": beyond if len(outside) else None,
-        "end": {name: last[name] for name in START},
-        "paths": None if paths is None else _spread(paths),
-    }
-
-
-def _spread(paths) -> dict:
-    """Return how many of the paths ended early, and within what 95 % of the others are at the end."""
-    by_path = paths.groupby("path")
-    bands = trajectory_bands(paths, columns=START).iloc[-1]
-    return {
-        "n": by_path.ngroups,
-        "air": paths.attrs["air"],
-        "ended_early": paths.loc[paths["ended"] != "", "path"].nunique(),
-        "beyond": paths.loc[paths["beyond"] != "", "path"].nunique(),
-        "end": {name: [bands[f"{name}_low"], bands[f"{name}_high"]] for name in START},
-    }
-
-
-def _simulation_text(numbers, files) -> str:
-    """Return duration, end and files of a simulation as text."""
-    beyond, paths = numbers["beyond"], numbers["paths"]
-    seconds = f"{numbers['flown']:.4g}"
-    lines = [f"flown {seconds} s, to the end"]
-    if numbers["ended"] is not None:
-        lines = [f"ended after {seconds} of {numbers['duration']:.4g} s: {numbers['ended']}"]
-    lines.append(
-        "always within the training data"
-        if beyond is None
-        else f"beyond the training data in {100 * beyond['fraction']:.0f} % of the time, the first "
-        f"after {beyond['first']:.4g} s: {', '.join(beyond['regressors'])}"
-    )
-    if paths is not None:
-        counts = f"{paths['ended_early']} ended early, {paths['beyond']} left the training data"
-        lines += [f"{paths['n']} functions of the posterior: {counts}", paths["air"]]
-    return "\n".join([*lines, "", *map(str, files)])
 
 
 def derivatives(run: Run) -> None:
@@ -491,9 +343,8 @@ def export(run: Run) -> None:
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
     onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
 
-    MODEL is the model.joblib that identify wrote, or a model.npz. With --max-kb the model gets
-    fewer basis functions; the loss is printed in standard deviations of the posterior. All files
-    are written into DIR, or none.
+    With --max-kb the model gets fewer basis functions; the loss is printed in standard deviations
+    of the posterior. All files are written into DIR, or none.
 
     For example:
       skdgp export results/model.joblib --to portable -o portable
@@ -501,15 +352,7 @@ def export(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    if Path(options.model).suffix != ".npz":
-        model = read_model(options)
-    elif options.aircraft is not None:
-        raise ValueError(
-            "Got --aircraft with a portable model, but expected model.joblib: a portable model "
-            "has its own."
-        )
-    else:
-        model = load_portable(options.model)
+    model = read_model(options)
     run.console.stage(f"exporting to {options.to}")
     with tempfile.TemporaryDirectory() as temporary:
         facts = export_model(temporary, model, options.to, max_kb=options.max_kb)
@@ -548,67 +391,6 @@ COMMANDS: opt.Commands = {
                 "type": opt.table_file,
                 "required": True,
                 "help": "the table, .csv",
-            },
-        },
-    },
-    simulate: {
-        "": {
-            "model": opt.SHARED["model"],
-            "--aircraft": opt.SHARED["--aircraft"],
-            "--seed": opt.SHARED["--seed"],
-            "--output": opt.SHARED["--output"] | {"required": True},
-            "--wind": {
-                "metavar": ("N", "E", "D"),
-                "type": opt.number(),
-                "nargs": 3,
-                "help": "velocity of the air [m/s], north, east, down (default: 0 0 0)",
-            },
-            "--gusts": opt.SHARED["--gusts"]
-            | {"help": "that the drawn functions meet (default: auto)"},
-            "--duration": {
-                "metavar": "S",
-                "type": opt.positive("seconds"),
-                "default": DURATION,
-                "help": "how long [s] (default: 10)",
-            },
-            "--dt": {
-                "metavar": "S",
-                "type": opt.positive("seconds"),
-                "default": 0.02,
-                "help": "time step [s] (default: 0.02)",
-            },
-            "--paths": opt.SHARED["--paths"]
-            | {
-                "default": 30,
-                "help": "functions of the posterior to fly; 0: the mean alone (default: 30)",
-            },
-            "--trim": {
-                "metavar": "V",
-                "type": opt.positive("m/s"),
-                "required": True,
-                "help": "start from steady flight at this airspeed [m/s]",
-            },
-            "--doublet": opt.AXIS_VALUES
-            | {
-                "help": (
-                    "deviations [rad]: up from 1 to 2 s, down from 2 to 3 s, such as elevator=0.03"
-                )
-            },
-            "--altitude": {
-                "metavar": "M",
-                "type": opt.number(),
-                "default": 0.0,
-                "help": "of the trim [m] (default: 0)",
-            },
-            "--climb": {
-                "metavar": "RAD",
-                "type": opt.number(),
-                "help": "flight-path angle [rad] (default: 0; without thrust it follows)",
-            },
-            "--bank": {
-                "metavar": "RAD",
-                "type": opt.number(),
-                "help": "bank angle of a level turn [rad] (default: 0)",
             },
         },
     },
@@ -729,10 +511,7 @@ COMMANDS: opt.Commands = {
     },
     export: {
         "": {
-            "model": opt.SHARED["model"]
-            | {
-                "help": f"the model.joblib that identify wrote ({opt.TRUST}), or a portable model.npz"
-            },
+            "model": opt.SHARED["model"],
             "--aircraft": opt.SHARED["--aircraft"],
             "--output": opt.SHARED["--output"] | {"required": True},
             "--to": {"choices": list(FORMATS), "required": True, "help": "the format"},

@@ -22,7 +22,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.identification import _evaluation, _model_file
 from skdgp.identification._evaluation import group_means
 from skdgp.identification._verdict import flight_mechanics, judge
-from skdgp.plotting import EffectsDisplay, EnvelopeDisplay
+from skdgp.plotting import EffectsDisplay
 from skdgp.report import (
     Evaluation,
     FlightMechanics,
@@ -189,30 +189,13 @@ class Identification:
             facts=self._facts(),
             verdict=self.verdict,
             mechanics=self.mechanics,
-            envelope=self._envelope(),
-            effects=self._effects(),
+            effects=EffectsDisplay.from_model(self.pipeline[-2:], ax=False),
             air=air_of(self.pipeline),
             sections=[part.section() for part in self.supplements],
             assumed=self.assumed,
             units=getattr(self.pipeline, "control_units_", {}),
             command=self.command,
         )
-
-    def _envelope(self) -> EnvelopeDisplay | None:
-        """Return the envelope of the data and the bands of the model around it; None for a single regressor."""
-        if len(self.fit["regressors"]) < 2 or not self.train:
-            return None
-        learned = [self.pipeline[:-2].transform(table) for table in self.train.values()]
-        tested = [
-            _evaluation.named(self.pipeline, flight.regressors) for flight in self.evaluations
-        ]
-        return EnvelopeDisplay.from_estimator(
-            self.pipeline[-2:], pd.concat(learned), flight=pd.concat(tested), n_grid=12, ax=False
-        )
-
-    def _effects(self) -> EffectsDisplay:
-        """Return the effect of each regressor."""
-        return EffectsDisplay.from_model(self.pipeline[-2:], ax=False)
 
     def _facts(self) -> dict[str, str]:
         """Return the facts of the fit as text; empty where a fact does not apply."""

@@ -12,11 +12,10 @@ ax : Figure, SubFigure or False, optional
     Where to draw; default: a new pyplot figure. False: do not draw.
 """
 
-from skdgp.plotting._model import EffectsDisplay, EnvelopeDisplay
+from skdgp.plotting._effects import EffectsDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [
     "EffectsDisplay",
-    "EnvelopeDisplay",
     "TimeHistoryDisplay",
 ]

@@ -20,7 +20,7 @@ from skdgp.metrics import (
     negative_log_predictive_density,
     normalized_rmse,
 )
-from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TimeHistoryDisplay
+from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
 
 HONEST = (0.90, 0.99)  # coverage of a 95 % interval that is not marked
 
@@ -243,7 +243,7 @@ class ReportContent:
         existed before.
     test : sequence of Evaluation
         Flights tested on, at least one.
-    effects, envelope : EffectsDisplay, EnvelopeDisplay, optional
+    effects : EffectsDisplay, optional
         Not drawn yet (``ax=False``).
     subtitle : str
         Beneath the heading, such as the name of the aircraft.
@@ -269,7 +269,6 @@ class ReportContent:
     train: Mapping[str, pd.DataFrame]
     test: Sequence[Evaluation]
     effects: EffectsDisplay | None = None
-    envelope: EnvelopeDisplay | None = None
     subtitle: str = ""
     facts: Mapping[str, str] = field(default_factory=dict)
     air: str = ""

@@ -120,18 +120,13 @@ OF_AIRCRAFT = (
     "share; it does not matter for simulations with this aircraft."
 )
 # Captions of the displays of the model
-DISPLAYS = {
-    "Effects": "For each coefficient the regressors whose effect varies most, on one scale, with "
-    "mean zero over the samples (short lines) and the 95 % band. Then the two strongest "
-    "interactions: how the coefficient changes with one regressor at a low (5 %) and a high (95 %) "
-    "value of another, all others at their means. Without an interaction both lines are one. Bands "
-    "are wide where regressors moved together in the flights: the sum is then known better than "
-    "its terms.",
-    "Where the model knows": "Pairs of regressors; those that a panel does not show are at their "
-    "medians. Contours: the standard deviation of the coefficients, over how much they vary where "
-    "samples were flown: 0 where they are known, 1 where any value flown is as likely. Where a "
-    "test flight, or a simulation, leaves the dots for darker blue, coefficients are extrapolated.",
-}
+EFFECTS = (
+    "For each coefficient the regressors whose effect varies most, on one scale, with mean zero "
+    "over the samples (short lines) and the 95 % band. Then the two strongest interactions: how the "
+    "coefficient changes with one regressor at a low (5 %) and a high (95 %) value of another, all "
+    "others at their means. Without an interaction both lines are one. Bands are wide where "
+    "regressors moved together in the flights: the sum is then known better than its terms."
+)
 HOW_TO_READ = (
     '<div class="note"><p><b>NRMSE</b>: root mean squared error over the standard deviation of the '
     "values; 1 is no better than their mean. <b>95 % coverage</b>: share of the values inside the "
@@ -191,7 +186,8 @@ def _sections(content: ReportContent) -> list[str]:
     parts += [_mechanics(content.mechanics), _simulation(content.mechanics, draw)]
     parts += _flights(content, draw)
     if draw:
-        parts += [*_of_model(content), _flown(content)]
+        effects = "" if content.effects is None else content.effects.html(EFFECTS)
+        parts += [_section("Effects", effects), _flown(content)]
     return [
         *parts,
         _what_was_done(content),
@@ -519,16 +515,6 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> sli
     end = np.searchsorted(time, time[begin] + length, side="right")
     liveliest = int(np.argmax(moved[end - 1] - moved[begin]))
     return slice(int(begin[liveliest]), int(end[liveliest]))
-
-
-def _of_model(content: ReportContent) -> list[str]:
-    """Return the sections of effects, and of where the model knows."""
-    displays = (content.effects, content.envelope)
-    return [
-        _section(title, display.html(caption))
-        for display, (title, caption) in zip(displays, DISPLAYS.items(), strict=True)
-        if display is not None
-    ]
 
 
 def _flown(content: ReportContent) -> str:

@@ -9,7 +9,8 @@ from contextlib import redirect_stderr, redirect_stdout
 import pytest
 
 from skdgp._cli import main
-from skdgp.identification import Identification, _identification
+from skdgp.identification import _identification
+from skdgp.plotting import EffectsDisplay
 
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 
@@ -41,8 +42,7 @@ def no_report(monkeypatch, no_mechanics):
 
 def leave_report_out(patch):
     patch.setattr(_identification, "render_report", lambda content: "")
-    for part in ("_envelope", "_effects"):
-        patch.setattr(Identification, part, lambda self: None)
+    patch.setattr(EffectsDisplay, "from_model", lambda model, ax: None)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""What is done with a model that exists: predict, validate, simulate, derivatives, each from words to files."""
+"""What is done with a model that exists: predict, validate, derivatives, each from words to files."""
 
 import json
 import re
@@ -166,126 +166,19 @@ class TestValidate:
         assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
 
 
-class TestSimulate:
-    def test_a_trim_stays(self, run, tmp_path):
-        said = run(
-            "simulate", "--trim", "35", "--altitude", "200", "--duration", "1", "--paths", "30"
-        )
-        expected = {
-            "trajectory.csv",
-            "bands.csv",
-            "simulation.json",
-        }
-        assert files(tmp_path / "out") == expected
-        flown, bands = (
-            pd.read_csv(tmp_path / "out" / name) for name in ("trajectory.csv", "bands.csv")
-        )
-        assert len(flown) == len(bands) == 51
-        assert np.ptp(flown["altitude"]) < 1e-6
-        assert bands.iloc[-1]["airspeed_low"] < 35 < bands.iloc[-1]["airspeed_high"]
-        assert said["ended"] is None
-        assert said["flown"] == pytest.approx(1.0)
-        assert said["end"]["altitude"] == pytest.approx(200.0)
-        low, high = said["paths"]["end"]["airspeed"]
-        assert low == pytest.approx(bands.iloc[-1]["airspeed_low"])
-        assert low < high
-
-    def test_gusts_are_those_of_the_training_flights_unless_none_are_asked_for(
-        self, model, tmp_path, capsys
-    ):
-        pipeline, name = copy(model.pipeline), str(tmp_path / "gusty.joblib")
-        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
-        save_model(name, pipeline, model.aircraft, options=model.options)
-        words, found = (
-            [name, "--trim", "35", "--duration", ".5", "--paths", "10", "--json", "-o"],
-            [],
-        )
-        for more in ([], ["--gusts", "none"]):
-            assert main(["simulate", *words, str(tmp_path / f"out{len(more)}"), *more]) == 0
-            found.append(json.loads(capsys.readouterr().out)["paths"])
-        assert "as in the training flights" in found[0]["air"]
-        assert "without gusts" in found[1]["air"]
-        assert np.ptp(found[0]["end"]["alpha"]) > 2 * np.ptp(found[1]["end"]["alpha"])
-
-    def test_turns_and_climbs(self, run, model, tmp_path):
-        run("simulate", "--trim", "35", "--duration", ".2", "--paths", "2")
-        said = run("simulate", "--trim", "35", "--bank", ".3", "--duration", ".2", "--paths", "0")
-        assert "bands.csv" not in files(tmp_path / "out")  # of the other flight
-        turning = trim(model.pipeline, model.aircraft, 35.0, bank=0.3)
-        assert said["paths"] is None
-        assert said["end"]["psi"] == pytest.approx(0.2 * turning.turn_rate, rel=1e-3)
-        said = run("simulate", "--trim", "35", "--climb", ".05", "--duration", ".2", "--paths", "0")
-        assert said["end"]["altitude"] == pytest.approx(0.2 * 35 * np.sin(0.05), rel=1e-3)
-
-    def test_a_doublet_is_about_the_trim(self, run, tmp_path):
-        words = ("simulate", "--trim", "35", "--duration", "3.2", "--paths", "0")
-        said = run(*words, "--doublet", "elevator=0.03")
-        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
-        time = flown["time"]
-        moved = np.select([time < 0.99, time < 1.99, time < 2.99], [0.0, 0.03, -0.03], 0.0)
-        np.testing.assert_allclose(flown["elevator"] - said["trim"]["elevator"], moved, atol=1e-12)
-        assert (flown["aileron"] == said["trim"]["aileron"]).all()
-
-    def test_says_when_it_ends_and_leaves_what_was_flown(self, path, tmp_path, capsys):
-        words = shlex.split("--trim 35 --doublet elevator=0.3 --duration 30 --dt 1")  # too long
-        assert main(["simulate", path, *words, "--paths", "3", "-o", str(tmp_path / "out")]) == 0
-        said = capsys.readouterr()
-        summary = json.loads(
-            (tmp_path / "out" / "simulation.json").read_text(), parse_constant=pytest.fail
-        )
-        flown = pd.read_csv(tmp_path / "out" / "trajectory.csv")
-        assert summary["ended"]
-        assert summary["flown"] < 30
-        assert flown.loc[flown["ended"].isna(), "time"].max() == summary["flown"]
-        assert f"ended after {summary['flown']:.4g} of 30 s: {summary['ended']}" in said.out
-        assert summary["paths"]["ended_early"] == 3
-        assert "trajectories ended early" in said.err
-
-    def test_says_when_it_leaves_what_was_learned_from(self, run, capsys):
-        words = ("--doublet", "elevator=0.3", "--duration", "1.5", "--paths", "0")
-        beyond = run("simulate", "--trim", "35", *words)["beyond"]
-        assert beyond["first"] == pytest.approx(1.0, abs=0.05)
-        assert "elevator" in beyond["regressors"]
-
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
-            (["--trim", "350"], "There is no trim of brumby"),
-            (
-                ["--trim", "35", "--doublet", "elevatr=.1"],
-                "trim's controls lack 'elevatr' .nearest: 'elevator'",
-            ),
-        ],
-    )
-    def test_what_cannot_be_flown(self, refused, words, message):
-        refused(message, "simulate", *words)
-
-    def test_known_loads_and_gusts_that_are_not_flown(self, run, path, model, tmp_path, capsys):
-        options, pipeline = (
-            model.options | {"external_forces": ["tether"], "thrust": None},
-            copy(model.pipeline),
-        )
-        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
-        save_model(tmp_path / "kite.joblib", pipeline, model.aircraft, options=options)
-        words = [
-            "--trim",
-            "35",
-            "--duration",
-            ".1",
-            "--paths",
-            "0",
-            "-o",
-            str(tmp_path / "out"),
-            "--json",
-        ]
-        assert main(["simulate", str(tmp_path / "kite.joblib"), *words]) == 0
-        said = capsys.readouterr()
-        assert "flies without the external forces ['tether']" in said.err
-        assert "learn from flights in calmer air to simulate" in said.err
-        assert json.loads(said.out)["end"]["altitude"] < 0  # without thrust it glides down
-
-
 class TestDerivatives:
+    def test_known_loads_and_gusts_that_are_not_flown(self, model, tmp_path, capsys):
+        options = model.options | {"external_forces": ["tether"], "thrust": None}
+        pipeline = copy(model.pipeline)
+        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
+        kite = str(tmp_path / "kite.joblib")
+        save_model(kite, pipeline, model.aircraft, options=options)
+        assert main(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
+        said = capsys.readouterr()
+        assert "without the external forces ['tether']" in said.err
+        assert "learn from flights in calmer air" in said.err
+        assert json.loads(said.out)["points"][0]["climb"] < 0  # without thrust it glides down
+
     def test_are_those_of_the_model(self, run, model, tmp_path):
         said = run(
             "derivatives",

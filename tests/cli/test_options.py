@@ -27,10 +27,11 @@ def test_values_are_of_their_types():
     )
     assert options.train == ["a.csv", "b.csv"]
     assert (options.mass, options.span, options.propeller) == ((3.2, 0.05), (1.6, 0.0), (10.0, 5.0))
-    options = parse(
-        shlex.split("simulate m --trim 35 --wind -3 1e-3 0 --doublet elevator=.03 -o x")
+    words = (
+        "plan m --airspeed 35 --seconds 9 --axes elevator --alpha -3 1e-3 --full elevator=.03 -o x"
     )
-    assert (options.wind, options.doublet) == ([-3.0, 1e-3, 0.0], [("elevator", 0.03)])
+    options = parse(shlex.split(words))
+    assert (options.alpha, options.full) == ([-3.0, 1e-3], [("elevator", 0.03)])
     options = parse(shlex.split("identify a --samples all --regressors alpha,q_hat --airborne 9"))
     assert (options.samples, options.regressors) == ("all", ["alpha", "q_hat"])
     assert options.airborne == 9.0
@@ -59,9 +60,9 @@ def test_values_are_of_their_types():
         ("identify a --test t\udcff.csv", r"got 't\udcff.csv', but expected a name in UTF-8"),
         ("identify", "required: TRAIN"),
         ("predict m a.csv -o out.xlsx", "but expected a name that ends in .csv"),
-        ("simulate m --doublet elevator", "got elevator, but expected AXIS=NUMBER"),
-        ("simulate m --trim 35 --paths 1", "got 1, but expected 0, or 2 or more"),
-        ("simulate m --trim 35", "required: -o/--output"),
+        ("plan m --full elevator", "got elevator, but expected AXIS=NUMBER"),
+        ("derivatives m --airspeed 35 --paths 1", "got 1, but expected 0, or 2 or more"),
+        ("export m --to c", "required: -o/--output"),
         ("fly m", "invalid choice: 'fly'"),
         ("", "required: COMMAND"),
     ],
@@ -109,7 +110,6 @@ def test_version(capsys):
 PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
 QUICK = {
     "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
-    "simulate": ["--duration", ".2", "--paths", "2"],
     "derivatives": ["--paths", "4"],
     "plan": shlex.split("--seconds 10 --axes rudder --limits rudder=0.1 --growth 2 --paths 20"),
 }
@@ -136,7 +136,7 @@ def test_its_commands_and_code_run(page, folder, tmp_path, monkeypatch, capsys):
     for line in "".join(blocks(page, "sh")).splitlines():
         words = shlex.split(line)[1:]
         assert main([*words, *QUICK.get(words[0], [])]) == 0, line
-    assert (tmp_path / "turn" / "bands.csv").is_file()
+    assert (tmp_path / "sweep" / "modes.csv").is_file()
     names = {}
     for block in blocks(page, "python"):
         exec(compile(block, PAGE.name, "exec"), names)

@@ -46,9 +46,8 @@ def test_portable(run, path):
         ("jsbsim", 60, ["aircraft/uav/uav.xml"]),
     ],
 )
-def test_of_a_portable_model_in_a_smaller_size(run, path, to, max_kb, files):
-    _, folder = run(path, "--to", "portable")
-    numbers, _ = run(folder / "model.npz", "--to", to, "--max-kb", max_kb)
+def test_in_a_smaller_size(run, path, to, max_kb, files):
+    numbers, folder = run(path, "--to", to, "--max-kb", max_kb)
     assert list(numbers["files"]) == files
     assert all((folder / name).stat().st_size for name in files)
     assert set(numbers["loss"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
@@ -69,17 +68,7 @@ def test_what_cannot_be_exported(path, words, message, tmp_path, capsys):
     assert not (tmp_path / "new").exists()
 
 
-def test_what_is_no_model(path, tmp_path, capsys):
-    (tmp_path / "model.npz").write_bytes(b"junk")
-    for model, words, message in (
-        (tmp_path / "model.npz", [], "is not a portable model"),
-        (tmp_path / "none.npz", [], "there is no such file"),
-        (tmp_path / "model.npz", ["--aircraft", "other.json"], "a portable model has its own"),
-    ):
-        assert main(["export", str(model), "--to", "c", *words, "-o", str(tmp_path / "out")]) == 1
-        error = capsys.readouterr().err
-        assert message in error
-        assert error.count("\n") == 1
+def test_what_is_no_format(path, tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
         main(["export", str(path), "--to", "fortran", "-o", str(tmp_path / "out")])
     assert end.value.code == 2

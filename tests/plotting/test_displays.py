@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.plotting import EnvelopeDisplay, TimeHistoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 
 
 def outputs(n=200, n_outputs=6, seed=0):
@@ -39,21 +39,7 @@ def inputs(n, ax, corrupt=lambda values: values):
     return TimeHistoryDisplay.from_inputs(table, ax=ax)
 
 
-def knowledge(n, ax, corrupt=lambda values: values):
-    """Return the envelope of n samples and of another flight."""
-    rng = np.random.default_rng(0)
-    flown = pd.DataFrame(rng.normal(size=(n, 2)), columns=["alpha", "beta"])
-    axis = np.linspace(-5.0, 5.0, 6)
-    return EnvelopeDisplay(
-        flown=flown,
-        pairs=[("alpha", "beta")],
-        points=[(axis, axis)],
-        relative_std=np.hypot(*np.meshgrid(axis, axis))[None] / 8,
-        path=flown.assign(alpha=corrupt(flown[["alpha"]].to_numpy())),
-    ).plot(ax)
-
-
-DISPLAYS = [coefficients, inputs, knowledge]
+DISPLAYS = [coefficients, inputs]
 
 
 def holes(values):

@@ -15,7 +15,7 @@ from skdgp._display import page as page_module
 from skdgp._effects import Curve, Interaction
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics import interval_coverage, normalized_rmse
-from skdgp.plotting import EffectsDisplay, EnvelopeDisplay, TimeHistoryDisplay
+from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
 from skdgp.report import (
     Evaluation,
     FlightMechanics,
@@ -104,21 +104,6 @@ def result(n=800, name="test", truth=True, seed=0, **changes):
     return Evaluation(**{**given, **changes})
 
 
-def envelope():
-    """Return the envelope of a model that knows the middle, with a path that leaves it."""
-    axis = np.linspace(-0.3, 0.3, 5)
-    flown = pd.DataFrame(
-        0.05 * np.random.default_rng(0).normal(size=(200, 2)), columns=["alpha", "beta"]
-    )
-    return EnvelopeDisplay(
-        flown=flown,
-        pairs=[("alpha", "beta")],
-        points=[(axis, axis)],
-        relative_std=np.sqrt(np.hypot(*np.meshgrid(axis, axis)))[None],
-        path=2 * flown,
-    )
-
-
 def effects():
     """Return the effects of two regressors, and a joint term."""
     at = np.linspace(-0.1, 0.1, 5)
@@ -167,7 +152,7 @@ def content(**changes):
 
 @pytest.fixture(scope="module")
 def html():
-    return render_report(content(effects=effects(), envelope=envelope()))
+    return render_report(content(effects=effects()))
 
 
 @pytest.fixture
@@ -341,11 +326,6 @@ class TestWords:
         measured = Page(render_report(content(test=[result(truth=False)]))).words
         assert "no band promises" not in measured
 
-    def test_shows_where_the_model_knows(self, html):
-        assert "beta against alpha: where samples were flown" in html
-        words = Page(html).words
-        assert "other flight" in words[words.rindex("Where the model knows") :]
-
     def test_effects_with_the_two_strongest_interactions_of_each_coefficient(self, html):
         assert html.count('alt="Cm by alpha"') == html.count('alt="Cm by beta"') == 1
         assert html.count("by alpha, at two beta") == 2 * 6
@@ -397,12 +377,11 @@ class TestPoorContent:
             html = render_report(content(test=[flight]))
         assert "–" in Page(html).words
 
-    def test_no_replay_and_no_envelope(self):
+    def test_no_replay(self):
         bare = result(200, replay=None)
         given = content(test=[bare], train={"a": table(200)})
         words = Page(render_report(given)).words
         assert "figure 7" not in words
-        assert "Where the model knows" not in words
         assert "Inputs of a (train)" in words
 
     def test_without_matplotlib_the_numbers_remain(self, numbers_only):

@@ -47,10 +47,9 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     list of Path
         The files.
     """
-    written = model.with_identifiers()
     values = {
-        "aero.h": _header(written) | {"hash": model.content_hash},
-        "aero.c": _source(written),
+        "aero.h": _header(model) | {"hash": model.content_hash},
+        "aero.c": _source(model),
         "test_aero.c": _test(model),
         "Makefile": {},
     }

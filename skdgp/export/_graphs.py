@@ -83,7 +83,7 @@ def onnx_model(model: PortableModel) -> Any:
     """Return an ``onnx.ModelProto`` from regressors ``x`` (n, d) to ``mean`` (n, P) and ``std`` (n, P), in double.
 
     The regressors are in their units, in the order of ``model.regressor_names``. The metadata holds
-    regressors and outputs as identifiers, the range of the training data and the content hash. A
+    the names of regressors and outputs, the range of the training data and the content hash. A
     reduced model (``export_model`` with ``max_kb``) is faster. Raises ImportError if ONNX is not
     installed.
     """
@@ -143,10 +143,9 @@ def _checked(onnx: Any, graph: _Graph, model: PortableModel) -> Any:
     proto = helper.make_model(
         made, opset_imports=[opset], ir_version=IR_VERSION, producer_name="skdgp"
     )
-    written = model.with_identifiers()
     properties = {
-        "regressors": ",".join(written.regressor_names),
-        "outputs": ",".join(written.outputs),
+        "regressors": ",".join(model.regressor_names),
+        "outputs": ",".join(model.outputs),
         "low": ",".join(map(repr, model.limits[0].tolist())),
         "high": ",".join(map(repr, model.limits[1].tolist())),
         "servo_lag": repr(float(model.servo_lag[0])),

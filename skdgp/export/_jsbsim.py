@@ -111,7 +111,6 @@ def write_jsbsim(folder: str | os.PathLike[str], model: PortableModel) -> list[P
 def _config(name: str, model: PortableModel) -> Element:
     """Return the file of an aircraft."""
     aircraft = model.aircraft
-    model = model.with_identifiers()
     controls = [r.name for r in model.regressors if not r.power and r.name not in SOURCES]
     has_engine = aircraft.propeller is not None and aircraft.propeller.speed_range is not None
     regressors = [

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
-from collections import Counter
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -16,7 +13,6 @@ from scipy.spatial.distance import cdist
 from sklearn.utils import gen_batches
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS, HAT, LENGTHS
 from skdgp.dynamics import Aircraft
 
 ROWS = 512  # predicted at once
@@ -183,16 +179,15 @@ class Part:
             slopes += away @ term.root.T
         return slopes
 
-    def rounding(self, p: Matrix, g: Matrix) -> tuple[Vector, Vector]:
-        """Return the errors of mean and variance by rounding, (n,) each."""
+    def rounding(self, p: Matrix, g: Matrix) -> Vector:
+        """Return the error of the variance by rounding, (n,)."""
         U = self.readout.root
         T = self.trend_root
-        epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + g.shape[1])
-        mean = p**2 @ self.trend_weights**2 + g**2 @ self.readout.weights**2
         half = _added(p @ T, g @ U)
         squares = _added(p**2 @ T**2, g**2 @ U**2)
         explained = 2 * np.sqrt((half**2 * squares).sum(axis=1))
-        return epsilon * np.sqrt(mean), epsilon * np.hypot(self.prior(p), explained)
+        epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + g.shape[1])
+        return np.asarray(epsilon * np.hypot(self.prior(p), explained))
 
 
 def _added(total: Matrix, half: Matrix) -> Matrix:
@@ -279,16 +274,6 @@ class PortableModel:
         """The different readouts of the parts."""
         return list({id(part.readout): part.readout for part in self.parts}.values())
 
-    def with_identifiers(self) -> PortableModel:
-        """Return the model with identifiers for all names."""
-        names = identifiers((*self.columns, *self.regressor_names, *self.outputs))
-        regressors = tuple(
-            replace(each, name=names[each.name], sources=tuple(names[s] for s in each.sources))
-            for each in self.regressors
-        )
-        outputs = tuple(names[name] for name in self.outputs)
-        return replace(self, regressors=regressors, outputs=outputs)
-
     def inside(self, X: Any) -> Any:
         """Return whether each row of X is within the range of every regressor, (n,)."""
         X = self.regressor_values(X)
@@ -357,12 +342,15 @@ class PortableModel:
 
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
-        and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. In a mixture the errors of means
-        add to it through the scatter of the components. The factor 2 is five times the largest
-        error of C, ONNX and CasADi (measured).
+        and the deviation :math:`t e / \max(\sigma / t, \sqrt{e})`. The factor 2 is five times the
+        largest error of C, ONNX and CasADi (measured).
         """
         Z = self.scaled(X)
-        return np.concatenate([self._rounding(Z[rows]) for rows in gen_batches(len(Z), ROWS)])
+        p = self.trend(Z)
+        errors = np.column_stack([part.rounding(p, part.basis(Z)) for part in self.parts])
+        error = self._mixed(errors)[0]
+        variance = self._moments(Z, True)[1]
+        return self.output_scale * error / np.sqrt(np.maximum(variance, error))
 
     def _moments(self, Z, return_std):
         """Return normalised mean and variance of the outputs, (n, P) each."""
@@ -387,19 +375,6 @@ class PortableModel:
         of_parts = slopes.reshape(len(Z), *self.mixture.shape, -1)
         mixed = (self.mixture[..., None] * of_parts).sum(axis=1)
         return mixed * self.output_scale[:, None] / self.scale
-
-    def _rounding(self, Z):
-        p = self.trend(Z)
-        mean, mean_error, variance, error = np.empty((4, len(Z), len(self.parts)))
-        for j, part in enumerate(self.parts):
-            g = part.basis(Z)
-            mean[:, j] = part.mean(p, g)
-            variance[:, j] = part.variance(p, g @ part.readout.root)
-            mean_error[:, j], error[:, j] = part.rounding(p, g)
-        away = self._mixed(mean)[1]
-        whole = self._mixed(variance + away**2)[0]
-        of_variance = self._mixed(error + 2 * np.abs(away) * mean_error)[0]
-        return self.output_scale * of_variance / np.sqrt(np.maximum(whole, of_variance))
 
     def head(self) -> dict[str, Any]:
         """Return names, formulas of the regressors, aircraft and provenance, as JSON knows them."""
@@ -508,25 +483,3 @@ def unpacked(values: Vector, size: int) -> Matrix:
 
 
 # Names of the vocabulary: another column is never written under one of them
-RESERVED = {*CHANNELS, *COEFFICIENTS, *(f"{name}{HAT}" for name in LENGTHS)}
-
-
-def identifiers(names: Iterable[str]) -> dict[str, str]:
-    """Return the identifier of each name: characters other than ASCII letters and digits become underscores.
-
-    No digit is first. Raises ValueError if two names would be equal, or one a name of the
-    vocabulary that it is not.
-    """
-    written = {name: re.sub(r"^(?=\d)|\W", "_", name, flags=re.ASCII) for name in names}
-    numbers = Counter(written.values())
-    alike = [
-        name
-        for name, short in written.items()
-        if name != short and (numbers[short] > 1 or short in RESERVED)
-    ]
-    if alike:
-        raise ValueError(
-            f"Got {alike}, which are written {[written[name] for name in alike]}, as other columns "
-            f"are: rename them in the flights, and learn again."
-        )
-    return written

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, cast
@@ -32,7 +33,8 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     ``DependentGPRegressor``, exact or sparse. The ``facts``
     of a model file become the provenance: ``portable_model(**load_model(path))``. Raises TypeError
     if ``pipeline`` is no pipeline or ``aircraft`` no `Aircraft`, ValueError if a coefficient is
-    lacking, or a step, the kernel or the trend has no portable form.
+    lacking, a column has a name that is no identifier, or a step, the kernel or the trend has no
+    portable form.
 
     Examples
     --------
@@ -74,7 +76,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     parts = [part for member in posterior.members for part in _parts(member, misfit)]
     samples = training_inputs(posterior) * scale + shift
     seen = samples if simulated.limits is None else np.vstack([samples, simulated.limits])
-    return PortableModel(
+    model = PortableModel(
         regressors=tuple(_regressor(n, simulated, aircraft, columns) for n in simulated.regressors),
         outputs=tuple(regressor.output_names_),
         aircraft=aircraft,
@@ -92,6 +94,13 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         servo_lag=np.array([simulated.servo_lag]),
         provenance=plain(facts | {"inference": regressor.inference_}),
     )
+    names = dict.fromkeys((*model.columns, *model.regressor_names, *model.outputs))
+    if strange := [name for name in names if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
+        raise ValueError(
+            f"Got columns {strange}, but exports need names of letters, digits and underscores: "
+            f"rename them in the flights, and learn again."
+        )
+    return model
 
 
 def _scaling(pipeline: Pipeline, n_regressors: int) -> tuple[Array, Array]:

@@ -3,10 +3,12 @@
 import ctypes
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from skdgp.dynamics import Aircraft
 from skdgp.export import export_model, write_c
 
 STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic"]
@@ -67,7 +69,9 @@ def test_equals_the_model(portable, flight, tmp_path):
 def test_make_test_passes(portable_of, tmp_path):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
-    write_c(tmp_path, portable_of("trend"))
+    model = portable_of("trend")
+    values = model.aircraft.to_dict() | {"name": 'a::b */ #error "é" \\ ??/ <&> $x --'}
+    write_c(tmp_path, replace(model, aircraft=Aircraft.from_dict(values)))
     assert "passed: 40 points" in done(tmp_path, "make", "test")
 
 

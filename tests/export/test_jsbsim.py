@@ -105,7 +105,8 @@ def test_loads_and_accelerations_are_those_of_the_coefficients(load, portable_of
 
 def test_thrust_is_that_of_the_propeller(load, portable_of):
     line = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(1.0, 0.0, 0.1))
-    model = of_aircraft(portable_of("trend"), propeller=PROPELLER, thrust_line=line)
+    changes = {"name": 'a::b */ "é" <&> $x --', "propeller": PROPELLER, "thrust_line": line}
+    model = of_aircraft(portable_of("trend"), **changes)
     fdm = load(model)
     fdm["fcs/throttle-cmd-norm"] = 0.6
     placed(fdm, model, model.samples[0])

@@ -113,6 +113,15 @@ def test_what_has_no_form_is_refused(steps, words, flight, portable_of):
         portable_model(model, portable_of("trend").aircraft)
 
 
+def test_names_that_other_programs_cannot_write_are_refused(flight, portable_of):
+    table = flight[["alpha"]].set_axis(["flap angle"], axis=1)
+    Y = np.sin(np.outer(10 * flight["alpha"], np.arange(1, 7)))
+    trend = DependentGPRegressor(structure="trend", max_iter=1)
+    model = make_pipeline(RegressorSelector(["flap angle"]), trend).fit(table, Y)
+    with pytest.raises(ValueError, match=r"\['flap angle'\], but exports need names of letters"):
+        portable_model(model, portable_of("trend").aircraft)
+
+
 def test_no_pipeline_is_refused(portable_of):
     with pytest.raises(TypeError, match="Got LinearRegression to export, but expected a fitted"):
         portable_model(LinearRegression(), portable_of("trend").aircraft)

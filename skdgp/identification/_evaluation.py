@@ -132,16 +132,15 @@ def _by_coefficient(values) -> dict[str, float]:
     return dict(zip(COEFFICIENTS, map(float, values), strict=True))
 
 
-def evaluate_flights(
-    flights: Flights, pipeline: Pipeline, aircraft: Aircraft, settings: dict, fit: dict
-) -> list[Evaluation]:
-    """Predict flights and replay them, with the settings and facts of `identify`."""
-    return [
-        _evaluate(name, table, pipeline, aircraft, settings, fit) for name, table in flights.items()
-    ]
-
-
-def _evaluate(name, table, pipeline, aircraft, settings, fit) -> Evaluation:
+def evaluate(
+    name: str,
+    table: pd.DataFrame,
+    pipeline: Pipeline,
+    aircraft: Aircraft,
+    settings: dict,
+    fit: dict,
+) -> Evaluation:
+    """Predict a flight and replay it, with the settings and facts of `identify`."""
     notify(f"evaluating {name}")
     loads = {key: settings[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()

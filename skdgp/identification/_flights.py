@@ -12,7 +12,6 @@ import pandas as pd
 
 from skdgp._compute.messages import warn
 from skdgp._flight.channels import (
-    ALL_SURFACES,
     CHANNELS,
     COEFFICIENTS,
     ELEVONS,
@@ -101,14 +100,8 @@ def named_flights(
                     f"once: name a file once, rename one of two files, change the name in the "
                     f"column 'flight', or give a dict of names and tables."
                 )
-            try:
-                check_columns(part, needed)
-            except ValueError as error:
-                if not is_log(path):
-                    raise
-                raise ValueError(
-                    f"{error} What a log has, and why it lacks them: skdgp inspect {path}"
-                ) from None
+            hint = f"log (skdgp inspect {path} says why)" if is_log(path) else "flight"
+            check_columns(part, needed, what=hint)
             by_name[name] = part.assign(flight=name)
             origin[name] = place
     return by_name
@@ -138,10 +131,10 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str
     """
     if test:
         for name in train.keys() & test.keys():
-            _warn(
+            warn(
                 f"Flight {name!r} is both learned from and tested on: its errors say nothing "
                 f"about other flights.",
-                4,
+                stacklevel=3,
             )
         return train, test, None
     *earlier, last = train
@@ -153,7 +146,9 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights, str
         split = round(0.75 * len(train[last]))
         learned = flights_of(train[last][:split].assign(flight=f"{last}, first three quarters"))
         tested = flights_of(train[last][split:].assign(flight=f"{last}, last quarter"))
-    _warn(f"No test flight was named: {held_out}, is held out of the fit and tested on.", 4)
+    warn(
+        f"No test flight was named: {held_out}, is held out of the fit and tested on.", stacklevel=3
+    )
     return learned, tested, held_out
 
 
@@ -175,10 +170,10 @@ def check_controls(flights: Flights, regressors) -> None:
             f"{renaming} (reading={{'rename': {dict(meant)}}})."
         )
     if "elevator" in lacking:
-        _warn(
+        warn(
             "Got flights without an elevator: its effect goes into the coefficients of alpha and "
             "q, so Cm_q and Cm_alpha may be wrong, even in sign. Give the column elevator.",
-            3,
+            stacklevel=2,
         )
 
 
@@ -230,11 +225,12 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
             "regressors."
         )
     if counts:
-        _warn(
+        warn(
             f"Flight {flight!r}: {len(table) - len(complete)} of {len(table)} rows are left out, "
             f"because regressors "
             f"are missing there (by rows: {counts}). Bring slow sensors to the clock of the "
-            f"others if these are many."
+            f"others if these are many.",
+            stacklevel=4,
         )
     segments = flight_segments(complete["time"].to_numpy(float))
     rows = [np.arange(run.start, run.stop) for run in segments if run.stop - run.start > 1]
@@ -246,15 +242,12 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
         )
     continuous = np.concatenate(rows)
     if len(continuous) < len(complete):
-        _warn(
+        warn(
             f"Flight {flight!r}: {len(complete) - len(continuous)} rows that stand alone between gaps "
-            f"are left out."
+            f"are left out.",
+            stacklevel=4,
         )
     return complete.iloc[continuous].reset_index(drop=True)
-
-
-def _warn(message, stacklevel=5):
-    warn(message, stacklevel=stacklevel)
 
 
 def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
@@ -278,12 +271,12 @@ def warn_of_engine(flights: Flights, regressors) -> None:
     table = pd.concat(flights.values(), ignore_index=True)
     varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
     if varied and not set(varied) & set(_names(regressors)):
-        _warn(
+        warn(
             f"Got thrust=None for flights with {' and '.join(varied)}: the coefficients include "
             f"the thrust, and no "
             f"regressor explains it. Name regressors with {varied[0]!r} and 'airspeed', or give "
             f"the thrust.",
-            3,
+            stacklevel=2,
         )
 
 
@@ -337,7 +330,7 @@ def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
 
 
 def with_thrust_errors(
-    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame, thrust: str
+    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
 ) -> Aircraft:
     """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
 
@@ -348,7 +341,7 @@ def with_thrust_errors(
     if propeller is None or not propeller.load_std:
         return aircraft
     scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
-    force, moment = propulsive_loads(table, aircraft, thrust)
+    force, moment = propulsive_loads(table, aircraft)
     missing = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
     X = np.column_stack([np.ones(len(regressors)), regressors])
     sampled = np.isfinite(missing).all(axis=1) & np.isfinite(X).all(axis=1)
@@ -369,11 +362,6 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
         and propeller_speed_of(aircraft.propeller, table) is None
         for table in tables
     )
-
-
-def control_units(servos: Any) -> dict[str, str]:
-    """Return the units of controls that are not the usual ones."""
-    return dict.fromkeys(ALL_SURFACES, FULL_THROW) if reversed_of(servos) is not None else {}
 
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:

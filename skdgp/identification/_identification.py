@@ -19,8 +19,9 @@ from skdgp._compute.files import json_text, plain, software_versions, text_write
 from skdgp._compute.messages import notify
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
-from skdgp.identification import _evaluation, _model_file
+from skdgp.identification import _evaluation
 from skdgp.identification._evaluation import group_means
+from skdgp.identification._model_file import save_model
 from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay
 from skdgp.report import (
@@ -176,8 +177,8 @@ class Identification:
         }
         if self.train:
             facts = {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
-            model = _model_file.model_bunch(self.pipeline, self.aircraft, **facts)
-            writers["model.joblib"] = lambda path: _model_file.dump_model(path, model)
+            content = {"pipeline": self.pipeline, "aircraft": self.aircraft, **facts}
+            writers["model.joblib"] = lambda path: save_model(path, **content)
         return writers
 
     def _report_content(self) -> ReportContent:

@@ -13,7 +13,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_warnings, warn
-from skdgp._flight.channels import ELEVONS, MIXED
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, check_aircraft
@@ -21,7 +21,7 @@ from skdgp.identification import _evaluation, _flights
 from skdgp.identification._flights import Flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import make_identification_pipeline
-from skdgp.io import reversed_of
+from skdgp.io import FULL_THROW, reversed_of
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction
 
@@ -116,12 +116,7 @@ def identify(
     with recorded_warnings() as messages:
         notify("reading")  # 1: flights to learn from and to test on
         prepared = prepare(
-            flights,
-            test,
-            aircraft,
-            regressors=regressors,
-            reading=reading or {},
-            **loads,
+            flights, test, aircraft, regressors=regressors, reading=reading or {}, **loads
         )
         if prepared.has_full_throws:
             messages.ignore(UserWarning, "Got surfaces up to")
@@ -142,9 +137,13 @@ def identify(
             warn(lags, stacklevel=2)
 
         # 4: the test flights, by paper eqs 17 and 18
-        aircraft = _with_errors_of_fit(prepared, model, X)
+        aircraft = prepared.aircraft
+        if "propeller" in fit["thrust"]:
+            regressors_flown = _evaluation.named(model, X)
+            aircraft = _flights.with_thrust_errors(aircraft, prepared.table, regressors_flown)
         settings = _settings(prepared, model, fit, horizons)
-        evaluations = _evaluation.evaluate_flights(prepared.test, model, aircraft, settings, fit)
+        context = (model, aircraft, settings, fit)
+        evaluations = [_evaluation.evaluate(*item, *context) for item in prepared.test.items()]
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -155,7 +154,9 @@ def identify(
         evaluations=evaluations,
         messages=messages.texts,
         held_out=prepared.held_out,
-        assumed=prepared.assumptions(aircraft),
+        assumed=_flights.assumptions(
+            aircraft, servos=prepared.servos, thrust_unknown=prepared.lacks_thrust
+        ),
     )
 
 
@@ -203,10 +204,6 @@ class PreparedFlights:
         Y = aerodynamic_coefficients(table, self.aircraft, **self.loads)
         _flights.check_known(Y, table)
         return Y
-
-    def assumptions(self, aircraft: Aircraft) -> list[str]:
-        """Return the assumptions on an aircraft and its flights, in a line each."""
-        return _flights.assumptions(aircraft, servos=self.servos, thrust_unknown=self.lacks_thrust)
 
 
 def prepare(
@@ -294,7 +291,8 @@ def _pipeline_for(
             model.set_params(flightpathreconstruction__aircraft=None)
     if prepared.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
         model.set_params(regressorselector__extra=["airspeed"])
-    model.control_units_ = _flights.control_units(prepared.servos)
+    full_throws = ALL_SURFACES if prepared.has_full_throws else ()
+    model.control_units_ = dict.fromkeys(full_throws, FULL_THROW)
     return model
 
 
@@ -316,16 +314,6 @@ def _settings(prepared: PreparedFlights, model: Pipeline, fit: dict, horizons: A
     servos = {"servos": prepared.servos} if prepared.has_full_throws else {}
     options = _evaluation.settings_of(model, horizons)
     return {"samples": fit["samples"], **prepared.loads, **options, **servos}
-
-
-def _with_errors_of_fit(prepared: PreparedFlights, model: Pipeline, X: Any) -> Aircraft:
-    """Return the aircraft with the deviation of the thrust that the fit shows."""
-    aircraft = prepared.aircraft
-    thrust = prepared.loads["thrust"]
-    if "propeller" not in _evaluation.thrust_sources(thrust, prepared.train.values()):
-        return aircraft
-    regressors = _evaluation.named(model, X)
-    return _flights.with_thrust_errors(aircraft, prepared.table, regressors, thrust)
 
 
 def validate(
@@ -375,7 +363,8 @@ def validate(
             )
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
-        evaluations = _evaluation.evaluate_flights(flights, model.pipeline, aircraft, settings, fit)
+        context = (model.pipeline, aircraft, settings, fit)
+        evaluations = [_evaluation.evaluate(*item, *context) for item in flights.items()]
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
         aircraft=aircraft,

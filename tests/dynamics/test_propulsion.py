@@ -296,7 +296,7 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
         return aircraft, np.linalg.lstsq(np.column_stack([np.ones(len(X)), X]), Y, rcond=None)[0]
 
     (aircraft, weights), (_, others) = learned(1.0), learned(1.01)
-    aircraft = with_thrust_errors(aircraft, table, X, "auto")
+    aircraft = with_thrust_errors(aircraft, table, X)
     model = Aerodynamics(lambda rows: weights[0] + rows @ weights[1:], REGRESSORS)
     state = np.array([0, 0, -100, 15, 0, 0.7, 1, 0, 0, 0, 0, 0, 0])
     only = {**aircraft.to_dict(), "deviations": {"thrust": aircraft.deviations["thrust"]}}

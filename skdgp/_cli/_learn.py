@@ -25,7 +25,6 @@ SIZES = {
     "mass": "[kg]",
     "span": "of the wing [m]",
     "wing_area": "[m^2]",
-    "aspect_ratio": "span^2 / wing area, instead of this",
     "chord": "mean chord of the wing [m]",
     "length": "from nose to tail [m]",
 }

@@ -163,11 +163,6 @@ class Aerodynamics:
             )
         self.regressors = tuple(map(str, self.regressors))
         self.limits = None if self.limits is None else np.asarray(self.limits, dtype=float)
-        if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
-            raise ValueError(
-                f"Got limits of shape {self.limits.shape}, but expected (2, "
-                f"{len(self.regressors)})."
-            )
 
     def __repr__(self) -> str:
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"
@@ -220,11 +215,6 @@ class Aerodynamics:
     def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
         """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
         paths = () if self.n_paths is None else (self.n_paths,)
-        if X.shape[: len(paths)] != paths:
-            raise ValueError(
-                f"Got regressors of shape {X.shape}, but expected the {self.n_paths} paths as "
-                f"their first axis."
-            )
         if X.ndim == len(paths) + 2:
             return function(X)
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)

@@ -461,9 +461,7 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...]) -> _Fit:
 class Air:
     """The air that an aircraft flies in, and gravity: ``air`` of `simulate`, `trim` and others.
 
-    Where it is the only thing to say, a wind, a `Turbulence` or "calm" stands for
-    ``Air(wind=wind)``, ``Air(gusts=turbulence)`` and ``Air(gusts=None)``. Raises ValueError if a
-    value is invalid.
+    A wind stands for ``Air(wind=wind)``. Raises ValueError if a value is invalid.
 
     Parameters
     ----------
@@ -519,18 +517,8 @@ class Air:
 
 
 def as_air(air: Any) -> Air:
-    """Return what a user says of the air as an `Air`: one as it is; or a wind, a Turbulence, or "calm"."""
-    if isinstance(air, Air):
-        return air
-    if isinstance(air, Turbulence):
-        return Air(gusts=air)
-    if isinstance(air, str):
-        if air != "calm":
-            raise ValueError(
-                f"Got air={air!r}, but expected 'calm', an Air, a wind or a Turbulence."
-            )
-        return Air(gusts=None)
-    return Air(wind=air)
+    """Return an `Air` as it is, and the air of a wind."""
+    return air if isinstance(air, Air) else Air(wind=air)
 
 
 class LocalAir(NamedTuple):

@@ -114,12 +114,7 @@ class Propeller:
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
-        if self.speed_range is None:
-            raise ValueError(
-                "Got a propeller without speed_range: give (idle, full) [rad/s], or "
-                "propeller_speed."
-            )
-        idle, full = self.speed_range
+        idle, full = check_numbers("speed_range", self.speed_range, 2)
         return idle + (full - idle) * np.asarray(throttle, dtype=float)
 
     def thrust(
@@ -482,17 +477,12 @@ PRODUCT_STD = 0.07
 def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     """Return mass, inertia, wing_area, span, chord and deviations of an aircraft, as of `Aircraft.estimate`.
 
-    ``sizes`` are mass, span, wing_area, aspect_ratio, chord, length, None where not given. The
+    ``sizes`` are mass, span, wing_area, chord, length, None where not given. The
     powers of a factor x are d log(size) / d log(x), by a complex step.
     """
     check_choice("kind", kind, KINDS)
     rule = KINDS[kind]
     given = {name.replace("_", " "): x for name, x in sizes.items() if x is not None}
-    if {"wing area", "aspect ratio"} <= given.keys():
-        raise ValueError(
-            "Got wing_area and aspect_ratio, but expected one of them: wing_area = span^2 / "
-            "aspect_ratio."
-        )
     usual = f"usual of {kind} aircraft"
     length = value_and_std("span", sizes["span"])[0] * rule.length[0]
     rules = {
@@ -502,7 +492,7 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     }
     for (name, _), std, radius in zip(INERTIAS.items(), rule.inertia_std, rule.radii, strict=True):
         rules[name] = (radius**2, std, f"radius of gyration {radius:g}, {rule.words}")
-    if {"wing area", "aspect ratio", "chord"} & given.keys():
+    if {"wing area", "chord"} & given.keys():
         del rules["aspect ratio"]
     if "chord" in given:
         del rules["mean aerodynamic chord"]
@@ -704,7 +694,6 @@ class Aircraft:
         *,
         kind: str = "conventional",
         wing_area: float | Sequence[float] | None = None,
-        aspect_ratio: float | Sequence[float] | None = None,
         chord: float | Sequence[float] | None = None,
         length: float | Sequence[float] | None = None,
         inertia: Any = None,
@@ -716,7 +705,7 @@ class Aircraft:
         equations 16.52 to 16.54), Ixx = m (R_x b / 2)^2, Iyy = m (R_y l / 2)^2, Izz = m (R_z (b +
         l) / 4)^2. Wing area, chord and length, where missing, follow from usual ratios of the
         kind. A pair is a value and its standard deviation. Raises ValueError as `Aircraft` does,
-        and if the kind is unknown, or wing area and aspect ratio are both given.
+        and if the kind is unknown.
 
         Parameters
         ----------
@@ -725,7 +714,7 @@ class Aircraft:
         kind : {"conventional", "flying wing", "delta", "motor glider", "twin"}
             "conventional" has one propeller and a tail, "twin" two propellers on the wing; "delta"
             is a long one of small aspect ratio.
-        wing_area, aspect_ratio, chord, length : float or pair, optional
+        wing_area, chord, length : float or pair, optional
             [m^2], span^2 / wing area, mean chord [m], from nose to tail [m].
         inertia : array-like of shape (3, 3), or pair, optional
             Where it was measured.
@@ -743,9 +732,8 @@ class Aircraft:
          'product of inertia 0.07']
         """
         sizes = estimated(
-            kind, inertia, mass=mass, span=span, wing_area=wing_area, aspect_ratio=aspect_ratio,
-            chord=chord, length=length,
-        )  # fmt: skip
+            kind, inertia, mass=mass, span=span, wing_area=wing_area, chord=chord, length=length
+        )
         return cls(**sizes, **parts)
 
     @classmethod
@@ -753,8 +741,6 @@ class Aircraft:
         """Read the aircraft from a JSON or TOML file whose keys are the parameters of this class."""
         readers = {".json": read_json, ".toml": read_toml}
         path = Path(path)
-        if not path.exists():
-            raise FileNotFoundError(f"Got {path} as the aircraft, but there is no such file.")
         if path.suffix.lower() not in readers:
             raise ValueError(
                 f"Got {path} as the aircraft, but expected a file that ends in .json or .toml."

@@ -83,8 +83,7 @@ def stability_derivatives(
           instruments, what third powers change, and how far noise of the regressors may flatten a
           slope.
 
-        ``n_effective`` is the number of independent samples that would determine the slope as well.
-        Compact models lack ``std_random``, ``std_method`` and ``n_effective``.
+        Compact models lack ``std_random`` and ``std_method``.
 
         ``std_merged`` is how far derivatives by alpha_dot and beta_dot alone may differ from what
         the model merges with others, see the notes; ``merged`` names the larger one.
@@ -179,11 +178,8 @@ def _deviations(
     parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
     if errors is None:
         return parts
-    random = frame.errors(errors.random)
-    white = frame.errors(_each_output(errors.white))
-    share = np.divide(white, random, out=np.full_like(white, np.nan), where=random > 0) ** 2
-    parts |= {"std_random": random, "std_method": frame.errors(errors.method)}
-    return parts | {"n_effective": errors.n_samples * np.minimum(share, 1.0)}
+    random, method = frame.errors(errors.random), frame.errors(errors.method)
+    return parts | {"std_random": random, "std_method": method}
 
 
 def _each_output(std: Array) -> Array:

@@ -290,10 +290,6 @@ def initial_states(
             f"Got a start whose {np.array(STATE_NAMES)[is_bad].tolist()} are NaN or infinite: "
             f"choose rows in which the state was measured."
         )
-    if not (np.linalg.norm(states[:, ATTITUDE], axis=1) > 0).all():
-        raise ValueError(
-            "Got a start whose quaternion is zero, but expected q0, q1, q2, q3 of an attitude."
-        )
     return states
 
 

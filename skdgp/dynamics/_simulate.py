@@ -87,10 +87,10 @@ def simulate(
         Time step [s].
     duration : float, optional
         [s]; by default as long as the tables.
-    air : Air, table, list of tables, array-like (3,), Turbulence or "calm", optional
-        A wind, as a table or a constant, a `Turbulence`, or an `Air` of both, with density and
-        gravity. By default paths meet the gusts of a wind that is a table, else the gusts of the
-        training flights. "calm" has no gusts.
+    air : Air, table, list of tables or array-like (3,), optional
+        A wind, as a table or a constant, or an `Air` of wind, gusts, density and gravity. By
+        default paths meet the gusts of a wind that is a table, else the gusts of the training
+        flights. ``Air(gusts=None)`` is calm.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
         flight. Their spread is the uncertainty of the trajectory.
@@ -306,8 +306,6 @@ def trajectory_bands(
     >>> trajectory_bands(paths, level=1.0)[["airspeed", "airspeed_low", "airspeed_high"]].iloc[0].tolist()
     [21.0, 20.0, 22.0]
     """
-    if not 0 < level <= 1:
-        raise ValueError(f"Got level={level!r}, but expected a share between 0 and 1.")
     check_columns(
         trajectories,
         ["start", "path", "time", "ended"],

@@ -63,10 +63,6 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     not a portable model, holds other numbers or names than were written, or is of another version.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"Got {path}, but there is no such file: skdgp export writes model.npz."
-        )
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             head = json.loads(file[HEAD])

@@ -150,10 +150,6 @@ class TimeHistoryDisplay(Display):
 
         center = columns(mean)
         half = None if std is None else BAND * columns(std)
-        if half is not None and np.any(half < 0):
-            raise ValueError(
-                f"Got standard deviations down to {np.nanmin(half) / BAND:.3g}, but expected none below 0."
-            )
         unnamed = (
             COEFFICIENTS if center.shape[1] == 6 else [f"y{k}" for k in range(center.shape[1])]
         )

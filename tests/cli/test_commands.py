@@ -114,7 +114,7 @@ class TestPredict:
 class TestModel:
     def test_there_is_none(self, refused):
         refused(
-            "Got none.joblib, but there is no such file",
+            "none.joblib: No such file",
             "predict",
             "test.csv",
             model="none.joblib",

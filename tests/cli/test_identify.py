@@ -265,7 +265,7 @@ class TestBadInput:
         assert name in capsys.readouterr().err.splitlines()[-1]
 
     def test_a_missing_aircraft(self, refused):
-        refused("Got none.json as the aircraft, but there is no such file", aircraft="none.json")
+        refused("none.json: No such file", aircraft="none.json")
 
     def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(
         self, folder, capsys

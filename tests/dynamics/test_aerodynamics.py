@@ -251,9 +251,7 @@ def test_what_is_no_aerodynamic_model(flight, targets, learned, match):
 @pytest.mark.parametrize(("ask", "match"), [
     (lambda model: Aerodynamics(model, ["alpha", "alpha"]), "each once"),
     (lambda model: Aerodynamics(model, "alpha"), "expected a list of names"),
-    (lambda model: Aerodynamics(model, ["alpha"], limits=[0.0, 1.0]), r"expected \(2, 1\)"),
     (lambda model: Aerodynamics(model, ["alpha"]).sample(3), "without posterior samples"),
-    (lambda model: model.sample(3)(np.zeros((2, 5, 4))), "3 paths as their first axis"),
 ])  # fmt: skip
 def test_what_an_aerodynamic_model_cannot(fitted, ask, match):
     with pytest.raises(ValueError, match=match):

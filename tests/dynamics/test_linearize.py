@@ -205,7 +205,6 @@ LOOP = Aerodynamics(  # pulled up where it is pushed down, and down where up: no
 @pytest.mark.parametrize(("model", "change", "match"), [
     (MODEL, lambda at: {"n_paths": 1}, "n_paths=1, but expected 0 or at least 2"),
     (MODEL, lambda at: {"point": at.state[:12], "controls": at.controls}, "expected a Trim or a state of 13"),
-    (MODEL, lambda at: {"point": [at, at]}, "Got 2 trims, but expected one"),
     (MODEL, lambda at: {"point": at.state}, "state without controls"),
     (MODEL, lambda at: {"point": AT_REST, "controls": at.controls}, "at rest"),
     (MODEL, lambda at: {"point": at.state, "controls": {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}}, "'aileron'"),

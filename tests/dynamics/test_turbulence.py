@@ -252,7 +252,7 @@ def flown(model, **options):
 
 class TestSimulate:
     def test_still_air_is_no_gust(self, model):
-        calm, gusty = flown(model), flown(model, air=TRUE.scaled(0.0))
+        calm, gusty = flown(model), flown(model, air=Air(gusts=TRUE.scaled(0.0)))
         shared = [name for name in calm.select_dtypes("number") if name in gusty]
         np.testing.assert_allclose(gusty[shared], calm[shared], atol=1e-12)
 
@@ -286,7 +286,7 @@ class TestSimulate:
             paths, drawn = flown(known, air=wind), flown(known, air=Air(wind, TRUE))
             np.testing.assert_allclose(paths["p"], drawn["p"], atol=1e-12)
             assert "as in the training flights, 0.5, 0.5, 0.35 m/s" in paths.attrs["air"]
-        calm, unknown = flown(known, air="calm"), flown(model)
+        calm, unknown = flown(known, air=Air(gusts=None)), flown(model)
         np.testing.assert_allclose(calm["p"], unknown["p"], atol=1e-12)
         assert "without gusts" in calm.attrs["air"]
         assert "is not known" in unknown.attrs["air"]
@@ -323,9 +323,9 @@ class TestSimulate:
 
     def test_what_cannot_be_flown_is_said(self, model):
         with pytest.raises(ValueError, match="gusts without n_paths"):
-            flown(model, air=TRUE, n_paths=None)
-        with pytest.raises(ValueError, match="Got air='still', but expected 'calm'"):
-            flown(model, air="still")
+            flown(model, air=Air(gusts=TRUE), n_paths=None)
+        with pytest.raises(ValueError, match=r"wind of shape \(\), but expected \(3,\)"):
+            flown(model, air=TRUE)
 
 
 @pytest.mark.parametrize(("change", "span", "match"), [

@@ -293,7 +293,7 @@ class TestIdentify:
         [
             ({"regressor": LinearRegression()}, TypeError, "expected a DependentGPRegressor"),
             ({"aircraft": {"mass": 3.0}}, TypeError, "Got dict for aircraft"),
-            ({"aircraft": "uav.yaml"}, FileNotFoundError, "no such file"),
+            ({"aircraft": "uav.yaml"}, ValueError, "ends in .json or .toml"),
             ({"flights": []}, ValueError, "Got no flight"),
             ({"flights": 7}, TypeError, "Got int for flight"),
             ({"thrust": "rocket"}, ValueError, "rocket"),

@@ -142,8 +142,10 @@ def identify(
             regressors_flown = _evaluation.named(model, X)
             aircraft = _flights.with_thrust_errors(aircraft, prepared.table, regressors_flown)
         settings = _settings(prepared, model, fit, horizons)
-        context = (model, aircraft, settings, fit)
-        evaluations = [_evaluation.evaluate(*item, *context) for item in prepared.test.items()]
+        evaluations = [
+            _evaluation.evaluate(name, table, model, aircraft, settings, fit)
+            for name, table in prepared.test.items()
+        ]
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -363,8 +365,10 @@ def validate(
             )
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
-        context = (model.pipeline, aircraft, settings, fit)
-        evaluations = [_evaluation.evaluate(*item, *context) for item in flights.items()]
+        evaluations = [
+            _evaluation.evaluate(name, table, model.pipeline, aircraft, settings, fit)
+            for name, table in flights.items()
+        ]
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
         aircraft=aircraft,

@@ -18,8 +18,7 @@ import numpy as np
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._compute.messages import warn
-from skdgp._compute.predicting import predict_observed
-from skdgp._compute.sklearn_compat import safe_indexing
+from skdgp._compute.sklearn_compat import accepts, safe_indexing, unwrap
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
 from skdgp._flight.checks import check_choice
@@ -204,8 +203,22 @@ class _Scorer:
     needs_std: bool = True
 
     def __call__(self, estimator: Any, X: Any, y: Any) -> float:
-        rows, *predicted = predict_observed(estimator, X, y, with_std=self.needs_std)
-        return self.sign * self.metric(safe_indexing(y, rows), *predicted)
+        observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
+        rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
+        if not self.needs_std:
+            predicted = (estimator.predict(X),)
+        elif accepts(estimator, "return_std"):
+            names = ("include_noise", "include_input_noise")
+            noise = {name: True for name in names if accepts(estimator, name)}
+            predicted = unwrap(estimator).predict(X, return_std=True, **noise)
+        else:
+            raise TypeError(
+                f"Got {type(estimator).__name__}, whose predict takes no return_std, but this "
+                f"metric needs predictive standard deviations: use DependentGPRegressor, also "
+                f"inside a Pipeline, or a metric of means."
+            )
+        of_rows = (np.asarray(part)[rows] for part in predicted)
+        return self.sign * self.metric(safe_indexing(y, rows), *of_rows)
 
 
 # Scorers by name, for ``scoring=SCORERS``. Greater is better, except that coverage should be near

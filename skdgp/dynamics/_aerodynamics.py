@@ -17,7 +17,7 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.predicting import unwrap
+from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 

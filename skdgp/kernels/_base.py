@@ -222,32 +222,20 @@ class MultiOutputKernel(Kernel):
                 )
         return arrays if per_output else arrays * self.n_outputs
 
-    def __call__(self, X, Y=None, eval_gradient=False):
-        """Return the covariance matrix, (sum n_i, sum n_j), output-major, and with ``eval_gradient`` its gradient.
+    def __call__(self, X, Y=None):
+        """Return the covariance matrix, (sum n_i, sum n_j), output-major.
 
-        Parameters
-        ----------
-        X, Y : array (n, d), or a list of one (n_i, d) array per output
-            ``Y=None`` means ``Y=X``.
-        eval_gradient : bool
-            Also return dK/dtheta, (N, N, n_theta), for small matrices. Inference uses
-            ``block_gradient``.
+        X and Y are arrays (n, d), or lists of one (n_i, d) array per output; ``Y=None`` means
+        ``Y=X``. Inference uses ``block`` and ``block_gradient``.
         """
-        if eval_gradient and Y is not None:
-            raise ValueError("Got eval_gradient=True with Y, but expected Y=None.")
         rows = self.split(X)
         columns = rows if Y is None else self.split(Y)
-        K = np.block(
+        return np.block(
             [
                 [self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)]
                 for i, Xi in enumerate(rows)
             ]
         )
-        if not eval_gradient:
-            return K
-        points, one = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi], np.ones((1, 1))
-        entries = [self.block_gradient(i, j, x, z, one) for i, x in points for j, z in points]
-        return K, np.reshape(entries, (*K.shape, -1))
 
     def diag(self, X: Matrix) -> Vector:
         """Return the diagonal of ``kernel(X)``, (sum n_i,)."""

@@ -353,10 +353,6 @@ class Features(ABC):
         """Return cov(y_i(X), u) for the columns of i, (n, c_i)."""
 
     @abstractmethod
-    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
-        """Return dKfu / dX, (d, n, c_i)."""
-
-    @abstractmethod
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
@@ -420,6 +416,7 @@ class ValueFeatures(Features):
         return np.hstack([np.empty((len(X), 0)), *blocks])
 
     def Kfu_derivative(self, i: int, X: Matrix) -> Array:
+        """Return dKfu / dX, (d, n, c_i)."""
         blocks = [
             self.joint.block_derivative(i, self.outputs[f], X, self.Z[f]) for f in self.blocks[i]
         ]
@@ -539,11 +536,6 @@ class SumFeatures(Features):
 
     def Kfu(self, i, X):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
-
-    def Kfu_derivative(self, i, X):
-        return np.concatenate(
-            [self.first.Kfu_derivative(i, X), self.second.Kfu_derivative(i, X)], axis=2
-        )
 
     def prior_paths(self, *args):
         (first, u), (second, v) = self.first.prior_paths(*args), self.second.prior_paths(*args)

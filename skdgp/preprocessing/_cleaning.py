@@ -34,6 +34,7 @@ from skdgp._flight.faults import (
 from skdgp._flight.smoothing import differentiate, noise_level, smooth
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
+LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
 BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
 
 
@@ -86,22 +87,15 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
 class FlightCheck(TableTransformer):
     """Remove the faults of a flight log, and interpolate short gaps: the first step of a pipeline.
 
-    Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to
-    ``bridge`` are interpolated linearly, in channels with a value in nearly every row; longer ones
+    Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to 0.25 s
+    are interpolated linearly, in channels with a value in nearly every row; longer ones
     stay NaN, which :class:`RegressorSelector` refuses. Raises ValueError if ``time`` is missing, or
     does not increase within a flight; in ``transform`` if an airspeed is not positive.
 
     Parameters
     ----------
-    bridge : float, default=0.25
-        Longest gap to interpolate [s]; 0 for none.
     ignore : sequence of str, default=()
         Columns to skip.
-
-    Attributes
-    ----------
-    findings_ : DataFrame
-        :func:`inspect_flight` of the table of ``fit``.
 
     Warns
     -----
@@ -113,52 +107,43 @@ class FlightCheck(TableTransformer):
     >>> import numpy as np, pandas as pd
     >>> time, rng = np.arange(0, 60, 0.025), np.random.default_rng(0)
     >>> flight = pd.DataFrame({"time": time, "alpha": 0.1 * np.sin(time) + rng.normal(0, 0.005, time.size)})
-    >>> flight.loc[[500, 501], "alpha"] = -999.0
-    >>> FlightCheck().fit(flight).findings_.kind.tolist()
-    ['impossible']
+    >>> FlightCheck().fit_transform(flight).equals(flight)
+    True
     """
 
-    _parameter_constraints: dict = {
-        "bridge": [Interval(Real, 0, None, closed="left")],
-        "ignore": [list, tuple],
-    }
+    _parameter_constraints: dict = {"ignore": [list, tuple]}
 
-    def __init__(self, *, bridge: float = 0.25, ignore: Sequence[str] = ()) -> None:
-        self.bridge = bridge
+    def __init__(self, *, ignore: Sequence[str] = ()) -> None:
         self.ignore = ignore
 
     def _has_known_column(self, X):
         return super()._has_known_column(X) and "time" in X
 
     def _fit_table(self, table):
-        self.findings_ = _as_table(_inspect(table, self.ignore))
+        _inspect(table, self.ignore)
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
         findings = _inspect(table, self.ignore)
         faults = [finding for finding in findings if finding.kind != "gap"]  # no error
         if faults:
-            then = f", gaps up to {self.bridge:g} s are interpolated" if self.bridge else ""
-            warn(
-                faults_message(faults, f"Faulty values are NaN{then}."),
-                FlightDataWarning,
-                stacklevel=4,
-            )
+            done = f"Faulty values are NaN, gaps up to {LONGEST_BRIDGE:g} s are interpolated."
+            warn(faults_message(faults, done), FlightDataWarning, stacklevel=4)
         table = without_faults(table, findings)
         check_airspeed(table)
         names = [
-            name for name in BRIDGED if self.bridge and name in table and name not in self.ignore
-        ]
-        names = [
             name
-            for name in names
-            if pd.api.types.is_numeric_dtype(table[name]) and table[name].isna().any()
+            for name in BRIDGED
+            if name in table
+            and name not in self.ignore
+            and pd.api.types.is_numeric_dtype(table[name])
+            and table[name].isna().any()
         ]
         time, flight, new = numeric(table, ["time"])[:, 0], table.get("flight"), {}
         for name in names:
             values = unwrapped(table, [name])[:, 0]
             for run in flight_segments(time, flight):
-                values[run] = _interpolated(time[run], values[run], self.bridge)
+                values[run] = _interpolated(time[run], values[run])
             new[name] = (
                 wrapped_near(values, table[name].ffill().bfill()) if name in WRAPPED else values
             )
@@ -176,8 +161,8 @@ def _as_table(findings: list[Finding]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
 
 
-def _interpolated(time: Vector, values: Vector, longest: float) -> Vector:
-    """Return values with gaps up to ``longest`` [s] interpolated, if nearly every row has a sample."""
+def _interpolated(time: Vector, values: Vector) -> Vector:
+    """Return values with short gaps interpolated, if nearly every row has a sample."""
     known = np.flatnonzero(np.isfinite(values))
     if known.size < 2 or usual_spacing(values) > 1:
         return values
@@ -187,7 +172,7 @@ def _interpolated(time: Vector, values: Vector, longest: float) -> Vector:
     )  # the next sample of each row, in ``known``
     inside = (after > 0) & (after < len(known))
     gap = np.diff(time[known])[after[inside] - 1]
-    values[inside] = np.where(gap <= longest + 1e-9, filled[inside], values[inside])
+    values[inside] = np.where(gap <= LONGEST_BRIDGE + 1e-9, filled[inside], values[inside])
     return values
 
 

@@ -151,13 +151,6 @@ class TestContract:
         values = np.linalg.eigvalsh(kernel(inputs(kernel, (12, 9, 15))))
         assert values.min() > -1e-13 * values.max() * len(values)
 
-    def test_gradient_is_the_derivative_with_respect_to_theta(
-        self, kernel, name, gradient_by_differences
-    ):
-        K, gradient = kernel(inputs(kernel), eval_gradient=True)
-        equal(K, kernel(inputs(kernel)))
-        equal(gradient, gradient_by_differences(name), rtol=1e-8, atol=1e-9)
-
     def test_contraction_is_the_derivative_of_the_weighted_sum(
         self, kernel, name, gradient_by_differences
     ):
@@ -388,10 +381,6 @@ class TestUse:
                 kernel(np.zeros((5, wrong)))
         with pytest.raises(ValueError, match=r"\(5,\).*expected"):
             kernel(np.zeros(5))
-        with pytest.raises(
-            ValueError
-        ):  # of the gradient of what is not square; scikit-learn words it for sums
-            kernel(X, X, eval_gradient=True)
         if not isinstance(
             kernel, Sum
         ):  # scikit-learn's own setter divides theta between the summands

@@ -164,7 +164,6 @@ def _learn(run, train, aircraft, test, title=None, **loads):
         trend=opt.none_of(options.trend),
         inference=options.inference,
         input_noise=opt.none_of(options.input_noise),
-        n_jobs=options.n_jobs,
         random_state=options.seed,
         **{
             k: getattr(options, v) for k, v in parameters.items() if getattr(options, v) is not None
@@ -304,11 +303,6 @@ LEARNING: dict[str, dict[str, Any]] = {
     },
     "--max-iter": {"metavar": "N", "type": opt.at_least(1), "help": "iterations of the fit"},
     "--seed": opt.SHARED["--seed"],
-    "--n-jobs": {
-        "metavar": "N",
-        "type": opt.jobs,
-        "help": "processes for the components of the average; -1: all cores",
-    },
 }
 COMMANDS: opt.Commands = {
     inspect: {

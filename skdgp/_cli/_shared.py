@@ -85,7 +85,6 @@ factors = checked(
     lambda text: tuple(map(float, text.split("x"))),
     lambda pair: len(pair) == 2 and all(0 < value < math.inf for value in pair),
 )
-jobs = number("a number of processes, 1 or more, or -1 for all cores", bool, int)
 n_paths = number(
     "0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int
 )

@@ -77,8 +77,8 @@ def listening(listener: Listener) -> Iterator[None]:
     output is fitted alone, "fit" where all are fitted together, "members" where components of the
     average learn their noise; ``n_evaluations`` counts the evaluations of a stage;
     ``log_likelihood`` is the best so far. An error that the listener raises reaches the fit:
-    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Fits that ``n_jobs``
-    moves to other processes do not call it.
+    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Fits in other processes
+    do not call it.
 
     Examples
     --------

@@ -112,9 +112,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
         else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
-    n_jobs : int or None
-        Members of the average that are fitted side by side, as in joblib.
-        None: the setting of ``joblib.parallel_config``, or one process.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -188,7 +185,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
         "max_iter": [Interval(Integral, 1, None, closed="left"), None],
-        "n_jobs": [Integral, None],
         "random_state": ["random_state"],
     }
 
@@ -205,7 +201,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         input_noise: Any = "auto",
         optimizer: Any = "fmin_l_bfgs_b",
         max_iter: int | None = None,
-        n_jobs: int | None = None,
         random_state: Seed = None,
     ) -> None:
         self.kernel = kernel
@@ -218,7 +213,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.input_noise = input_noise
         self.optimizer = optimizer
         self.max_iter = max_iter
-        self.n_jobs = n_jobs
         self.random_state = random_state
 
     def __sklearn_tags__(self):

@@ -86,7 +86,7 @@ def _searched(model, X, Z, log, inference, random_state):
             fit = as_exact(fit, X, Z)
     if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
         return fit
-    return average(fit, X, Z, None if log else random_state, model.n_jobs)
+    return average(fit, X, Z, None if log else random_state)
 
 
 def _neglect(fit):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
-from sklearn.utils.parallel import Parallel, delayed
 
 from skdgp._compute.linalg import (
     check_memory,
@@ -223,9 +221,7 @@ def inducing_centres(
 # ------------------------------------------------------------------------------------------------------
 
 
-def average(
-    fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None, n_jobs: int | None = None
-) -> Fit:
+def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
     """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
     After Ctrl-C it is the fit of the whole kernel, interrupted.
@@ -239,8 +235,6 @@ def average(
         NaN where an output was not observed.
     random_state : RandomState or None
         Of the rows that are held out together. None: blocks of a log.
-    n_jobs : int or None
-        Parts that are fitted side by side, as in joblib.
 
     Returns
     -------
@@ -254,10 +248,8 @@ def average(
         std = fit.learned.input_std
         loading = None if std is None else fit.posterior.gradient(X) * std
         ordered = random_state is None
-        of_part = partial(_of_part, fit, X=X, Y=Y, loading=loading, ordered=ordered)
-        others = Parallel(n_jobs=n_jobs)(delayed(of_part)(part=part) for part in parts[1:])
-        fits = [fit, *others]
-        members = [component.posterior for component in fits]
+        fits = [fit, *(_of_part(fit, X, Y, loading, ordered, part) for part in parts[1:])]
+        members = [component.posterior.members[0] for component in fits]
         noises = [component.learned.noise for component in fits]
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:

@@ -31,7 +31,7 @@ from skdgp._flight.faults import (
     usual_spacing,
     without_faults,
 )
-from skdgp._flight.smoothing import differentiate, noise_level, smooth
+from skdgp._flight.smoothing import differentiate, smooth
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
 LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
@@ -179,7 +179,7 @@ def _interpolated(time: Vector, values: Vector) -> Vector:
 SMOOTHED = (
     *(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),
 )
-PARTNERS = {"rates": ("airspeed", *RATES), "inertial": ("airspeed", *RATES, *SPECIFIC_FORCE)}
+PARTNERS = ("airspeed", *RATES)  # of alpha and beta
 IN_RADIANS = (*VANES, *RATES)
 
 
@@ -205,11 +205,9 @@ class FlightSmoother(TableTransformer):
     derivatives : "auto" or list of str, default="auto"
         Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A
         measured rate is kept.
-    joint : {"rates", "inertial"} or None, default="rates"
-        Channels to smooth alpha and beta jointly with, if the cutoff is "auto": airspeed, p, q
-        and r; "inertial" adds ax, ay and az. Their cross-spectra keep higher frequencies of the
-        vanes than their own spectra do. "inertial" is more exact, but puts the forces that a model
-        shall predict into its alpha and beta.
+    joint : bool, default=True
+        Whether alpha and beta are smoothed jointly with airspeed, p, q and r, if the cutoff is
+        "auto". Their cross-spectra keep higher frequencies of the vanes than their own spectra do.
 
     Attributes
     ----------
@@ -217,8 +215,6 @@ class FlightSmoother(TableTransformer):
         Columns smoothed and differentiated.
     partners_ : list of str
         Columns that alpha and beta are smoothed with; ``transform`` needs them too.
-    noise_std_ : dict of str to float
-        White noise of each smoothed column; NaN of less than 128 samples.
 
     Examples
     --------
@@ -232,15 +228,13 @@ class FlightSmoother(TableTransformer):
     >>> smoothed = smoother.transform(flight)
     >>> bool(np.std(smoothed.alpha_dot - 0.1 * np.cos(time)) < 0.02)
     True
-    >>> round(smoother.noise_std_["alpha"], 3)
-    0.005
     """
 
     _parameter_constraints: dict = {
         "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), None],
         "columns": [StrOptions({"auto"}), list, tuple],
         "derivatives": [StrOptions({"auto"}), list, tuple],
-        "joint": [StrOptions(set(PARTNERS)), None],
+        "joint": ["boolean"],
     }
 
     def __init__(
@@ -249,7 +243,7 @@ class FlightSmoother(TableTransformer):
         cutoff: Any = "auto",
         columns: Any = "auto",
         derivatives: Any = "auto",
-        joint: str | None = "rates",
+        joint: bool = True,
     ) -> None:
         self.cutoff = cutoff
         self.columns = columns
@@ -266,9 +260,7 @@ class FlightSmoother(TableTransformer):
         used = {*self.columns_, *self.derivatives_}
         is_joint = self.joint and self.cutoff == "auto"
         self._vanes = [name for name in VANES if is_joint and name in used]
-        self.partners_ = _present(PARTNERS[self.joint], table) if self.joint and self._vanes else []
-        noise = noise_level(unwrapped(table, self.columns_), **_clock(table))
-        self.noise_std_ = dict(zip(self.columns_, noise.tolist(), strict=True))
+        self.partners_ = _present(PARTNERS, table) if self._vanes else []
 
     def _transform_table(self, table):
         check_columns(

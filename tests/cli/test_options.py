@@ -46,7 +46,6 @@ def test_values_are_of_their_types():
         ("demo --seed 0x10", "got 0x10, but expected a whole number"),
         ("demo --inference magic", "invalid choice: 'magic'"),
         ("demo --horizons 1 nan", "got nan, but expected seconds > 0"),
-        ("demo --n-jobs 0", "got 0, but expected a number of processes, 1 or more, or -1"),
         ("demo --sampels 40", "unrecognized arguments: --sampels 40"),
         (
             "identify a --mass 3x",

@@ -28,8 +28,8 @@ from skdgp._flight.faults import POSSIBLE, RARE
 from skdgp._flight.frames import euler_to_matrix, quaternion_to_euler, without_sign_changes
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._dataflash import read_dataflash
-from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Log, Rule, Topic
-from skdgp.io._servos import Control, full_throws, read_servos, reversed_of, with_throws
+from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Control, Log, Rule, Topic
+from skdgp.io._servos import full_throws, read_servos, reversed_of, with_throws
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog

@@ -12,17 +12,19 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._log import (
+    DOWN,
     EQUIVALENT,
     QUATERNION,
+    UP,
+    Control,
     Log,
     Rule,
-    ServoChannel,
+    Servo,
     Topic,
     damage,
     density_at,
@@ -109,8 +111,6 @@ MIXES = {
     "elevator": {79: -0.5, 80: -0.5},
     "rudder": {79: -0.5, 80: 0.5},
 }
-Outputs: TypeAlias = Topic | Mapping[str, Any]
-Mixing: TypeAlias = dict[str, tuple[tuple[float, ServoChannel], ...]]
 
 
 def read_dataflash(path: Path) -> Log:
@@ -145,8 +145,7 @@ def read_dataflash(path: Path) -> Log:
         remarks=damage(file.skipped, file.cut),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        servos=servos_of(topics.get("RCOU", {}), parameters),
-        mixing=mixing_of(topics.get("RCOU", {}), parameters),
+        controls=controls_of(topics.get("RCOU", {}), parameters),
     )
 
 
@@ -255,42 +254,34 @@ def _instance_field(kind: _Messages, units: str | None) -> str | None:
     return next(filter(kind.is_whole_number, marked), None)
 
 
-def servos_of(
-    outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, ServoChannel]:
-    """Return the servos of surfaces by SERVOn_FUNCTION; ``name`` is the channel of output n."""
-    numbers = _outputs_by_function(outputs, parameters, name)
-    return {
-        SERVOS[function][0]: _channel(name, numbers[function], parameters, SERVOS[function][1])
-        for function in reversed(numbers)
-        if function in SERVOS
-    }
-
-
-def mixing_of(outputs: Outputs, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Mixing:
-    """Return elevator and rudder of a V-tail where both servos are logged."""
-    numbers = _outputs_by_function(outputs, parameters, name)
-    mixing: Mixing = {}
-    for control, weights in MIXES.items():
-        if set(weights) <= set(numbers):
-            channels = [_channel(name, numbers[function], parameters) for function in weights]
-            mixing[control] = tuple(zip(weights.values(), channels, strict=True))
-    return mixing
-
-
-def _outputs_by_function(outputs, parameters, name) -> dict[int, int]:
-    """Return the first logged output of each SERVOn_FUNCTION."""
+def controls_of(
+    outputs: Topic | Mapping, parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> dict[str, Control]:
+    """Return surfaces by SERVOn_FUNCTION, and controls of a V-tail; ``name`` is the channel of output n."""
     field = name.partition(".")[2]
-    return {
+    first = {  # the first logged output of each function
         whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)): n
         for n in range(MOST_SERVOS, 0, -1)
         if field.format(n) in outputs
     }
 
+    def servo(function: int, turned: bool = False) -> Servo:
+        keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
+        *ends, back = (
+            parameters.get(f"SERVO{first[function]}_{key}", usual) for key, usual in keys.items()
+        )
+        return Servo(
+            name.format(first[function]), tuple(ends), DOWN if turned != bool(back) else UP
+        )
 
-def _channel(name, n, parameters, turned=False) -> ServoChannel:
-    keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
-    low, trim, high, back = (
-        parameters.get(f"SERVO{n}_{key}", usual) for key, usual in keys.items()
-    )
-    return ServoChannel(name.format(n), low, trim, high, turned != bool(back))
+    mixed = {
+        control: tuple((weight, servo(function)) for function, weight in weights.items())
+        for control, weights in MIXES.items()
+        if set(weights) <= set(first)
+    }
+    single = {
+        SERVOS[function][0]: ((1.0, servo(function, SERVOS[function][1])),)
+        for function in reversed(first)
+        if function in SERVOS
+    }
+    return single | mixed

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
 from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
@@ -14,6 +15,9 @@ from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
 
 QUATERNION = ("qw", "qx", "qy", "qz")  # of a rule for attitude: body to north-east-down, any length
 EQUIVALENT = "equivalent_airspeed"  # of a rule for equivalent airspeed; the table gets the true one
+
+
+NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
 
 
 @dataclass(frozen=True)
@@ -110,14 +114,24 @@ class Rule(NamedTuple):
     note: str = ""
 
 
-class ServoChannel(NamedTuple):
-    """Channel that moves a surface, its values at both ends and at trim, and whether its sign is reversed."""
+class Servo(NamedTuple):
+    """The channel that moves a surface, and the angles of the surface at some values of the channel."""
 
-    channel: str
-    low: float
-    trim: float
-    high: float
-    turned: bool = False
+    channel: str  # topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
+    inputs: tuple[float, ...]  # values of the channel, increasing
+    #: Angles there [rad], or parts of the full throw; straight lines between them and beyond
+    angles: tuple[float, ...]
+
+    def deflection(self, values: Vector) -> Vector:
+        """Return angles of values of the channel; NaN where no pulse was sent."""
+        if self.inputs[0] >= NO_PULSE:
+            values = np.where(values < NO_PULSE, np.nan, values)
+        return make_interp_spline(self.inputs, self.angles, k=1)(values)
+
+
+UP, DOWN = (-1.0, 0.0, 1.0), (1.0, 0.0, -1.0)  # full throws of a servo, and of one that is turned
+# Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
+Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
 
 @dataclass(frozen=True)
@@ -143,9 +157,9 @@ class Log:
         Topic, field, and its value while the autopilot is on the ground.
     outputs : tuple of str
         Topics with the outputs to servos.
-    servos, mixing : dict
-        Servo of each surface by the parameters; by control, weights of the outputs, each
-        from -1 to 1, that make it together, as of a V-tail.
+    controls : dict of str to Control
+        Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim, with
+        weights of those that make a control together, as of a V-tail.
     """
 
     kind: str
@@ -157,8 +171,7 @@ class Log:
     remarks: tuple[str, ...] = ()
     landed: tuple[str, str, float] | None = None
     outputs: tuple[str, ...] = ()
-    servos: Mapping[str, ServoChannel] = field(default_factory=dict)
-    mixing: Mapping[str, tuple[tuple[float, ServoChannel], ...]] = field(default_factory=dict)
+    controls: Mapping[str, Control] = field(default_factory=dict)
 
     def find(self, name: str) -> str | None:
         """Return the name of the first instance of a topic that has messages, or None."""

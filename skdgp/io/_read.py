@@ -358,7 +358,7 @@ def names_servos(path: PathLike) -> bool:
     """Return whether the parameters of a log of an autopilot name servos; raise FlightReadError if it is none."""
     with reading(path):
         log = read_log(Path(path))
-    return bool(log.servos or log.mixing)
+    return bool(log.controls)
 
 
 def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:

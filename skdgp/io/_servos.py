@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
-from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS
-from skdgp.io._log import Log, ServoChannel
+from skdgp._flight.channels import ALL_SURFACES
+from skdgp.io._log import Control, Log, Servo
 from skdgp.io._tables import FlightReadError
 
 MOVED = (*ALL_SURFACES, "throttle")
@@ -23,25 +21,6 @@ KEYS = {"channel", "points"}
 FULL_THROW = "full throw"
 REVERSED = ", reversed "
 THROW = re.compile(r"(\d+\.?\d*|\.\d+) ?(deg|rad)")
-NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
-
-
-class Servo(NamedTuple):
-    """The channel that moves a surface, and the angles of the surface at some values of the channel."""
-
-    channel: str  # topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
-    inputs: tuple[float, ...]  # values of the channel, increasing
-    angles: tuple[float, ...]  # of the surface there [rad]; straight lines between them and beyond
-
-    def deflection(self, values: Vector) -> Vector:
-        """Return angles [rad] of values of the channel; NaN where no pulse was sent."""
-        if self.inputs[0] >= NO_PULSE:
-            values = np.where(values < NO_PULSE, np.nan, values)
-        return make_interp_spline(self.inputs, self.angles, k=1)(values)
-
-
-# Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
-Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
 
 def read_servos(
@@ -99,24 +78,27 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     these are elevator, aileron and rudder of any tail and wing. Raises FlightReadError if there are
     none.
     """
-    if not (log.mixing or log.servos):
+    if not log.controls:
         raise FlightReadError(
             f"Got outputs {[name for name in log.outputs if name in log.topics]} without "
             f"parameters that name their surfaces, but expected some of {list(log.outputs)}, and "
             f"SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed "
             f"mixer (actuator_controls_0): log them, or write the servo file by hand."
         )
-    channels: dict[str, tuple[tuple[float, ServoChannel], ...]] = {
-        name: ((1.0, channel),)
-        for name, channel in log.servos.items()
-        if not (log.mixing and name in ELEVONS)  # these are mixed
-    }
-    return {
-        name: tuple(
-            (-weight if name in turned else weight, _full_throw(name, channel))
-            for weight, channel in parts
+    disordered = [
+        f"{name} on {servo.channel} {servo.inputs}"
+        for name, parts in log.controls.items()
+        for _, servo in parts
+        if list(servo.inputs) != sorted({*servo.inputs})
+    ]
+    if disordered:
+        raise FlightReadError(
+            f"Got min, trim, max of {', '.join(disordered)}, but expected them in this order: "
+            f"write the servo file by hand."
         )
-        for name, parts in (channels | dict(log.mixing)).items()
+    return {
+        name: tuple((-weight if name in turned else weight, servo) for weight, servo in parts)
+        for name, parts in log.controls.items()
     }
 
 
@@ -135,17 +117,6 @@ def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Cont
         name: tuple((angle * weight, servo) for weight, servo in named[name])
         for name, angle in throws.items()
     }
-
-
-def _full_throw(name: str, servo: ServoChannel) -> Servo:
-    if not servo.low < servo.trim < servo.high:
-        raise FlightReadError(
-            f"Got min {servo.low:g}, trim {servo.trim:g}, max {servo.high:g} of the {name} on "
-            f"{servo.channel}, but "
-            "expected them in this order: write the servo file by hand."
-        )
-    ends = (1.0, 0.0, -1.0) if servo.turned else (-1.0, 0.0, 1.0)
-    return Servo(servo.channel, (servo.low, servo.trim, servo.high), ends)
 
 
 def _servo(name, entry) -> Servo | float:

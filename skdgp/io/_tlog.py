@@ -20,7 +20,7 @@ import pandas as pd
 from skdgp._compute.messages import extra
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.frames import euler_to_quaternion
-from skdgp.io._dataflash import mixing_of, servos_of
+from skdgp.io._dataflash import controls_of
 from skdgp.io._log import (
     EQUIVALENT,
     QUATERNION,
@@ -135,8 +135,7 @@ def read_tlog(path: Path) -> Log:
         remarks=damage(skipped),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        servos=servos_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
-        mixing=mixing_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
+        controls=controls_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
     )
 
 

@@ -17,11 +17,15 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Vector
+from skdgp._flight.channels import ELEVONS
 from skdgp.io._log import (
+    DOWN,
     QUATERNION,
+    UP,
+    Control,
     Log,
     Rule,
-    ServoChannel,
+    Servo,
     Topic,
     damage,
     from_rpm,
@@ -110,8 +114,8 @@ MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
-# Fields of actuator_controls, and whether more turns the surface against our sign
-CONTROLS = {"aileron": (0, False), "elevator": (1, True), "rudder": (2, True)}
+# Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
+CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
 
 
 def read_ulog(path: Path) -> Log:
@@ -159,8 +163,7 @@ def read_ulog(path: Path) -> Log:
         remarks=remarks,
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
-        servos=_servos(topics, parameters),
-        mixing=_mixing(topics, parameters),
+        controls=_controls(topics, parameters),
     )
 
 
@@ -268,43 +271,37 @@ def _vehicle(topics, parameters) -> str | None:
     return next(filter(None, [*kinds, MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))]), None)
 
 
-def _surface_types(topics, parameters) -> dict[int, int]:
-    """Return the type of each surface of control allocation whose output is logged."""
-    outputs = topics.get("actuator_servos", ())
-    return {
+def _controls(topics, parameters) -> dict[str, Control]:
+    """Return the servos of control allocation, else of a plane mixed by fixed rules.
+
+    The torques of control allocation mix any number of surfaces in any way; elevons are then mixed.
+    """
+    types = {
         n: whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
         for n in range(8)
-        if f"control[{n}]" in outputs
+        if f"control[{n}]" in topics.get("actuator_servos", ())
     }
-
-
-def _servos(topics, parameters) -> dict[str, ServoChannel]:
-    """Return the servos of control allocation, else of a plane mixed by fixed rules."""
-    types = _surface_types(topics, parameters)
-    channels = {
-        SURFACES[types[n]]: ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1, True)
-        for n in sorted(types, reverse=True)  # the first output of a type counts
-        if types[n] in SURFACES
-    }
-    mixed = [name for name in FIXED_MIXERS if "control[2]" in topics.get(name, ())]
-    return channels or {
-        key: ServoChannel(f"{name}.control[{n}]", -1, 0, 1, turned)
-        for name in mixed[:1]
-        for key, (n, turned) in CONTROLS.items()
-    }
-
-
-def _mixing(topics, parameters) -> dict[str, tuple[tuple[float, ServoChannel], ...]]:
-    """Return the controls by the torques of control allocation: any number of surfaces, mixed in any way."""
-    mixed = [n for n, kind in _surface_types(topics, parameters).items() if kind in MIXED_TYPES]
-    mixing = {}
+    mixed: dict[str, Control] = {}
     for control, (axis, sign) in TORQUES.items():
-        torques = {n: parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0) for n in mixed}
+        torques = {
+            n: parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0) * (kind in MIXED_TYPES)
+            for n, kind in types.items()
+        }
         total = sum(map(abs, torques.values()))
         if 0 < total < np.inf:
-            mixing[control] = tuple(
-                (sign * torque / total, ServoChannel(f"actuator_servos.control[{n}]", -1, 0, 1))
+            mixed[control] = tuple(
+                (sign * torque / total, Servo(f"actuator_servos.control[{n}]", UP, UP))
                 for n, torque in torques.items()
                 if torque
             )
-    return mixing
+    single = {
+        SURFACES[types[n]]: ((1.0, Servo(f"actuator_servos.control[{n}]", UP, DOWN)),)
+        for n in sorted(types, reverse=True)  # the first output of a type counts
+        if types[n] in SURFACES and not (mixed and SURFACES[types[n]] in ELEVONS)
+    }
+    fixed = {
+        key: ((1.0, Servo(f"{name}.control[{n}]", UP, throws)),)
+        for name in [name for name in FIXED_MIXERS if "control[2]" in topics.get(name, ())][:1]
+        for key, (n, throws) in CONTROLS.items()
+    }
+    return (single or fixed) | mixed

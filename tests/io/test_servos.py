@@ -109,7 +109,7 @@ class TestFullThrow:
             "actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4)))
         )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
-        mixing = read_log(tmp_path / "log.ulg").mixing
+        mixing = read_log(tmp_path / "log.ulg").controls
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
         assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
 
@@ -165,7 +165,10 @@ class TestFullThrow:
             "RCOU", [0.1, 0.2], C1=("H", 1500)
         )
         (tmp_path / "log.bin").write_bytes(bytes(log))
-        with pytest.raises(FlightReadError, match="min 1900, trim 1500, max 1900 of the aileron"):
+        with pytest.raises(
+            FlightReadError,
+            match=r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)",
+        ):
             read_flight(tmp_path / "log.bin", servos="full throw")
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))
         (tmp_path / "log.ulg").write_bytes(bytes(log))
@@ -177,8 +180,9 @@ def test_reversed_outputs(tmp_path, dataflash):
     log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0)
     log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
     (tmp_path / "log.bin").write_bytes(bytes(log))
-    turned = {name: servo.turned for name, servo in read_log(tmp_path / "log.bin").servos.items()}
-    assert turned == {"elevon_left": False, "elevon_right": True}
+    controls = read_log(tmp_path / "log.bin").controls
+    ends = {name: servo.angles[-1] for name, ((_, servo),) in controls.items()}
+    assert ends == {"elevon_left": 1.0, "elevon_right": -1.0}
 
 
 @pytest.mark.parametrize(
@@ -195,7 +199,7 @@ def test_reversed_outputs(tmp_path, dataflash):
 def test_servos_of_px4(tmp_path, ulog, topic, parameters, channel):
     log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
     (tmp_path / "log.ulg").write_bytes(bytes(log))
-    assert read_log(tmp_path / "log.ulg").servos["elevator"].channel == channel
+    assert read_log(tmp_path / "log.ulg").controls["elevator"][0][1].channel == channel
 
 
 # Signs of the pulses of the log that every column comes from

@@ -40,6 +40,7 @@ from skdgp.identification import (
     predict_flight,
     usable_flights_of_model,
 )
+from skdgp.report import FlightMechanics
 
 # Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
 # MIL-F-8785C
@@ -141,7 +142,7 @@ def derivatives(run: Run) -> None:
 
     CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its
     standard deviation, whose parts are in derivatives.csv. With -o writes derivatives.csv,
-    modes.csv, trims.csv and derivatives.json into DIR, all or none.
+    modes.csv and derivatives.json into DIR, all or none.
 
     For example:
       skdgp derivatives results/model.joblib --airspeed 35
@@ -158,15 +159,22 @@ def derivatives(run: Run) -> None:
     _warn_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
-    table = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
+    table: Any = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
     run.console.stage("modes")
-    modes = [_modes(linearize(model.pipeline, model.aircraft, point, **spread)) for point in trims]
-    points: list[Any] = [(point, table.loc[k], modes[k]) for k, point in enumerate(trims)]
-    numbers = {name: getattr(options, name) for name in ("model", "altitude")}
-    numbers["points"] = [_point(*point) for point in points]
-    blocks = [_derivatives_text(*point) for point in points]
+    modes = [linearize(model.pipeline, model.aircraft, each, **spread).modes() for each in trims]
+    points = [
+        FlightMechanics(trim=point, derivatives=table.loc[k], modes=modes[k])
+        for k, point in enumerate(trims)
+    ]
+    numbers = {"model": options.model, "points": [point.to_dict() for point in points]}
+    blocks = [_derivatives_text(trims[k], table.loc[k], modes[k]) for k in range(len(trims))]
     if run.folder is not None:
-        written = run.write(_writers(trims, table, modes), "derivatives.json", numbers)
+        named = pd.concat(modes, keys=airspeeds, names=["airspeed", "mode"])
+        files = {
+            "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
+            "modes.csv": csv_writer(named.drop(columns="eigenvalue").reset_index()),
+        }
+        written = run.write(files, "derivatives.json", numbers)
         blocks.append("wrote " + ", ".join(map(str, written)))
     run.print("\n\n".join(blocks), numbers)
 
@@ -180,34 +188,6 @@ def _warn_beyond(trims: list[Trim]) -> None:
     ]
     if beyond:
         warn(f"Trims are beyond the training data: {', '.join(beyond)}.", stacklevel=3)
-
-
-def _modes(linear: Any) -> pd.DataFrame:
-    """Return the modes with the two parts of their eigenvalues."""
-    modes = linear.modes()
-    parts = {"real": np.real(modes["eigenvalue"]), "imaginary": np.imag(modes["eigenvalue"])}
-    return modes.drop(columns="eigenvalue").assign(**parts)
-
-
-def _point(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> dict:
-    """Return the numbers of one airspeed."""
-    names = ("airspeed", "climb", "alpha", "beta", "phi", "theta", "controls")
-    columns = table.columns.intersection(["value", "std", "lower", "upper", "std_merged"])
-    return {name: getattr(point, name) for name in names} | {
-        "beyond": {name: list(values) for name, values in point.beyond.items()},
-        "derivatives": table[columns].to_dict("index"),
-        "modes": modes.to_dict("index"),
-    }
-
-
-def _writers(trims: list[Trim], table: pd.DataFrame, modes: list) -> dict[str, Writer]:
-    airspeeds = [point.airspeed for point in trims]
-    named = pd.concat(modes, keys=airspeeds, names=["airspeed", "mode"])
-    return {
-        "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
-        "modes.csv": csv_writer(named.reset_index()),
-        "trims.csv": csv_writer(pd.concat([point.to_frame() for point in trims])),
-    }
 
 
 def _derivatives_text(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
@@ -228,7 +208,7 @@ def _derivatives_text(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> 
             wide.to_string(),
             "",
             "modes, in rad/s and s",
-            modes.drop(columns=["real", "imaginary"]).to_string(float_format="{:.3g}".format),
+            modes.drop(columns="eigenvalue").to_string(float_format="{:.3g}".format),
         ]
     )
 

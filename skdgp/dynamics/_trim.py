@@ -13,8 +13,7 @@ from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ALL_SURFACES, CHANNELS, COEFFICIENTS, HAT
-from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HAT
 from skdgp._flight.checks import check_names, check_number, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -86,19 +85,6 @@ class Trim:
         parts = [f"{name} {value:.4g}" for name, value in named.items()]
         parts += [f"beyond training in {', '.join(self.beyond)}"] if self.beyond else []
         return f"Trim({self.airspeed:g} m/s, {', '.join(parts)})"
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the trim as a table of one row; ``beyond`` lists names."""
-        row = {
-            **{name: getattr(self, name) for name in ("airspeed", *FLIGHT)},
-            **dict(zip(RATE_NAMES, self.rates, strict=True)),
-            **self.controls,
-            "thrust": self.thrust,
-            **dict(zip(COEFFICIENTS, self.coefficients, strict=True)),
-            "residual": self.residual,
-            "beyond": ", ".join(self.beyond),
-        }
-        return pd.DataFrame([row])
 
 
 def trim(

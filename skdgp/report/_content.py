@@ -129,10 +129,8 @@ class FlightMechanics:
         """Return it as plain values, SI units and radians."""
         found: dict[str, Any] = {"note": self.note, "simulation_note": self.simulation_note}
         if self.trim is not None:
-            names = ("airspeed", "alpha", "beta", "phi", "theta", "controls")
+            names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
             found["trim"] = {name: getattr(self.trim, name) for name in names}
-            path = "glide_without_thrust" if "climb" in self.trim.solved else "climb"
-            found["trim"][path] = self.trim.climb
             found["trim"]["beyond"] = {
                 name: list(values) for name, values in self.trim.beyond.items()
             }

@@ -354,5 +354,5 @@ class TestMechanics:
             "r",
         }
         assert found["trim"]["beyond"] == {}
-        assert found["trim"]["glide_without_thrust"] < 0
+        assert found["trim"]["climb"] < 0
         assert "climb" not in found["trim"]

@@ -191,9 +191,14 @@ def _learn(run, train, aircraft, test, title=None, **loads):
 def _finish(run: Run, result: Identification) -> None:
     """Write the outputs, where a folder is named, and print the summary."""
     result = replace(result, command=run.command_line)
-    files = run.write(result.writers() if run.folder else {})
-    lines = [f"{CONTENTS[path.name]:<9}{path}" for path in files]
-    run.print("\n".join([result.summary(), "", *lines]).rstrip(), result.metrics)
+    lines: list[str] = []
+    if run.folder is not None:
+        result.save(run.folder)
+        lines = [f"{what:<9}{run.folder / name}" for name, what in CONTENTS.items()]
+    run.print(
+        "\n".join([result.summary(), "", *lines[: 3 if result.train else 2]]).rstrip(),
+        result.metrics,
+    )
 
 
 def validate(run: Run) -> None:

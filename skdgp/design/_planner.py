@@ -71,8 +71,7 @@ class Plan:
     manoeuvres : DataFrame
         In the order of flight: ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it,
         ``scale`` (relative to the limits), ``risk`` (predicted probability of leaving the envelope;
-        NaN without posterior), and ``gain`` (relative reduction of the standard errors of the goal
-        by linear least squares, on geometric average).
+        NaN without posterior).
     flight : DataFrame
         Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
         Of a model with a posterior also the band of 95 % of the aircraft drawn: ``alpha_low``,
@@ -528,17 +527,11 @@ class _Manoeuvre:
 
     name: str
     full: Inputs  # as large as the limits allow
-    inputs: Inputs
-    pause: float
+    seconds: float  # of the manoeuvre and a pause beside it
     information: Matrix
     flight: pd.DataFrame
     scale: float = 1.0
     risk: float | None = None  # None: not checked
-
-    @property
-    def seconds(self) -> float:
-        """Of the manoeuvre and a pause beside it [s]."""
-        return duration_of(self.full) + self.pause
 
 
 class _Planner:
@@ -597,9 +590,8 @@ class _Planner:
         inputs = {name: scaled(named[name], scale) for name, scale in scales.items()}
         return [
             _Manoeuvre(
-                name=name, full=named[name], inputs=inputs[name],
-                pause=rehearsal.pause, information=information(self._rows(item)), flight=item,
-                scale=scales[name],
+                name=name, full=named[name], seconds=duration_of(named[name]) + rehearsal.pause,
+                information=information(self._rows(item)), flight=item, scale=scales[name],
             )
             for name, item in self._flights(inputs).items()
         ]  # fmt: skip
@@ -695,13 +687,12 @@ class _Planner:
         safe = 0.0
         unsafe = np.inf
         causes = ""
-        best: tuple[Inputs, Checked] | None = None
+        best: Checked | None = None
         for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
-            inputs = scaled(manoeuvre.full, scale)
-            checked = self.rehearsal.checked(inputs)
+            checked = self.rehearsal.checked(scaled(manoeuvre.full, scale))
             if checked.risk <= self.rehearsal.envelope.risk:
                 safe = scale
-                best = inputs, checked
+                best = checked
             else:
                 unsafe = scale
                 causes = checked.causes
@@ -713,35 +704,29 @@ class _Planner:
                 break
         if best is None:
             return None, causes
-        inputs, checked = best
-        flight = checked.flight
+        flight = best.flight
         risk = np.nan
         if self.aerodynamics.is_uncertain:
-            flight = with_band(flight, checked.paths)
-            risk = checked.risk
+            flight = with_band(flight, best.paths)
+            risk = best.risk
         taught = information(self._rows(flight))
-        largest = replace(
-            manoeuvre, inputs=inputs, information=taught, flight=flight, scale=safe, risk=risk
-        )
-        return largest, causes
+        return replace(manoeuvre, information=taught, flight=flight, scale=safe, risk=risk), causes
 
     def plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
         """Return the plan of manoeuvres."""
         rehearsal = self.rehearsal
-        start = rehearsal.pause
-        train = wavetrain([item.inputs for item in chosen], pause=start, limits=rehearsal.limits)
-        gained = self._gain([])
-        rows: list[dict[str, Any]] = []
-        for manoeuvre in chosen:
-            gain = self._gain(chosen[: len(rows) + 1]) - gained
-            gained += gain
-            rows.append({
-                "start": start, "name": manoeuvre.name, "duration": duration_of(manoeuvre.full),
-                "pause": manoeuvre.pause, "scale": manoeuvre.scale, "risk": manoeuvre.risk,
-                "gain": -np.expm1(-gain),
-            })  # fmt: skip
-            start += manoeuvre.seconds
-        rows[-1]["pause"] = rehearsal.response
+        pause = rehearsal.pause
+        inputs = [scaled(item.full, item.scale) for item in chosen]
+        train = wavetrain(inputs, pause=pause, limits=rehearsal.limits)
+        seconds = [item.seconds for item in chosen]
+        manoeuvres = pd.DataFrame({
+            "start": pause + np.cumsum([0.0, *seconds[:-1]]),
+            "name": [item.name for item in chosen],
+            "duration": [duration_of(item.full) for item in chosen],
+            "pause": [*[pause] * (len(chosen) - 1), rehearsal.response],
+            "scale": [item.scale for item in chosen],
+            "risk": [item.risk for item in chosen],
+        })  # fmt: skip
         flight = [manoeuvre.flight.assign(flight=k) for k, manoeuvre in enumerate(chosen)]
         gusts: Any = rehearsal.envelope.gusts
         if gusts == "auto":
@@ -750,7 +735,7 @@ class _Planner:
         return Plan(
             train=train,
             trim=rehearsal.point,
-            manoeuvres=pd.DataFrame(rows),
+            manoeuvres=manoeuvres,
             flight=pd.concat(flight, ignore_index=True),
             errors=self._errors(chosen),
             limits=pd.DataFrame(rehearsal.envelope.bounds(self.aerodynamics), ["low", "high"]).T,

@@ -275,13 +275,10 @@ def _points(
 
 def _axes(alpha: Array) -> Array:
     """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
-    sin, cos = np.sin(alpha), np.cos(alpha)
-    parts: dict[str, dict[str, Any]] = {name: {name: 1.0} for name in COEFFICIENTS}
-    parts |= {"CL": {"CX": sin, "CZ": -cos}, "CD": {"CX": -cos, "CZ": -sin}}
     turn = np.zeros((len(alpha), len(ROWS), 6))
-    for k, row in enumerate(ROWS):
-        for name, part in parts[row].items():
-            turn[:, k, COEFFICIENTS.index(name)] = part
+    turn[:, :6] = np.eye(6)
+    turn[:, 6, 0], turn[:, 6, 2] = np.sin(alpha), -np.cos(alpha)  # CL
+    turn[:, 7, 0], turn[:, 7, 2] = -np.cos(alpha), -np.sin(alpha)  # CD
     return turn
 
 

@@ -226,17 +226,16 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
     """Return the columns that name the trajectories."""
     if not shape:
         return {"flight": pd.Categorical(["simulation"] * n_times)}
-    *paths, starts = np.indices(shape).reshape(len(shape), -1)
-    names = [f"start {start}" for start in starts]
-    if paths:
-        several = shape[1] > 1
-        names = [
-            f"path {p}, {name}" if several else f"path {p}"
-            for p, name in zip(*paths, names, strict=True)
-        ]
+    index = np.indices(shape).reshape(len(shape), -1)
+    labels = ("path", "start")[-len(shape) :]
+    names = [
+        ", ".join(f"{label} {number}" for label, number in zip(labels, numbers, strict=True))
+        for numbers in index.T
+    ]
     columns: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
-    columns["start"] = np.repeat(starts, n_times)
-    return columns | ({"path": np.repeat(paths[0], n_times)} if paths else {})
+    return columns | {
+        label: np.repeat(numbers, n_times) for label, numbers in zip(labels, index, strict=True)
+    }
 
 
 def beyond(motion: Motion, regressors: Array) -> np.ndarray:

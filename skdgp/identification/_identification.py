@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
@@ -15,7 +15,14 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.files import json_text, plain, software_versions, text_writer, write_together
+from skdgp._compute.files import (
+    Writer,
+    json_text,
+    plain,
+    software_versions,
+    text_writer,
+    write_together,
+)
 from skdgp._compute.messages import notify
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft
@@ -162,16 +169,11 @@ class Identification:
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike) -> Path:
-        """Write model.joblib, metrics.json and report.html into a folder, all or none."""
+        """Write report and metrics and, of a model that was learned here, the model into a folder, all or none."""
         path = Path(path)
         path.mkdir(parents=True, exist_ok=True)
-        write_together(path, self.writers())
-        return path
-
-    def writers(self) -> dict[str, Callable[[Path], object]]:
-        """Return by file name what writes report, metrics and, of a model that was learned here, the model."""
         notify("report")
-        writers: dict[str, Callable[[Path], object]] = {
+        writers: dict[str, Writer] = {
             "report.html": text_writer(render_report(self._report_content())),
             "metrics.json": text_writer(json_text(self.metrics)),
         }
@@ -179,7 +181,8 @@ class Identification:
             facts = {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
             content = {"pipeline": self.pipeline, "aircraft": self.aircraft, **facts}
             writers["model.joblib"] = lambda path: save_model(path, **content)
-        return writers
+        write_together(path, writers)
+        return path
 
     def _report_content(self) -> ReportContent:
         return ReportContent(

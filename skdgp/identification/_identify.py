@@ -122,7 +122,6 @@ def identify(
             messages.ignore(UserWarning, "Got surfaces up to")
         # The steps of the pipeline meet the same faults again.
         messages.ignore(FlightDataWarning, WARNING_START)
-
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
         Y = prepared.coefficients()
         targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))
@@ -139,8 +138,8 @@ def identify(
         # 4: the test flights, by paper eqs 17 and 18
         aircraft = prepared.aircraft
         if "propeller" in fit["thrust"]:
-            regressors_flown = _evaluation.named(model, X)
-            aircraft = _flights.with_thrust_errors(aircraft, prepared.table, regressors_flown)
+            named = _evaluation.named(model, X)
+            aircraft = _flights.with_thrust_errors(aircraft, prepared.table, named)
         settings = _settings(prepared, model, fit, horizons)
         evaluations = [
             _evaluation.evaluate(name, table, model, aircraft, settings, fit)

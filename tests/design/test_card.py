@@ -41,7 +41,6 @@ def plan():
     rows = pd.DataFrame({
         "start": [2.0, 5.0, 12.0], "name": ["pulse", "sines", "pulse"],
         "duration": [1.0, 5.0, 1.0], "pause": 2.0, "scale": [1.0, 0.5, 1.0], "risk": [0.03, 0.016, 0.03],
-        "gain": [0.5, 0.2, 0.1],
     })  # fmt: skip
     time = np.arange(0.0, 3.0, 0.04)
     wave = 0.01 * np.sin(time)

@@ -15,6 +15,7 @@ from skdgp import DependentGPRegressor, listening
 from skdgp.design import Envelope, PlanCheck, plan
 from skdgp.dynamics import (
     Aerodynamics,
+    Air,
     Turbulence,
     linearize,
     simulate,
@@ -114,7 +115,9 @@ def test_the_risk_of_other_draws_is_what_was_allowed(planned, model, uav):
     one = planned.manoeuvres.iloc[0]
     table = table[table["time"].between(one["start"], one["start"] + one["duration"] + 1.0)]
     air = LIMITED.gusts
-    paths = simulate(model, uav, steady, table, 0.04, n_paths=200, random_state=7, air=air)
+    paths = simulate(
+        model, uav, steady, table, 0.04, n_paths=200, random_state=7, air=Air(gusts=air)
+    )
     left = Envelope(alpha=LIMITED.alpha).left(paths, uav, model)
     by_path = left.groupby(paths["flight"], observed=True).any().any(axis=1)
     assert by_path.mean() <= 0.05 + 0.03

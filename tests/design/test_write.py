@@ -16,7 +16,7 @@ from skdgp.design import (
     three_two_one_one,
     wavetrain,
 )
-from skdgp.io._dataflash import mixing_of
+from skdgp.io._dataflash import controls_of
 
 LIMITS = {"elevator": 0.05, "aileron": 0.1, "rudder": 0.15, "throttle": 0.2}
 FULL = {"elevator": 0.4, "aileron": 0.35, "rudder": 0.5}
@@ -114,13 +114,9 @@ def test_v_tails_of_the_script_are_read_back_as_planned(flown):
         for k in (10, 11)
         for end, width in (("MIN", 1000.0), ("MAX", 2000.0))
     }
-    mixing = mixing_of(widths, functions | ends)
     found = {
-        name: sum(
-            weight * (widths[each.channel.removeprefix("RCOU.")] - 1500) / 500
-            for weight, each in parts
-        )
-        for name, parts in mixing.items()
+        name: sum(w * servo.deflection(widths[servo.channel[5:]]) for w, servo in parts)
+        for name, parts in controls_of(widths, functions | ends).items()
     }
     np.testing.assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
     np.testing.assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)

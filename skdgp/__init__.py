@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         report as report,
     )
     from skdgp._compute.messages import listening as listening
-    from skdgp._effects import Effects as Effects, effects as effects
+    from skdgp.plotting import Effects as Effects, effects as effects
     from skdgp._regressor import (
         DependentGPRegressor as DependentGPRegressor,
         FewRowsWarning as FewRowsWarning,
@@ -42,9 +42,9 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "DependentGPRegressor": "_regressor",
-    "Effects": "_effects",
+    "Effects": "plotting",
     "FewRowsWarning": "_regressor",
-    "effects": "_effects",
+    "effects": "plotting",
     "listening": "_compute.messages",
     "make_identification_pipeline": "identification",
 }

@@ -35,7 +35,6 @@ FLOORS = [
     ],
     ["inference"],
     ["_regressor", "datasets"],
-    ["_effects"],
     ["plotting"],
     ["report"],  # shows arrays; it knows no models
     ["identification"],  # fills the reports of its models

@@ -8,7 +8,7 @@ from skdgp import DependentGPRegressor, listening, make_identification_pipeline
 from skdgp.datasets import _example_flights
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import aerodynamic_coefficients
-from skdgp.identification import flight_regressors, predict_flight
+from skdgp.identification import flight_regressors
 from skdgp.model_selection import thin_targets
 
 SIGMA = 0.08  # of the regressor
@@ -123,7 +123,9 @@ def test_bands_of_a_flight_widen_with_its_gusts(first_minute):
     assert (
         rougher.min() == rougher.max() > 1.0 > 0.3 > calmer.max()
     )  # the test flight's air is the rougher
-    spread = [predict_flight(model, test, include_noise=True)[1].mean(axis=0) for test in tests]
+    spread = [
+        model.predict(test, return_std=True, include_noise=True)[1].mean(axis=0) for test in tests
+    ]
     assert (spread[0] > spread[1]).all()
 
 

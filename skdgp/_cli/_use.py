@@ -37,7 +37,6 @@ from skdgp.identification import (
     check_identified,
     load_model,
     named_flights,
-    predict_flight,
     usable_flights_of_model,
 )
 from skdgp.report import FlightMechanics
@@ -132,8 +131,8 @@ def _predictions(pipeline, flight: pd.DataFrame, include_noise: bool) -> pd.Data
     """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
     names = pipeline[-1].output_names_
     columns = [*names, *(f"{name}_std" for name in names)]
-    values = np.hstack(predict_flight(pipeline, flight, include_noise=include_noise))
-    table = pd.DataFrame(values, columns=columns)
+    moments = pipeline.predict(flight, return_std=True, include_noise=include_noise)
+    table = pd.DataFrame(np.hstack(moments), columns=columns)
     return flight[["flight", "time"]].reset_index(drop=True).join(table)
 
 

@@ -38,11 +38,10 @@ from skdgp.dynamics._aircraft import (
     relative_errors,
 )
 from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._inputs import FlightComputer, UncertainStart
+from skdgp.dynamics._inputs import Clock, FlightComputer, UncertainStart
 from skdgp.dynamics._inverse import aerodynamic_coefficients, replay
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._motion import Instant, Motion
-from skdgp.dynamics._record import REASONS, Clock, Record, channels, fly_record
 from skdgp.dynamics._rigid_body import (
     STATE_NAMES,
     aerodynamic_loads,
@@ -55,7 +54,15 @@ from skdgp.dynamics._rigid_body import (
     rk4,
     rk4_step,
 )
-from skdgp.dynamics._simulate import SimulationWarning, simulate, trajectory_bands
+from skdgp.dynamics._simulate import (
+    REASONS,
+    Record,
+    SimulationWarning,
+    channels,
+    fly_record,
+    simulate,
+    trajectory_bands,
+)
 from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [

@@ -55,7 +55,6 @@ from skdgp.dynamics._air import (
     dryden_system,
 )
 from skdgp.dynamics._motion import Motion
-from skdgp.dynamics._record import Clock
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
@@ -65,6 +64,43 @@ STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 ROUGHEST = 2.0
 # Time [s] over which the effects of rotation and drift are compared, and points of the integral
 HORIZON, POINTS = 1.0, 101
+
+
+class Clock(NamedTuple):
+    """Times of the steps of a simulation and of their stages: the beginning, middle and end of each step."""
+
+    dt: float
+    n_steps: int
+
+    @classmethod
+    def of(cls, dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Clock:
+        """Return the clock of a ``duration`` [s], by default as long as all of the ``tables`` last."""
+        dt = check_number("dt", dt, unit="s")
+        spans = [np.ptp(table["time"].to_numpy(float)) for table in tables]
+        if duration is None:
+            if not spans:
+                raise ValueError(
+                    "Got no duration and no table of controls, but expected one of them to say "
+                    "how long."
+                )
+            duration = float(min(spans))
+        n_steps = int(np.floor(duration / dt + 1e-6)) if np.isfinite(duration) else 0
+        if n_steps < 1:
+            raise ValueError(
+                f"Got a duration of {duration!r} s, but expected at least one step of {dt:g} s."
+            )
+        if spans and n_steps * dt > min(spans) + 1e-6 * dt:
+            raise ValueError(
+                f"Got a table that ends after {min(spans):g} s, but the simulation lasts "
+                f"{n_steps * dt:g} s: give a "
+                "shorter duration, or controls and wind for all of it."
+            )
+        return cls(dt, n_steps)
+
+    @property
+    def stages(self) -> np.ndarray:
+        """Times since the start [s], two for each step and the end."""
+        return 0.5 * self.dt * np.arange(2 * self.n_steps + 1)
 
 
 def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:

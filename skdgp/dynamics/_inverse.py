@@ -34,7 +34,6 @@ from skdgp._flight.faults import (
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._inputs import table_states
-from skdgp.dynamics._record import channels
 from skdgp.dynamics._rigid_body import (
     aerodynamic_loads,
     dynamic_pressure,
@@ -44,6 +43,7 @@ from skdgp.dynamics._rigid_body import (
     rigid_body_derivative,
     rk4_step,
 )
+from skdgp.dynamics._simulate import channels
 
 RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 NEEDED = ["airspeed", "density", *SPECIFIC_FORCE, *RATES]

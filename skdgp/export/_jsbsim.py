@@ -14,7 +14,6 @@ import numpy as np
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Vector
-from skdgp._effects import JOINT
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, ThrustLine
 from skdgp.export._model import PortableModel, Regressor, Term
@@ -322,7 +321,7 @@ def _mean(model: PortableModel, i: int) -> tuple[float, Vector, dict[tuple[int, 
 
 def _name(model: PortableModel, term: tuple[int, ...]) -> str:
     names = [model.regressor_names[k] for k in term]
-    return JOINT if len(names) == len(model.regressors) > 1 else "-".join(names)
+    return "joint" if len(names) == len(model.regressors) > 1 else "-".join(names)
 
 
 def _effect(

@@ -10,7 +10,6 @@ from skdgp.identification._pipeline import (
     default_regressor,
     flight_regressors,
     make_identification_pipeline,
-    predict_flight,
 )
 
 __all__ = [
@@ -24,7 +23,6 @@ __all__ = [
     "load_model",
     "make_identification_pipeline",
     "named_flights",
-    "predict_flight",
     "save_model",
     "usable_flights_of_model",
     "validate",

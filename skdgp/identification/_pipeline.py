@@ -276,19 +276,7 @@ class FlightPipeline(Pipeline):
         if not uncertain or params.get("include_input_noise", True) is not True:
             return super().predict(X, **params)
         check_is_fitted(self)
-        return _predict(self[-1], *flight_regressors(self, X), params)
-
-
-def _predict(last, regressors, ratio, params):
-    """Return the prediction of the last step; ``ratio`` (n,) multiplies the variance of noisy regressors."""
-    if isinstance(last, DependentGPRegressor):
-        params = params | {"include_input_noise": ratio}
-    return last.predict(regressors, **params)
-
-
-def predict_flight(
-    pipeline: Pipeline, flight: pd.DataFrame, *, include_noise: bool = False
-) -> tuple[Matrix, Matrix]:
-    """Return mean and standard deviation (n, P), as `FlightPipeline.predict`, also of a ``Pipeline`` of these steps."""
-    words = {"return_std": True, "include_noise": include_noise}
-    return _predict(pipeline[-1], *flight_regressors(pipeline, flight), words)
+        regressors, ratio = flight_regressors(self, X)
+        if isinstance(self[-1], DependentGPRegressor):
+            params = params | {"include_input_noise": ratio}
+        return self[-1].predict(regressors, **params)

@@ -91,7 +91,6 @@ class Part(NamedTuple):
     """Part of a log between two restarts of its clock."""
 
     topics: dict[str, Topic]
-    sources: list[Source]
     table: pd.DataFrame
     segments: list[slice]
 
@@ -141,7 +140,7 @@ def on_one_clock(path: Path, *, servos=None, airborne=True) -> FlightLog:
             if not set(SPECIFIC_FORCE) & set(table):
                 table, origins = with_specific_force(table, origins)
             origin |= origins
-            parts.append(Part(part, sources, table, find_segments(table, log, part, speed)))
+            parts.append(Part(part, table, find_segments(table, log, part, speed)))
     remarks = [*log.remarks, *remarks, *dict.fromkeys(useless)]
     return FlightLog(log, parts, origin, speed, remarks)
 

@@ -14,9 +14,9 @@ import pytest
 
 from skdgp._cli import _use, main
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import _card
+from skdgp.design import _write
 from skdgp.dynamics import Turbulence, stability_derivatives, trim
-from skdgp.identification import _identification, load_model, predict_flight, save_model
+from skdgp.identification import _identification, load_model, save_model
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ class TestPredict:
         said = run("predict", "test.csv", output="out.csv")
         assert files(tmp_path) == {"out.csv"}
         table, flight = pd.read_csv(tmp_path / "out.csv"), pd.read_csv("test.csv")
-        mean, std = predict_flight(model.pipeline, flight)
+        mean, std = model.pipeline.predict(flight, return_std=True)
         assert list(table) == [
             "flight",
             "time",
@@ -130,7 +130,7 @@ class TestModel:
 class TestAllOrNone:
     def test_when_stopped(self, path, tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(
-            _use, "predict_flight", lambda *a, **k: signal.raise_signal(signal.SIGINT)
+            _use, "_predictions", lambda *a, **k: signal.raise_signal(signal.SIGINT)
         )
         assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
         assert not (tmp_path / "new").exists()
@@ -257,7 +257,7 @@ class TestPlan:
         self, path, run, tmp_path, capsys, monkeypatch
     ):
         """Its script would be flown with the card of another plan."""
-        monkeypatch.setattr(_card, "_pictures", lambda *args: "")
+        monkeypatch.setattr(_write, "_pictures", lambda *args: "")
         plan_flight, plans = _use.plan_flight, []
 
         def once(*words, **options):

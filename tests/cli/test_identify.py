@@ -17,7 +17,7 @@ from skdgp._cli import _shared, main
 from skdgp._cli._shared import CLEAR, Console
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _identification, _identify, load_model, predict_flight
+from skdgp.identification import _identification, _identify, load_model
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
@@ -75,7 +75,7 @@ class TestIdentify:
         table = pd.read_csv(folder / "test.csv")
         loads = {name: model.options[name] for name in ("thrust", "external_forces")}
         Y = aerodynamic_coefficients(table, model.aircraft, **loads)
-        mean, std = predict_flight(model.pipeline, table, include_noise=True)
+        mean, std = model.pipeline.predict(table, return_std=True, include_noise=True)
         of = next(iter(metrics["test"].values()))["coefficients"]["measured"]
         error = median_relative_error(Y, mean, multioutput="raw_values")
         inside = interval_coverage(Y, mean, std, multioutput="raw_values")

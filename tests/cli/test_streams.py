@@ -69,7 +69,7 @@ class TestOutput:
 @needs_full
 class TestErrors:
     def test_a_warning_that_nobody_sees_ends_nothing(self, predict, monkeypatch):
-        monkeypatch.setattr(_use, "predict_flight", warned(_use.predict_flight))
+        monkeypatch.setattr(_use, "_predictions", warned(_use._predictions))
         with open(FULL, "w") as full:
             monkeypatch.setattr(sys, "stderr", full)
             assert predict() == 0

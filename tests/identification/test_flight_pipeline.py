@@ -15,7 +15,6 @@ from skdgp.identification import (
     FlightPipeline,
     flight_regressors,
     identify,
-    predict_flight,
 )
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -118,12 +117,6 @@ class TestPredict:
             noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape)
         )
         np.testing.assert_allclose(model.predict(test_flight), mean, atol=1e-10)
-
-    def test_the_function_says_the_same(self, model, test_flight):
-        for include_noise in (False, True):
-            found = predict_flight(model, test_flight, include_noise=include_noise)
-            expected = model.predict(test_flight, return_std=True, include_noise=include_noise)
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-10)
 
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
         noise = np.random.default_rng(0).normal(0.0, 0.3, 400)

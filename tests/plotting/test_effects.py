@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from skdgp import DependentGPRegressor, effects
-from skdgp._effects import interactions
 from skdgp.plotting import EffectsDisplay
+from skdgp.plotting._effects import interactions
 
 
 @pytest.fixture(scope="module")

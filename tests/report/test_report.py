@@ -12,10 +12,10 @@ import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._display import page as page_module
-from skdgp._effects import Curve, Interaction
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
+from skdgp.plotting._effects import Curve, Interaction
 from skdgp.report import (
     Evaluation,
     FlightMechanics,

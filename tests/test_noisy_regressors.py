@@ -100,7 +100,7 @@ def test_given_noise_may_be_a_number_or_deviations():
 @pytest.mark.parametrize("wrong", [[0.1, 0.2], [-0.1], [[0.01]], [np.nan]])
 def test_nonsense_is_refused(wrong):
     with pytest.raises(
-        ValueError, match=r"Got input_noise .*expected a standard deviation, or 1 of them"
+        ValueError, match=r"Got input_noise=.*expected a standard deviation, or 1 of them"
     ):
         fitted(wrong)
     with pytest.raises(

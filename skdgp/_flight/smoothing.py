@@ -175,22 +175,14 @@ def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 
 def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the channels (n, k), time (n,) and flight codes (n,)."""
-    columns = np.asarray(values, dtype=float)
-    if columns.ndim not in (1, 2):
-        raise ValueError(f"Got values of shape {columns.shape}, but expected (n,) or (n, k).")
-    columns = columns.reshape(len(columns), -1)
+    columns = np.asarray(values, dtype=float).reshape(len(values), -1)
     if np.isinf(columns).any():
         raise ValueError(
             f"Got {int(np.isinf(columns).sum())} infinite values, but expected finite ones or NaN "
             f"(not "
             "sampled): replace them by NaN."
         )
-    times, codes = check_clock(time, flight)
-    if len(columns) != len(times):
-        raise ValueError(
-            f"Got {len(columns)} rows of values and {len(times)} times, but expected as many."
-        )
-    return columns, times, codes
+    return columns, *check_clock(time, flight)
 
 
 class Spectrum(NamedTuple):

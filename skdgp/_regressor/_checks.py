@@ -144,17 +144,6 @@ def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, m
         )
 
 
-def warn_of_constant_regressors(X: np.ndarray, names: list[str]) -> None:
-    """Warn of regressors (n, d) that are constant."""
-    constant = [name for name, same in zip(names, constant_columns(X), strict=True) if same]
-    if constant:
-        _warn(
-            f"The regressors {constant} are constant over the samples: their effect cannot be "
-            f"learned, and predictions "
-            "at other values are not reliable. Leave them out, or add samples in which they vary."
-        )
-
-
 def check_observed(Y: np.ndarray, names: list[str]) -> None:
     """Raise a ValueError if an output has fewer than two observed values."""
     counts = np.isfinite(Y).sum(axis=0)
@@ -191,10 +180,8 @@ def input_std(input_noise: Any, X: np.ndarray, names: list[str]):
         return input_noise
     given, d = np.asarray(input_noise, dtype=float), X.shape[1]
     expected = f"expected a standard deviation, or {d} of them, in the units of X."
-    if given.shape not in ((), (d,)) or not np.isfinite(given).all():
-        raise ValueError(f"Got input_noise of shape {given.shape}, but {expected}")
-    if (given < 0).any():
-        raise ValueError(f"Got input_noise down to {given.min():g}, but {expected}")
+    if given.shape not in ((), (d,)) or not (np.isfinite(given) & (given >= 0)).all():
+        raise ValueError(f"Got input_noise={input_noise!r}, but {expected}")
     noise = np.broadcast_to(given, d)
     excessive = (noise > MAX_INPUT_NOISE * column_scale(X)) & ~constant_columns(X)
     if excessive.any():
@@ -225,15 +212,19 @@ def warn_of_indices(index: Any, y: Any) -> None:
         )
 
 
-def warn_of_samples(X: np.ndarray, Y: np.ndarray, names: list[str]) -> None:
-    """Warn of constant outputs and of repeated samples."""
-    constant = [name for name, same in zip(names, constant_columns(Y), strict=True) if same]
-    if constant:
-        _warn(
-            f"The outputs {constant} are constant over the samples: nothing can be learned about "
-            f"them, and their "
-            "stated uncertainty is not reliable. Leave them out, or check the log."
-        )
+def warn_of_samples(
+    X: np.ndarray, Y: np.ndarray, regressors: list[str], outputs: list[str]
+) -> None:
+    """Warn of constant regressors and outputs, and of repeated samples."""
+    for what, Z, names, consequence in (
+        ("regressors", X, regressors, "their effect cannot be learned, and predictions at other "
+         "values are not reliable. Leave them out, or add samples in which they vary."),
+        ("outputs", Y, outputs, "nothing can be learned about them, and their stated uncertainty "
+         "is not reliable. Leave them out, or check the log."),
+    ):  # fmt: skip
+        constant = [name for name, same in zip(names, constant_columns(Z), strict=True) if same]
+        if constant:
+            _warn(f"The {what} {constant} are constant over the samples: {consequence}")
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
         _warn(

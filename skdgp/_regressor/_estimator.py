@@ -301,8 +301,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _checks.check_observed(Y, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
-        _checks.warn_of_constant_regressors(X, self._regressor_names())
-        _checks.warn_of_samples(X, Y, self.output_names_)
+        _checks.warn_of_samples(X, Y, self._regressor_names(), self.output_names_)
         return X, Y, clock
 
     def _learn(self, X, Y, clock, slopes):

@@ -271,8 +271,7 @@ class RegressorSelector(TableTransformer):
     Warns
     -----
     FlightDataWarning
-        In ``fit`` with targets, if a regressor is constant over the rows with targets, or there are
-        no more such rows than regressors.
+        In ``fit`` with targets, if a regressor is constant over the rows with targets.
 
     Examples
     --------
@@ -305,7 +304,7 @@ class RegressorSelector(TableTransformer):
             observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
         values = values[observed & np.isfinite(values).all(axis=1)]
         if targeted and len(values):
-            _warn_of_little_information(values, self.regressors_)
+            _warn_of_constant_regressors(values, self.regressors_)
         channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
         self.ranges_ = {
             str(name): (float(kept.min()), float(kept.max()))
@@ -383,27 +382,19 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     )
 
 
-def _warn_of_little_information(values: Matrix, names: list[str]) -> None:
-    """Warn if a regressor is constant, or there are no more rows than regressors."""
+def _warn_of_constant_regressors(values: Matrix, names: list[str]) -> None:
     constant = [
         name
         for name, v in zip(names, values.T, strict=True)
         if np.ptp(v) <= STILL * np.abs(v).max()
     ]
-    words = (
-        f"In the training flights {constant} never change, so the model cannot learn their "
-        f"effects. Fly manoeuvres "
-        "that move them, or leave them out of the regressors."
-    )
-    if len(values) <= len(names):
-        words = (
-            f"Got {len(values)} samples to learn from for {len(names)} regressors, but expected "
-            f"at least "
-            f"{len(names) + 1}, better hundreds: give longer flights, more samples of them, or "
-            f"fewer columns."
+    if constant:
+        warn(
+            f"In the training flights {constant} never change, so the model cannot learn their "
+            f"effects. Fly manoeuvres that move them, or leave them out of the regressors.",
+            FlightDataWarning,
+            stacklevel=3,
         )
-    if constant or len(values) <= len(names):
-        warn(words, FlightDataWarning, stacklevel=3)
 
 
 def _check_finite(values: Matrix, names: list[str]) -> None:

@@ -231,11 +231,6 @@ def test_cutoff_above_half_the_rate():
         smooth(np.zeros(200), clock(200), cutoff=20.0)
 
 
-def test_lengths_must_agree():
-    with pytest.raises(ValueError, match="10 rows of values and 11 times"):
-        smooth(np.zeros(10), clock(11))
-
-
 @pytest.mark.shared
 @pytest.mark.parametrize("flight", ["viggen_uav_train_latlon", "c172p_train_latlon"])
 def test_real_size_flights(shared_data, flight):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -487,38 +487,27 @@ def _checked_limits(
     trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping
 ) -> dict[str, float]:
     """Return the limits of the axes, by default the training ranges; the throttle ends at 0 and 1."""
+    ranges = np.empty((2, 0)) if model.limits is None else model.limits
+    flown = dict(zip(model.regressors, ranges.T.tolist(), strict=False))
     checked = {}
     for axis in axes:
-        checked[axis] = limits[axis] if axis in limits else _flown(trim, model, axis)
-        if axis in WHOLE_RANGE:
-            room = _room(trim, axis, WHOLE_RANGE[axis], "possible is", "leave it out of the axes")
-            checked[axis] = min(checked[axis], room)
+        if axis not in limits and axis not in flown:
+            raise ValueError(
+                f"Got no limit of the {axis}, and the model does not say what was flown: give "
+                f"limits={{{axis!r}: ...}} (--limits)."
+            )
+        low, high = (-np.inf, np.inf) if axis in limits else flown[axis]
+        least, most = WHOLE_RANGE.get(axis, (-np.inf, np.inf))
+        value = trim.controls[axis]
+        room = min(value - max(low, least), min(high, most) - value)
+        if not room > 0:
+            raise ValueError(
+                f"Got a trim with the {axis} at {value:.3g}, but a range of {max(low, least):.3g} "
+                f"to {min(high, most):.3g}, which leaves it no room: give limits={{{axis!r}: ...}} "
+                f"(--limits), leave it out of the axes, or choose another trim."
+            )
+        checked[axis] = float(min(limits.get(axis, np.inf), room))
     return checked
-
-
-def _flown(trim: Trim, model: Aerodynamics, axis: str) -> float:
-    """Return the largest deviation from the trim that was flown to both sides."""
-    names = model.regressors
-    flown = model.limits
-    remedy = f"give limits={{{axis!r}: ...}} (--limits)"
-    if flown is None or axis not in names:
-        raise ValueError(
-            f"Got no limit of the {axis}, and the model does not say what was flown: {remedy}."
-        )
-    return _room(trim, axis, flown[:, names.index(axis)], "flown was", remedy)
-
-
-def _room(trim: Trim, axis: str, ends: Iterable[float], what: str, remedy: str) -> float:
-    """Return the largest deviation of an axis from the trim, to both sides, in its range."""
-    low, high = ends
-    value = trim.controls[axis]
-    room = min(value - low, high - value)
-    if not room > 0:
-        raise ValueError(
-            f"Got a trim with the {axis} at {value:.3g}, but {what} {low:.3g} to {high:.3g}, "
-            f"which leaves it no room: {remedy}, or choose another trim."
-        )
-    return float(room)
 
 
 @dataclass(frozen=True, eq=False)
@@ -544,13 +533,11 @@ class _Planner:
         self.aerodynamics = rehearsal.aerodynamics
         numbers = derivative_names(self.aerodynamics)
         self.slopes = [numbers[name] for name in goal]
-        rows = None
-        if self.aerodynamics.training_rows is not None:
-            rows = self.aerodynamics.training_rows()
-        self.learned = rows  # regressors (n, d) that the model was learned from
+        of_model = self.aerodynamics.training_rows
+        self.learned = None if of_model is None else of_model()  # regressors (n, d) learned from
         self.interval = ROW_STEP  # between rows of a log [s]
-        if rows is not None and self.aerodynamics.training_seconds is not None:
-            self.interval = self.aerodynamics.training_seconds / len(rows)
+        if self.learned is not None and self.aerodynamics.training_seconds is not None:
+            self.interval = self.aerodynamics.training_seconds / len(self.learned)
         self.library = {item.name: item for item in self._library()}
         if not self.library:
             raise ValueError(

@@ -312,7 +312,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         slopes=chain.slopes if chain.has_slopes else None,
         sampler=chain.sample if chain.can_sample else None,
         drift=chain.drift(),
-        turbulence=turbulence_of(model),
+        turbulence=getattr(unwrap(model), "turbulence_", None),
         limits=None if limits[0] is None else np.array(limits),
         flown=dict(getattr(chosen, "ranges_", None) or {}),
         span=getattr(rates, "span", None),
@@ -432,11 +432,6 @@ def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
         shift = shift + (0.0 if offset is None else offset) * scale
         scale = scale * (1.0 if factor is None else factor)
     return shift, scale, steps[len(scalers) :]
-
-
-def turbulence_of(model: BaseEstimator) -> Any:
-    """Return the turbulence that a pipeline was learned in, in a search too; None if it is not known."""
-    return getattr(unwrap(model), "turbulence_", None)
 
 
 def _steps_of(model: BaseEstimator) -> list:

@@ -209,9 +209,13 @@ class _Frame:
     def __init__(self, motion: Motion, now: Instant):
         self.turn = _axes(now.alpha)
         self.columns = list(motion.regressors)
-        self.scale = np.stack(
-            [_scale(motion, k, now.airspeed) for k in range(len(self.columns))], axis=-1
-        )
+        # slopes by the conventional quantities over slopes by the model's regressors, (n, d)
+        self.scale = np.ones((len(now.airspeed), len(self.columns)))
+        for k, name in enumerate(self.columns):
+            if name in LENGTHS:
+                length = getattr(motion.aircraft, LENGTHS[name])
+                usual = rate_factor(name, length, now.airspeed)
+                self.scale[:, k] = motion.factor(k, now.airspeed) / usual
         self.units = motion.aerodynamics.units
 
     def __call__(self, coefficients: Array, slopes: Array) -> Array:
@@ -249,8 +253,11 @@ class _Frame:
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
         table["per"] = [self.units.get(name, _unit(name)) for _, name in pairs]
         if "merged" in columns:
-            sources = columns.pop("merged").astype(int)
-            merged = [_merged(*pair, source) for pair, source in zip(pairs, sources, strict=True)]
+            lags = np.array(["", *LAGS])[columns.pop("merged").astype(int)]
+            merged = [  # the derivative that a derivative may hold a share of
+                f"{row}_{LAGS[lag] if name == lag else lag}" if lag else ""
+                for (row, name), lag in zip(pairs, lags.tolist(), strict=True)
+            ]
             table = table.assign(**columns, merged=merged)
         return table
 
@@ -280,22 +287,6 @@ def _axes(alpha: Array) -> Array:
     turn[:, 6, 0], turn[:, 6, 2] = np.sin(alpha), -np.cos(alpha)  # CL
     turn[:, 7, 0], turn[:, 7, 2] = -np.cos(alpha), -np.sin(alpha)  # CD
     return turn
-
-
-def _scale(motion: Motion, k: int, airspeed: Array) -> np.ndarray:
-    """Return the slope by the conventional quantity over the slope by the model's k-th regressor, (n,)."""
-    name = motion.regressors[k]
-    if name not in LENGTHS:
-        return np.ones_like(airspeed)
-    return motion.factor(k, airspeed) / rate_factor(
-        name, getattr(motion.aircraft, LENGTHS[name]), airspeed
-    )
-
-
-def _merged(row: str, name: str, source: int) -> str:
-    """Return the derivative that a derivative may hold a share of, by 0 for none or the number of a lag."""
-    lag = ["", *LAGS][source]
-    return f"{row}_{LAGS[lag] if name == lag else lag}" if lag else ""
 
 
 def _unit(name: str) -> str:

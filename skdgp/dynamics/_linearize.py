@@ -218,15 +218,6 @@ def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tupl
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
 
-class Matrices(NamedTuple):
-    """A, B, C, D: tables, or arrays with the paths as first axis."""
-
-    A: Any
-    B: Any
-    C: Any
-    D: Any
-
-
 @dataclass(frozen=True, eq=False)
 class LinearModel:
     r"""Linear model of small deviations from a flight condition: :math:`\dot x = A x + B u,\; y = C x + D u`.
@@ -234,11 +225,13 @@ class LinearModel:
     Rows and columns of the tables A, B, C, D carry the names of states, inputs, outputs.
     """
 
-    A: pd.DataFrame
-    B: pd.DataFrame
-    C: pd.DataFrame
-    D: pd.DataFrame
-    paths: Matrices | None = None  #: A, B, C, D of each path of the posterior, (n_paths, ...)
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    paths: LinearModel | None = (
+        None  #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
+    )
 
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
@@ -353,7 +346,8 @@ def linearize(
         paths = _matrices(*drawn, controls, inputs)
     mean = _matrices(motion, state, None, controls, inputs)
     names = product([[*STATES], [*STATES, *OUTPUTS]], [[*STATES], inputs])
-    A, B, C, D = (pd.DataFrame(values, *pair) for values, pair in zip(mean, names, strict=True))
+    matrices = (mean.A, mean.B, mean.C, mean.D)
+    A, B, C, D = (pd.DataFrame(values, *pair) for values, pair in zip(matrices, names, strict=True))
     return LinearModel(A, B, C, D, paths)
 
 
@@ -414,7 +408,7 @@ def _matrices(
     lag: Lag | None,
     controls: Mapping,
     inputs: Sequence[str],
-) -> Matrices:
+) -> LinearModel:
     rate, output, instant = jacobian(motion, state, controls, inputs, lag)
     check_settled(instant)
     if not np.isfinite(rate).all():
@@ -424,7 +418,7 @@ def _matrices(
     n = len(STATES)
     unchanged = np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape)
     output = np.concatenate([unchanged, output], axis=-2)
-    return Matrices(rate[..., :n], rate[..., n:], output[..., :n], output[..., n:])
+    return LinearModel(rate[..., :n], rate[..., n:], output[..., :n], output[..., n:])
 
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:

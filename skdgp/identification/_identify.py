@@ -252,9 +252,8 @@ def prepare(
 
 def as_aircraft(aircraft: Any) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
-    if isinstance(aircraft, str | os.PathLike):
-        return Aircraft.from_file(aircraft)
-    return check_aircraft(aircraft)
+    is_path = isinstance(aircraft, str | os.PathLike)
+    return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
 
 
 def _checked(regressor: DependentGPRegressor | None) -> DependentGPRegressor:

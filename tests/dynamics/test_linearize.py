@@ -15,7 +15,6 @@ from skdgp.dynamics import (
     quaternion_to_euler,
     trim,
 )
-from skdgp.dynamics._linearize import Matrices
 from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -177,7 +176,8 @@ class TestSpread:
         for k in range(3):
             alone = Aerodynamics(lambda X, k=k: values(np.broadcast_to(X, (3, *X.shape)))[k], NAMES)
             one = linearize(alone, glider, level, air=AIR)
-            for path, table in zip(many.paths, (one.A, one.B, one.C, one.D), strict=True):
+            for name in "ABCD":
+                path, table = getattr(many.paths, name), getattr(one, name)
                 assert path[k] == pytest.approx(table.to_numpy(), rel=1e-6, abs=1e-6)
 
 
@@ -243,7 +243,7 @@ LATERAL = np.array(
 def mode_table(A, states, paths=None):
     """The modes of x' = A x."""
     square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
-    drawn = None if paths is None else Matrices(paths, None, None, None)
+    drawn = None if paths is None else LinearModel(paths, None, None, None)
     return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], drawn).modes()
 
 

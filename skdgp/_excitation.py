@@ -188,12 +188,9 @@ class Multisine:
     def peak(self) -> float:
         """Bound of the deviation, to either side."""
         # the largest sample, and how far a curve can rise between two, step^2 / 8 |s''|
-        signal = self._sampled(PEAK_SAMPLES)
+        signal = _sampled(self.harmonics, self.amplitudes, self.phases, PEAK_SAMPLES)
         step = 2.0 * np.pi * np.array(self.harmonics) / len(signal)
         return float(np.abs(signal).max() + step**2 @ np.abs(self.amplitudes) / 8.0)
-
-    def _sampled(self, samples: int) -> Vector:
-        return _sampled(self.harmonics, self.amplitudes, self.phases, samples)
 
     @property
     def period(self) -> float:
@@ -203,7 +200,8 @@ class Multisine:
     @property
     def relative_peak_factor(self) -> float:
         r""":math:`(\max s - \min s) / (2\sqrt 2\,\mathrm{rms})`, which is 1 for a single sine."""
-        return float(np.ptp(self._sampled(PEAK_SAMPLES)) / (2.0 * np.linalg.norm(self.amplitudes)))
+        signal = _sampled(self.harmonics, self.amplitudes, self.phases, PEAK_SAMPLES)
+        return float(np.ptp(signal) / (2.0 * np.linalg.norm(self.amplitudes)))
 
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor."""

@@ -14,7 +14,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from skdgp._display.style import PALETTE
 from skdgp._flight.channels import COEFFICIENTS
 
 THIN = "\u202f"
@@ -67,28 +66,6 @@ def table(
         body += f'<tr><th scope="row">{first}</th>{cells}</tr>' if cells_of_row else group
     content = f"<caption>{caption}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody>"
     return f'<div class="scroll"><table class="{classes}">{content}</table></div>'
-
-
-def figure(
-    panels: Sequence[str],
-    caption: str,
-    key: Iterable[tuple[str, str, str]] = (),
-    layout: str = "",
-) -> str:
-    """Return a figure of panels side by side.
-
-    ``key`` holds the colour, the name and the kind of each sample: a line (""), an area, or a
-    marker's sign. ``layout`` is a class of page.css.
-    """
-    lines = ""
-    for color, name, kind in key:
-        classes = kind if kind in ("", "area") else "mark"
-        sign = "" if kind in ("", "area") else kind
-        style = f"color: {PALETTE.get(color, color)}"
-        lines += f'<li><i class="{classes}" style="{style}">{sign}</i>{text(name)}</li>'
-    samples = f'<ul class="key">{lines}</ul>' if lines else ""
-    grid = f'<div class="panels {layout}">{"".join(panels)}</div>'
-    return f"<figure>{samples}{grid}<figcaption>{caption}</figcaption></figure>"
 
 
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> str:

@@ -131,7 +131,16 @@ def _config(name: str, model: PortableModel) -> Element:
         element(
             "fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")
         ),
-        _metrics(aircraft),
+        element(
+            "metrics",
+            element("wingarea", aircraft.wing_area, unit="M2"),
+            element("wingspan", aircraft.span, unit="M"),
+            element("chord", aircraft.chord, unit="M"),
+            *(
+                _vector("location", CENTRE, name=place, unit="M")
+                for place in ("AERORP", "EYEPOINT", "VRP")
+            ),
+        ),
         _mass(aircraft),
         element("ground_reactions"),
         _thrust(aircraft),
@@ -141,19 +150,6 @@ def _config(name: str, model: PortableModel) -> Element:
         name=name,
         version="2.0",
         release="BETA",
-    )
-
-
-def _metrics(aircraft: Aircraft) -> Element:
-    return element(
-        "metrics",
-        element("wingarea", aircraft.wing_area, unit="M2"),
-        element("wingspan", aircraft.span, unit="M"),
-        element("chord", aircraft.chord, unit="M"),
-        *(
-            _vector("location", CENTRE, name=place, unit="M")
-            for place in ("AERORP", "EYEPOINT", "VRP")
-        ),
     )
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Indices, Vector
-from skdgp._display.page import MARGINS, WIDTH, figure, picture
+from skdgp._display.page import MARGINS, WIDTH, picture, text
 from skdgp._display.style import legend_above, tidy
 
 GAP = 5.0  # usual steps; no line is drawn across a longer one
@@ -73,8 +73,7 @@ class Display:
 
     def html(self, caption: str, *beneath: Display) -> str:
         """Return the figure of a page: all panels, and under each the panels of ``beneath`` of its key."""
-        layout = "" if self.size[0] >= WIDTH else "trio"
-        entries: list[list[tuple[str, str, str]]] = []
+        keys: list[str] = []
 
         def image(display: Display, key: Any) -> str:
             def draw(figure: Any) -> None:
@@ -83,7 +82,7 @@ class Display:
                 display.draw(ax, key)
                 inches = ax.get_position().width * figure.get_figwidth()
                 ax.yaxis.set_label_coords((LABEL_PLACE - MARGINS[0]) / inches, 0.5)
-                entries.append(_legend(ax))
+                keys.append(_legend(ax))
 
             return picture(draw, label=display.words(key), size=display.size)
 
@@ -91,27 +90,28 @@ class Display:
             f"<div>{''.join(image(display, key) for display in (self, *beneath))}</div>"
             for key in self.keys
         ]
-        return figure(panels, caption, entries[0], layout if len(panels) > 1 else "single")
+        layout = "single" if len(panels) == 1 else "trio" * (self.size[0] < WIDTH)
+        grid = f'<div class="panels {layout}">{"".join(panels)}</div>'
+        return f"<figure>{keys[0]}{grid}<figcaption>{caption}</figcaption></figure>"
 
 
-def _legend(ax: Any) -> list[tuple[str, str, str]]:
-    """Return colour, name and kind of each labelled artist of a panel; none where it has a legend itself."""
+def _legend(ax: Any) -> str:
+    """Return the labelled artists of a panel with their colours; nothing where it has a legend itself."""
     from matplotlib.collections import Collection
     from matplotlib.colors import to_hex
 
     if ax.get_legend() is not None:
-        return []
-    entries = []
+        return ""
+    lines = ""
     artist: Any
     for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
         label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
-        if isinstance(artist, Collection):
-            area: Any = artist.get_facecolor()
-            entries.append((to_hex(area[0]), label, "area"))
-        else:
-            sign = "•" if artist.get_linestyle() == "None" else ""
-            entries.append((to_hex(artist.get_color()), label, sign))
-    return entries
+        is_area = isinstance(artist, Collection)
+        is_mark = not is_area and artist.get_linestyle() == "None"
+        kind = "area" if is_area else "mark" * is_mark
+        style = f"color: {to_hex(artist.get_facecolor()[0] if is_area else artist.get_color())}"
+        lines += f'<li><i class="{kind}" style="{style}">{"•" * is_mark}</i>{text(label)}</li>'
+    return f'<ul class="key">{lines}</ul>' if lines else ""
 
 
 def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:

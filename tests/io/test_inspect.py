@@ -147,14 +147,6 @@ class TestCommand:
 
 @pytest.mark.shared
 class TestSharedLogs:
-    def test_a_flight_without_an_accelerometer_of_use(self, shared_data):
-        summary = inspect_log(shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg")
-        assert len(summary.flights) == 1
-        assert {"airspeed", "density", "ax", "p"} <= set(summary.columns.index)
-        assert any(
-            "sensor_accel.x y z cannot be ax, ay, az" in remark for remark in summary.remarks
-        )
-
     def test_benches(self, shared_data):
         summary = inspect_log(shared_data / "logs" / "pyulog_sample_log_small_vtol_bench.ulg")
         assert summary.vehicle == "VTOL"

@@ -326,9 +326,6 @@ class Features(ABC):
     #: Arguments of the constructor behind the kernel
     arguments: tuple = ()
 
-    def __reduce__(self) -> tuple:
-        return type(self), (self.kernel, *self.arguments)
-
     def rebuild(self, kernel: MultiOutputKernel) -> Features:
         """Return the features of another kernel of the same shape, with the same inducing inputs."""
         return type(self)(kernel, *self.arguments)  # type: ignore[call-arg]
@@ -518,9 +515,6 @@ class SumFeatures(Features):
         self.first, self.second = first, second
         self.kernel = first.kernel + second.kernel
         self.size = first.size + second.size
-
-    def __reduce__(self):
-        return SumFeatures, (self.first, self.second)
 
     def rebuild(self, kernel):
         return SumFeatures(self.first.rebuild(kernel.k1), self.second.rebuild(kernel.k2))

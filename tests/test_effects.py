@@ -31,7 +31,7 @@ MODELS = {
         "structure": "joint",
     },
     "no trend": {"structure": "additive", "n_latent": 0, "trend": "constant"},
-    "noisy regressors": {"structure": "additive", "n_latent": 0, "input_noise": 0.02},
+    "noisy regressors": {"structure": "additive", "n_latent": 0, "input_noise": "learned"},
 }
 
 

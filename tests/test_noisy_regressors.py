@@ -90,25 +90,11 @@ def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
     np.testing.assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
 
 
-def test_given_noise_may_be_a_number_or_deviations():
-    number, array = (fitted(given, max_iter=5) for given in (0.1, [0.1]))
-    X = waves(seed=1)[0][:10]
-    np.testing.assert_allclose(array.predict(X), number.predict(X), rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(array.input_covariance_, [[0.01]])
-
-
-@pytest.mark.parametrize("wrong", [[0.1, 0.2], [-0.1], [[0.01]], [np.nan]])
-def test_nonsense_is_refused(wrong):
-    with pytest.raises(
-        ValueError, match=r"Got input_noise=.*expected a standard deviation, or 1 of them"
-    ):
-        fitted(wrong)
+def test_nonsense_is_refused(learned):
     with pytest.raises(
         ValueError, match=r"Got include_input_noise of shape \(2,\), but expected a bool"
     ):
-        fitted(0.1, optimizer=None).predict(
-            [[0.0]], return_std=True, include_input_noise=[1.0, 1.0]
-        )
+        learned.predict([[0.0]], return_std=True, include_input_noise=[1.0, 1.0])
 
 
 @pytest.mark.usefixtures("short_fits")
@@ -152,8 +138,9 @@ def test_an_interrupted_fit_counts_no_noise_twice():
 
     options = {"inference": "sparse", "n_latent": 1, "n_inducing": 20, "random_state": 0}
     with listening(press), pytest.warns(UserWarning, match="interrupted"):
-        model = DependentGPRegressor(input_noise=0.1, **options).fit(X, Y)
-    carried = np.mean(model.predict_gradient(X)[..., 0] ** 2, axis=0) * 0.1**2
+        model = DependentGPRegressor(input_noise="learned", **options).fit(X, Y)
+    slopes = model.predict_gradient(X)[..., 0]
+    carried = np.mean(slopes**2, axis=0) * model.input_covariance_[0, 0]
     seen = np.mean((Y - model.predict(X)) ** 2, axis=0)
     assert (model.noise_variance_ + carried < 2 * seen).all()
-    assert (carried > 0.5 * seen).all()
+    assert (carried > 0.4 * seen).all()  # where a search starts, half of the noise

@@ -60,7 +60,6 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
     *(({}, lambda X, Y, n=n: (X, observed(Y, 1, n)), rf"fewer than two samples.*'y1': {n}.*Leave these columns out")
       for n in (0, 1)),
     ({}, lambda X, Y: (X, observed(Y, slice(None), 1)), "fewer than two samples"),
-    ({"input_noise": 0.1}, lambda X, Y: (X * [1e-8, 1.0], Y), r"input_noise.*'x0'.*in the units of X"),
     ({"inference": "exact"}, lambda X, Y: (np.arange(800_000.0).reshape(-1, 2), np.arange(400_000.0)),
      r"Exact inference on 400000 values needs about 2384 GiB.*sparse.*thin_targets"),
     *(({"kernel": ConvolvedGaussian(1, **words), "trend": "constant"}, lambda X, Y: (X, Y), said)

@@ -12,7 +12,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
 from skdgp._compute.files import column_names
-from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.messages import warn
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.kernels import MultiOutputKernel
@@ -22,7 +22,6 @@ Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflo
 SCALED = (
     10.0  # regressors of standard deviations from 1 / SCALED to SCALED need no scaling; a guess
 )
-MAX_INPUT_NOISE = 10  # largest input_noise, in standard deviations of the regressor
 # independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
 LEAST_ROWS = 10
 WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
@@ -172,30 +171,6 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
         f"{remedy}",
         stacklevel=7,
     )
-
-
-def input_std(input_noise: Any, X: np.ndarray, names: list[str]):
-    """Return the standard deviations (d,) of the regressors' noise; None and "learned" are returned unchanged."""
-    if input_noise is None or isinstance(input_noise, str):
-        return input_noise
-    given, d = np.asarray(input_noise, dtype=float), X.shape[1]
-    expected = f"expected a standard deviation, or {d} of them, in the units of X."
-    if given.shape not in ((), (d,)) or not (np.isfinite(given) & (given >= 0)).all():
-        raise ValueError(f"Got input_noise={input_noise!r}, but {expected}")
-    noise = np.broadcast_to(given, d)
-    excessive = (noise > MAX_INPUT_NOISE * column_scale(X)) & ~constant_columns(X)
-    if excessive.any():
-        stds = {
-            name: f"{s:.2g}"
-            for name, s, out in zip(names, X.std(axis=0), excessive, strict=True)
-            if out
-        }
-        raise ValueError(
-            f"Got input_noise of more than {MAX_INPUT_NOISE} standard deviations of the "
-            f"regressors {stds}, but "
-            "expected less noise than signal. Give it in the units of X, one value for each column."
-        )
-    return noise
 
 
 def warn_of_indices(index: Any, y: Any) -> None:

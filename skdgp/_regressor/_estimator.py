@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -101,11 +101,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         the values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
-    input_noise : "auto", "learned", None, float or array (d,)
-        Noise of the regressors, independent between samples and regressors: standard deviations in
-        the units of X, or "learned" for one learned standard deviation for each regressor. With
-        their covariance S and the slopes J of the mean it adds J S J^T to the noise covariance of
-        the outputs (McHutchon & Rasmussen 2011). None: exact regressors. "auto" is "learned" for a log, and else None.
+    input_noise : {"auto", "learned"} or None
+        Noise of the regressors, independent between samples and regressors: "learned" is one
+        standard deviation for each regressor. With their covariance S and the slopes J of the mean
+        it adds J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None:
+        exact regressors. "auto" is "learned" for a log, and else None.
     optimizer : "fmin_l_bfgs_b" or None
         None keeps the starting values. The posterior uses all values.
     max_iter : int or None
@@ -177,12 +177,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "trend": [StrOptions({"linear", "constant"}), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
-        "input_noise": [
-            StrOptions({"auto", "learned"}),
-            Interval(Real, 0, None, closed="neither"),
-            "array-like",
-            None,
-        ],
+        "input_noise": [StrOptions({"auto", "learned"}), None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
         "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "random_state": ["random_state"],
@@ -198,7 +193,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         trend: str | None = "linear",
         inference: str = "auto",
         n_inducing: int = 100,
-        input_noise: Any = "auto",
+        input_noise: str | None = "auto",
         optimizer: Any = "fmin_l_bfgs_b",
         max_iter: int | None = None,
         random_state: Seed = None,

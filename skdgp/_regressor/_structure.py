@@ -62,13 +62,11 @@ def n_searches(model: BaseEstimator, log: bool) -> int:
 
 def _searched(model, X, Z, log, inference, random_state):
     """Return the fit of one search."""
-    kernel, input_noise = _make_kernel(model, X, Z, log), model.input_noise
-    if isinstance(input_noise, str) and input_noise == "auto":
-        input_noise = "learned" if log else None
+    kernel = _make_kernel(model, X, Z, log)
     options = {
         "optimizer": model.optimizer,
         "max_iter": most_iterations(model.max_iter, Z, log),
-        "input_noise": _checks.input_std(input_noise, X, model._regressor_names()),
+        "input_noise": model.input_noise == "learned" or (log and model.input_noise == "auto"),
         "random_state": random_state.randint(2**31 - 1),
     }
     if inference == "exact":

@@ -56,7 +56,7 @@ def fit_exact(
     optimizer: Any,
     max_iter: int,
     random_state: Seed,
-    input_noise: Any = None,
+    input_noise: bool = False,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
 
@@ -72,8 +72,8 @@ def fit_exact(
     max_iter : int
         Iterations on the joint likelihood.
     random_state : int, RandomState or None
-    input_noise : ndarray (d,), "learned" or None
-        Standard deviations of the regressors' noise. "learned": one for each regressor is learned.
+    input_noise : bool
+        Whether a standard deviation of the noise of each regressor is learned.
 
     Returns
     -------
@@ -103,7 +103,7 @@ def fit_sparse(
     optimizer: Any,
     max_iter: int,
     random_state: Seed,
-    input_noise: Any = None,
+    input_noise: bool = False,
     ordered: bool = False,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.

@@ -117,7 +117,7 @@ def search(
     optimizer: Any,
     max_iter: int,
     random_state: Any,
-    input_noise: Any,
+    input_noise: bool,
     exact: bool = False,
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from some rows of all outputs jointly.
@@ -129,10 +129,9 @@ def search(
     start = kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(start.residual(X, Y), output_scale(Y))
     scale, P = column_scale(X), Y.shape[1]
-    learns_noise = isinstance(input_noise, str)
-    input_std = scale if learns_noise else input_noise
+    input_std: Vector | None = None
     if optimizer is None:
-        return Hyperparameters(start, noise, None if learns_noise else input_std)
+        return Hyperparameters(start, noise)
     stop, singles = Event(), None
     if not kernel.has_values():  # stage 1
         singles, noise = _fit_outputs(
@@ -145,25 +144,24 @@ def search(
     data, n_iter = Data.from_table(X, Y), 0
     start = kernel.initialize(X, Y, random_state, singles)
     coarse = kernel.coarse().initialize(X, Y, random_state, singles)
-    if coarse.n_dims < start.n_dims or input_std is not None:
+    if coarse.n_dims < start.n_dims or input_noise:
         half = -(-max_iter // 2)
         coarse, noise, end = climb(coarse, noise, noise_bounds, data, half, stop, common=exact)
         n_iter = end.n_iter
         start = kernel.initialize(X, Y, random_state, singles, coarse)
     # Stage 3.
     bounds = noise_bounds
-    if input_std is not None:
-        data = Hyperparameters(coarse, noise, input_std).data(X, Y, 1)
-    if learns_noise:
+    if input_noise:
+        data = Hyperparameters(coarse, noise, scale).data(X, Y, 1)
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     best, noise, end = climb(start, noise, bounds, data, max_iter - n_iter, stop, common=exact)
-    if learns_noise:
+    if input_noise:
         if not (exact or stop.is_set()):
             # Stage 4; the white noise is learned again from all samples.
-            half_data = Hyperparameters(best, noise[:P], input_std).data(X[::2], Y[::2], 1)
+            half_data = Hyperparameters(best, noise[:P], scale).data(X[::2], Y[::2], 1)
             noise = climb(best, noise, bounds, half_data, NOISE_STEPS, stop, noise_alone=True).noise
-        input_std = input_std * np.sqrt(noise[P:])
+        input_std = scale * np.sqrt(noise[P:])
     return Hyperparameters(
         best,
         noise[:P],

@@ -26,7 +26,7 @@ KINDS = {
     "additive": JOINT | {"kernel": LinearTrend() + ALONE, "trend": None},
     "trend": {"structure": "trend"},
     "constant": JOINT | {"trend": "constant"},
-    "noisy": JOINT | {"input_noise": 0.1},
+    "noisy": JOINT | {"input_noise": "learned"},
     "sparse": SPARSE | AVERAGE,
     "sparse-joint": SPARSE | JOINT,
     "sparse-constant": SPARSE | JOINT | {"trend": "constant"},

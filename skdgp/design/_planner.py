@@ -17,7 +17,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.files import plain
 from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Matrix, Seed
 from skdgp._display.page import number, percent, table, text
 from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
@@ -281,12 +281,6 @@ def information(X: Matrix) -> Matrix:
     """
     rows = np.column_stack([np.ones(len(X)), X])
     return rows.T @ rows
-
-
-def slope_variances(fisher: Matrix) -> Vector:
-    """Return the variances (d,) of the slopes, of the information about a constant and d slopes."""
-    scale = np.sqrt(np.diag(fisher))
-    return np.diag(np.linalg.inv(fisher / np.outer(scale, scale)))[1:] / scale[1:] ** 2
 
 
 def derivative_names(model: Aerodynamics) -> dict[str, int]:
@@ -592,7 +586,9 @@ class _Planner:
     def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal."""
         fisher = sum((manoeuvre.information for manoeuvre in chosen), self.known)
-        return float(-0.5 * np.mean(np.log(slope_variances(fisher)[self.slopes])))
+        scale = np.sqrt(np.diag(fisher))
+        variances = np.diag(np.linalg.inv(fisher / np.outer(scale, scale))) / scale**2
+        return float(-0.5 * np.mean(np.log(variances[1:][self.slopes])))
 
     def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
         seconds = sum(manoeuvre.seconds for manoeuvre in chosen) + self.rehearsal.response

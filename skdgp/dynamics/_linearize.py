@@ -201,19 +201,6 @@ def lag_of(motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
     )
 
 
-def draw_errors(errors: Any, lag: Lag, n_paths: int, random_state: Seed) -> tuple[Array, Lag]:
-    """Return draws of the errors of slopes at one flight, (n_paths, 6, d), and of the lag, with paths first."""
-    seed = check_random_state(random_state).randint(
-        2**31 - 1, size=4
-    )  # other numbers than for the paths
-    rng = np.random.default_rng(seed)
-    lag_drawn = lag._replace(slopes=lag.slopes * rng.standard_normal((n_paths, 1, 2)))
-    drawn = np.zeros((n_paths, *lag.errors.shape[:-1]))
-    for part in () if errors is None else (errors.random[0], errors.method[0]):
-        drawn += np.moveaxis(part @ rng.standard_normal((part.shape[-1], n_paths)), -1, 0)
-    return drawn, lag_drawn
-
-
 # States of the modes along and across the plane of symmetry
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
@@ -396,7 +383,15 @@ def _drawn(
         errors = model.slope_errors(now.regressors[None])
         scatter = 0.0 if errors is None else np.linalg.norm(errors.method[0], axis=-1)
         lag = lag_of(motion, now, model.gradient(now.regressors), scatter)
-        added, lag = draw_errors(errors, lag, n_paths, random_state)
+        # other numbers than for the paths
+        seed = check_random_state(random_state).randint(2**31 - 1, size=4)
+        rng = np.random.default_rng(seed)
+        lag = lag._replace(slopes=lag.slopes * rng.standard_normal((n_paths, 1, 2)))
+        added: Array = np.zeros((n_paths, *lag.slopes.shape[-2:-1], len(motion.regressors)))
+        for part in () if errors is None else (errors.random[0], errors.method[0]):
+            added = added + np.moveaxis(
+                part @ rng.standard_normal((part.shape[-1], n_paths)), -1, 0
+            )
         slopes: Any = drawn.aerodynamics.slopes
         drawn.aerodynamics.slopes = lambda X: slopes(X) + added[:, None]
     return drawn, np.broadcast_to(state, (n_paths, 13)), lag

@@ -174,7 +174,10 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
 def _as_flight(table):
     """Return a raw table in the order and types of a flight table."""
     table = table.reset_index(drop=True)
-    _hint_at_names(table)
+    unknown = unknown_columns(table)
+    if suggestions(unknown, table.columns):
+        unknown_names = unknown_columns_message(unknown, table.columns)
+        warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=3)
     if "time" not in table:
         raise FlightReadError(
             f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
@@ -195,7 +198,7 @@ def _as_flight(table):
         raise FlightReadError(*error.args) from error
     order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
     table = table[order]
-    table.attrs = {UNKNOWN: unknown_columns(table)}
+    table.attrs = {UNKNOWN: unknown}
     return table
 
 
@@ -230,14 +233,6 @@ def _flight_names(flight):
         int(name) if isinstance(name, float) and name.is_integer() else name for name in names
     ]
     return np.array([str(name).strip() for name in numbered], dtype=object)[codes]
-
-
-def _hint_at_names(table):
-    """Warn once of unknown columns that look like a missing name of a flight table."""
-    unknown = unknown_columns(table)
-    if suggestions(unknown, table.columns):
-        unknown_names = unknown_columns_message(unknown, table.columns)
-        warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=4)
 
 
 WIDTH = 110

@@ -324,7 +324,12 @@ def _mechanics(mechanics: FlightMechanics) -> str:
         if "climb" not in mechanics.trim.solved:  # without a thrust it is the model's glide
             names.append("climb")
         values = {name: getattr(mechanics.trim, name) for name in names} | mechanics.trim.controls
-        shown = [(name, _with_unit(name, value)) for name, value in values.items()]
+        shown = []
+        for name, value in values.items():
+            factor, unit = display_unit("theta" if name == "climb" else name)
+            shown.append(
+                (name, f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}")
+            )
         parts.append("<p>Steady flight in the middle of the training range:</p>" + facts(shown))
     if len(mechanics.derivatives):
         tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
@@ -333,11 +338,6 @@ def _mechanics(mechanics: FlightMechanics) -> str:
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
     return _section("Trim, derivatives and modes", *parts)
-
-
-def _with_unit(name: str, value: float) -> str:
-    factor, unit = display_unit("theta" if name == "climb" else name)
-    return f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}"
 
 
 def _derivatives(mechanics: FlightMechanics, plane: str) -> str:

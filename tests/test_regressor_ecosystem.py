@@ -5,12 +5,10 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
-from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp.metrics import SCORERS
 
 
 @pytest.fixture(scope="module")
@@ -41,20 +39,6 @@ class TestScikitLearn:
         assert mean.shape == std.shape == (60, 2)
         assert list(model[-1].feature_names_in_) == ["alpha", "q", "airspeed"]
         assert model.score(X, Y) > 0.9  # NaN targets are left out
-
-    def test_grid_search_over_held_out_flights(self, flights):
-        X, Y, flight = flights
-        model = make_pipeline(StandardScaler(), quick(max_iter=3))
-        grid = {
-            "dependentgpregressor__n_latent": [0, 1],
-            "dependentgpregressor__trend": ["linear", "constant"],
-        }
-        search = GridSearchCV(
-            model, grid, cv=GroupKFold(3), scoring=SCORERS, refit="neg_normalized_rmse"
-        )
-        search.fit(X, Y, groups=flight)
-        assert np.isfinite(search.cv_results_["mean_test_neg_normalized_rmse"]).all()
-        assert search.predict(X).shape == (60, 2)
 
     def test_fitting_again_forgets(self, flights):
         X, Y, _ = flights

@@ -30,7 +30,6 @@ from skdgp._flight.checks import check_airspeed, check_columns, numeric
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
 
-MAX_DIFFERENCE = 1e-3  # rad, more than the rounding of a log
 OPTIONAL = ("throttle", *SURFACES)
 RATED = (*VANES, *RATES)
 # The column that another is made from, and the step that does it
@@ -52,9 +51,8 @@ class ElevonSplitter(TableTransformer):
     aileron change sign.
 
     A table with the controls but without the surfaces (a conventional aircraft, a simulation) does
-    not change. With both, the controls are computed from the surfaces, with a warning if the logged
-    ones differ by more than 0.001 rad. Raises ValueError if the table has neither, or the mixing
-    has another shape.
+    not change. With both, the controls are computed from the surfaces. Raises ValueError if the
+    table has neither, or the mixing has another shape.
 
     Parameters
     ----------
@@ -139,26 +137,8 @@ class ElevonSplitter(TableTransformer):
         ):
             return {}
         check_columns(table, self.surfaces)
-        computed = dict(
-            zip(self.controls, self.mixing_ @ numeric(table, self.surfaces).T, strict=True)
-        )
-        difference = {
-            n: np.abs(numeric(table, [n])[:, 0] - values)
-            for n, values in computed.items()
-            if n in table
-        }
-        largest = {
-            name: float(f"{np.max(d, where=np.isfinite(d), initial=0):.2g}")
-            for name, d in difference.items()
-        }
-        if max(largest.values(), default=0.0) > MAX_DIFFERENCE:
-            warn(
-                f"Logged controls differ from the surfaces by up to {largest} rad; the surfaces "
-                f"are used. Drop the "
-                "logged columns if they are commands, or correct surfaces, controls and mixing.",
-                stacklevel=3,
-            )
-        return computed
+        values = self.mixing_ @ numeric(table, self.surfaces).T
+        return dict(zip(self.controls, values, strict=True))
 
 
 class RateNondimensionalizer(TableTransformer):

@@ -258,13 +258,6 @@ class TestPlan:
     ):
         """Its script would be flown with the card of another plan."""
         monkeypatch.setattr(_write, "_pictures", lambda *args: "")
-        plan_flight, plans = _use.plan_flight, []
-
-        def once(*words, **options):
-            plans.extend([] if plans else [plan_flight(*words, **options)])
-            return plans[0]
-
-        monkeypatch.setattr(_use, "plan_flight", once)
         folder = tmp_path / "out"
         folder.mkdir()
         for name in ("plan.lua", "plan_b.csv", "my_plan.lua"):

@@ -183,31 +183,26 @@ class TestBadInput:
 
         return check
 
-    def test_a_missing_flight(self, refused):
+    def test_missing_files(self, refused):
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
+        refused("none.json: No such file", aircraft="none.json")
 
-    def test_no_airspeed(self, refused, folder, tmp_path):
-        table = pd.read_csv(folder / "latlon.csv").drop(columns="airspeed")
-        table.to_csv(tmp_path / "blind.csv", index=False)
-        refused(
-            "lacks the columns 'airspeed'.*pitot tube.*less an estimated wind: give a column",
-            train=[str(tmp_path / "blind.csv")],
-        )
-
-    def test_no_row_is_complete(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").assign(beta=np.nan).to_csv(
-            tmp_path / "empty.csv", index=False
-        )
-        refused("no row in which all of .*'beta': 300", train=[str(tmp_path / "empty.csv")])
-
-    def test_a_flight_of_one_row(self, refused, folder, tmp_path):
-        pd.read_csv(folder / "latlon.csv").iloc[:1].to_csv(tmp_path / "one.csv", index=False)
-        refused(
-            "1 usable rows, none beside another",
-            "--test",
-            "test.csv",
-            train=[str(tmp_path / "one.csv")],
-        )
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (
+                lambda table: table.drop(columns="airspeed"),
+                "lacks the columns 'airspeed'.*pitot tube.*less an estimated wind: give a column",
+            ),
+            (lambda table: table.assign(beta=np.nan), "no row in which all of .*'beta': 400"),
+            (lambda table: table.iloc[:1], "1 usable rows, none beside another"),
+        ],
+    )
+    def test_a_flight_that_nothing_is_learned_from(
+        self, refused, folder, tmp_path, change, message
+    ):
+        change(pd.read_csv(folder / "latlon.csv")).to_csv(tmp_path / "f.csv", index=False)
+        refused(message, "--test", "test.csv", train=[str(tmp_path / "f.csv")])
 
     def test_two_flights_of_one_name(self, refused, folder, tmp_path):
         table = pd.read_csv(folder / "latlon.csv")
@@ -263,9 +258,6 @@ class TestBadInput:
         (tmp_path / "loop").symlink_to("loop")
         assert identify(option, str(tmp_path / name)) == 1
         assert name in capsys.readouterr().err.splitlines()[-1]
-
-    def test_a_missing_aircraft(self, refused):
-        refused("none.json: No such file", aircraft="none.json")
 
     def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(
         self, folder, capsys

@@ -1,26 +1,22 @@
 """An aircraft with a full inertia tensor, and a smooth flight of it in wind with known coefficients."""
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from skdgp.dynamics import (
-    Aircraft,
-    ThrustLine,
-    aerodynamic_loads,
-    air_data,
-    air_velocity,
-    body_to_ned,
-    euler_to_quaternion,
-    ned_to_body,
-    quaternion_to_euler,
-    rigid_body_derivative,
-    rk4,
+from skdgp._flight.channels import (
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+    SPECIFIC_FORCE,
 )
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, ThrustLine, simulate
 
-WIND = np.array([3.0, -2.0, 0.7])
-DENSITY = 1.1
 GRAVITY = 9.79
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+START = {"airspeed": 24.0, "alpha": 0.07, "beta": -0.04, "phi": 0.3, "theta": 0.1, "psi": 2.0}
+START |= {"p": 0.2, "q": 0.05, "r": -0.1, "north": 5.0, "east": -7.0, "altitude": 120.0}
 
 
 @pytest.fixture(scope="session")
@@ -36,15 +32,9 @@ def aircraft():
     )
 
 
-def coefficients_at(t, airspeed, alpha, beta, rates, aircraft):
-    """Coefficients (..., 6) of a stable aircraft whose surfaces never rest."""
-    t = np.asarray(t, dtype=float)
-    p, q, r = np.moveaxis(rates * aircraft.moment_lengths / (2 * airspeed[..., None]), -1, 0)
-    elevator, aileron, rudder = (
-        0.05 * np.sin(1.7 * t + 0.4),
-        0.04 * np.cos(1.3 * t),
-        0.05 * np.sin(2.1 * t + 1.0),
-    )
+def coefficients(X):
+    """Coefficients (n, 6) of a stable aircraft."""
+    alpha, beta, p, q, r, elevator, aileron, rudder = X.T
     return np.stack(
         [
             -0.03 + 0.3 * alpha**2,
@@ -58,55 +48,36 @@ def coefficients_at(t, airspeed, alpha, beta, rates, aircraft):
     )
 
 
-def thrust_at(t):
-    return 14.0 + 3.0 * np.sin(0.9 * np.asarray(t, dtype=float))
-
-
-def loads_at(t, state, aircraft):
-    """Return force (..., 3), moment (..., 3), airspeed, alpha, beta at the states."""
-    wind = ned_to_body(state[..., 6:10], WIND)
-    airspeed, alpha, beta = air_data(state[..., 3:6] - wind)
-    coefficients = coefficients_at(t, airspeed, alpha, beta, state[..., 10:], aircraft)
-    force, moment = aerodynamic_loads(coefficients, airspeed, DENSITY, aircraft)
-    push, twist = aircraft.thrust_line.loads(thrust_at(t))
-    return force + push, moment + twist, airspeed, alpha, beta
+def commands(t, state=None):
+    """Surfaces never rest."""
+    return {
+        "elevator": 0.05 * np.sin(1.7 * t + 0.4), "aileron": 0.04 * np.cos(1.3 * t),
+        "rudder": 0.05 * np.sin(2.1 * t + 1.0), "thrust": 14.0 + 3.0 * np.sin(0.9 * t),
+    }  # fmt: skip
 
 
 @pytest.fixture(scope="session")
-def simulated(aircraft):
+def flown(aircraft):
     """One flight of 6 s at 100 Hz: every angle, rate and product of inertia in play, air not at rest."""
-    time = np.arange(0, 6, 0.01)
-    quaternion = euler_to_quaternion(0.3, 0.1, 2.0)
-    ground = air_velocity(24.0, 0.07, -0.04) + ned_to_body(quaternion, WIND)
-    start = np.concatenate([[5.0, -7.0, -120.0], ground, quaternion, [0.2, 0.05, -0.1]])
+    air = Air([3.0, -2.0, 0.7], density=1.1, gravity=GRAVITY)
+    model = Aerodynamics(coefficients, NAMES)
+    return simulate(model, aircraft, START, commands, dt=0.01, duration=5.99, air=air)
 
-    def rate(t, state):
-        force, moment, *_ = loads_at(t, state, aircraft)
-        return rigid_body_derivative(state, force, moment, aircraft, GRAVITY)
 
-    fine = np.linspace(time[0], time[-1], 4 * (len(time) - 1) + 1)
-    states = rk4(rate, start, fine)[::4]
-    force, moment, airspeed, alpha, beta = loads_at(time, states, aircraft)
-    push, twist = aircraft.thrust_line.loads(thrust_at(time))
-    derivative = rigid_body_derivative(states, force, moment, aircraft, GRAVITY)
-    table = pd.DataFrame(
-        {"time": time, "airspeed": airspeed, "alpha": alpha, "beta": beta, "density": DENSITY}
-    )
-    table[["north", "east", "down"]] = states[:, :3]
-    table[["v_north", "v_east", "v_down"]] = body_to_ned(states[:, 6:10], states[:, 3:6])
-    table[["phi", "theta", "psi"]] = quaternion_to_euler(states[:, 6:10])
-    table[["p", "q", "r"]] = states[:, 10:]
-    table[["p_dot", "q_dot", "r_dot"]] = derivative[:, 10:]
-    table[["ax", "ay", "az"]] = force / aircraft.mass
-    table[["thrust_x", "thrust_y", "thrust_z"]] = push
-    table[["thrust_l", "thrust_m", "thrust_n"]] = twist
+@pytest.fixture(scope="session")
+def simulated(flown, aircraft):
+    """What a perfect logger has of it."""
+    air, rates = ("airspeed", "alpha", "beta", "density"), ("p_dot", "q_dot", "r_dot")
+    motion = (*POSITION, *EARTH_VELOCITY, *EULER, *RATES, *rates, *SPECIFIC_FORCE)
+    table = flown[["time", *air, *motion]].copy()
+    loads = aircraft.thrust_line.loads(flown["thrust"])
+    table[[f"thrust_{axis}" for axis in "xyzlmn"]] = np.hstack(loads)
     return table
 
 
 @pytest.fixture(scope="session")
-def true_coefficients(simulated, aircraft):
-    air = (simulated[name].to_numpy() for name in ("airspeed", "alpha", "beta"))
-    return coefficients_at(simulated["time"], *air, simulated[["p", "q", "r"]].to_numpy(), aircraft)
+def true_coefficients(flown):
+    return flown[list(COEFFICIENTS)].to_numpy()
 
 
 @pytest.fixture(scope="session")

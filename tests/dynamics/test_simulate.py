@@ -18,7 +18,6 @@ from skdgp.dynamics import (
     FlightComputer,
     SimulationWarning,
     UncertainStart,
-    aerodynamic_coefficients,
     as_aerodynamics,
     simulate,
     standard_density,
@@ -159,15 +158,6 @@ class TestEquations:
         exact = end(0.0025)
         errors = [np.abs(end(dt) - exact).max() for dt in (0.04, 0.02)]
         assert 3.6 < np.log2(errors[0] / errors[1]) < 4.5
-
-    def test_inverse_dynamics_gives_the_coefficients_back(self, aircraft, flown):
-        loads = aircraft.thrust_line.loads(flown["thrust"])
-        names = [f"thrust_{axis}" for axis in "xyzlmn"]
-        log = flown.drop(columns="thrust").assign(
-            **dict(zip(names, np.hstack(loads).T, strict=True))
-        )
-        Y = aerodynamic_coefficients(log, aircraft, cutoff=None)
-        np.testing.assert_allclose(Y, flown[Y.columns], atol=1e-12)
 
 
 class TestRegressors:

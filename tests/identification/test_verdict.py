@@ -40,16 +40,20 @@ def glider(elevator=-1.0):
     return Aerodynamics(coefficients, NAMES)
 
 
-@pytest.fixture(scope="module")
-def flight():
+def glide(seconds=24.0, **air):
     """Return a glide of the true glider with doublets of the elevator, its measured states without noise."""
     steady = trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None)
-    time = np.arange(0, 24, 0.05)
+    time = np.arange(0, seconds, 0.05)
     controls = pd.DataFrame({"time": time, **steady.controls})
     controls["elevator"] += 0.03 * np.sign(np.sin(1.5 * time))
     controls["aileron"] += 0.02 * np.sin(time)
-    flown = simulate(glider(), AIRCRAFT, steady, controls, dt=0.05, thrust=None)
+    flown = simulate(glider(), AIRCRAFT, steady, controls, dt=0.05, thrust=None, **air)
     return flown.drop(columns=["ended", "beyond", "flight"], errors="ignore").assign(density=1.225)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return glide()
 
 
 def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
@@ -178,15 +182,8 @@ class TestSimulation:
         assert (wrong["error"] >= true["error"]).all()
 
     def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
-        steady = trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None)
         wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
-        controls = pd.DataFrame({"time": np.arange(0, 40, 0.05), **steady.controls})
-        controls["elevator"] += 0.03 * np.sign(np.sin(1.5 * controls["time"]))
-        controls["aileron"] += 0.02 * np.sin(controls["time"])
-        options = {"dt": 0.05, "thrust": None}
-        flown = simulate(glider(), AIRCRAFT, steady, controls, air=Air(wind, gusts=None), **options)
-        gusty = flown.drop(columns=["ended", "beyond", "flight"], errors="ignore")
-        gusty = gusty.assign(density=1.225)
+        gusty = glide(40.0, air=Air(wind, gusts=None))
         felt = {name: np.interp(gusty["time"], wind["time"], wind[name]) for name in WIND}
         unknown = gusty.drop(columns=WIND, errors="ignore")
         still = simulation_errors(glider(), AIRCRAFT, [unknown], SETTINGS)

@@ -65,6 +65,16 @@ class TestRefusals:
             read_servos(tmp_path / "nowhere.toml")
 
 
+def parameters_of(surfaces):
+    """Return PX4's parameters of surfaces: type, and torques about roll, pitch, yaw."""
+    names = ("TYPE", "TRQ_R", "TRQ_P", "TRQ_Y")
+    return {
+        f"CA_SV_CS{n}_{name}": value if name == "TYPE" else float(value)
+        for n, surface in surfaces.items()
+        for name, value in zip(names, surface, strict=True)
+    }
+
+
 class TestFullThrow:
     """Surfaces from -1 to 1 by the parameters of the autopilot, with the signs of a flight table."""
 
@@ -100,12 +110,7 @@ class TestFullThrow:
             2: (14, 0, 0.5, -0.5),
             3: (16, 0, 0, 1.0),
         }  # the last: a wheel
-        parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
-        for k, axis in enumerate("RPY"):
-            parameters |= {
-                f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()
-            }
-        log = ulog(**parameters).topic(
+        log = ulog(**parameters_of(types)).topic(
             "actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4)))
         )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
@@ -122,11 +127,6 @@ class TestFullThrow:
             3: (8, 0, 0.5, -0.5),
             4: (9, 0.3, 0, 0),
         }
-        parameters = {f"CA_SV_CS{n}_TYPE": each[0] for n, each in types.items()}
-        for k, axis in enumerate("RPY"):
-            parameters |= {
-                f"CA_SV_CS{n}_TRQ_{axis}": float(each[1 + k]) for n, each in types.items()
-            }
         roll, pitch, yaw = (
             self.COMMANDS["aileron"],
             -self.COMMANDS["elevator"],
@@ -134,7 +134,9 @@ class TestFullThrow:
         )
         t = np.arange(0, 10, 0.05)
         control = np.tile([-roll, roll, pitch + yaw, pitch - yaw, 0.7], (t.size, 1))
-        log = ulog(**parameters).topic("actuator_servos", t, control=("float[5]", control))
+        log = ulog(**parameters_of(types)).topic(
+            "actuator_servos", t, control=("float[5]", control)
+        )
         log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 20.0)))
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         table = read_flight(tmp_path / "log.ulg", servos="full throw")

@@ -41,8 +41,9 @@ def options(seed):
     return {
         "optimizer": None,
         "random_state": 0,
-        "n_latent": int(rng.integers(0, 3)),
-        "covariance_type": str(rng.choice(["diag", "tied"])),
+        "kernel": ConvolvedGaussian(
+            int(rng.integers(0, 3)), covariance_type=str(rng.choice(["diag", "tied"]))
+        ),
         "trend": [None, "constant", "linear"][rng.integers(3)],
         "n_inducing": 40,
         "input_noise": [None, None, "learned"][rng.integers(3)],
@@ -125,7 +126,7 @@ def test_the_order_of_regressors_outputs_and_rows_decides_nothing(seed, inferenc
 def test_a_constant_regressor_changes_nothing(seed, inference, constant):
     """Whatever its unit: the deviation of equal numbers is rounding."""
     X, Y = problem(seed)
-    how = options(seed) | {"inference": inference, "covariance_type": "diag"}
+    how = options(seed) | {"inference": inference, "kernel": ConvolvedGaussian(1)}
     more = np.column_stack([X, np.full(len(X), constant)])
     plain, model = (DependentGPRegressor(**how).fit(x, Y) for x in (X, more))
     for got, expected in zip(model.predict(more, True), plain.predict(X, True), strict=True):

@@ -18,6 +18,8 @@ import skdgp
 from skdgp import DependentGPRegressor, listening
 from skdgp.kernels import ConvolvedGaussian
 
+TIED = ConvolvedGaussian(1, covariance_type="tied")
+
 
 def make_data(n=40, seed=0):
     """Two dependent outputs of two regressors, in units far from one, some of the second not observed."""
@@ -54,7 +56,7 @@ class TestScikitLearnContract:
         [
             DependentGPRegressor(max_iter=2),
             DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
-            DependentGPRegressor(max_iter=2, trend="constant", covariance_type="tied", n_latent=1),
+            DependentGPRegressor(TIED, max_iter=2, trend="constant"),
         ],
         ids=["exact", "sparse", "tied"],
     )

@@ -36,7 +36,7 @@ from skdgp.inference import (
     residual_drift,
     slope_errors,
 )
-from skdgp.kernels import COVARIANCE_TYPES, MultiOutputKernel
+from skdgp.kernels import MultiOutputKernel
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
@@ -70,14 +70,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     Parameters
     ----------
     kernel : MultiOutputKernel or None
-        Covariance of the processes. None: ``ConvolvedGaussian(n_latent,
-        covariance_type=covariance_type)``, for a log with ``length_scale_bounds="spacing"``.
-        Missing values are estimated from the data.
+        Covariance of the processes. None: ``ConvolvedGaussian(n_latent)``, for a log with
+        ``length_scale_bounds="spacing"``. Missing values are estimated from the data.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. None:
         two, or without ``time`` and with missing targets half as many as outputs, two to four.
-    covariance_type : {"diag", "tied"}
-        Widths of the filters, see ``ConvolvedGaussian``.
     structure : {"average", "joint", "additive", "trend"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor
         alone for each output (main effects). "trend": the trend alone, with its weights integrated
@@ -172,7 +169,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     _parameter_constraints = {
         "kernel": [MultiOutputKernel, None],
         "n_latent": [Interval(Integral, 0, None, closed="left"), None],
-        "covariance_type": [StrOptions(set(COVARIANCE_TYPES))],
         "structure": [StrOptions({"average", "joint", "additive", "trend"})],
         "trend": [StrOptions({"linear", "constant"}), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
@@ -188,7 +184,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         kernel: MultiOutputKernel | None = None,
         *,
         n_latent: int | None = None,
-        covariance_type: str = "diag",
         structure: str = "average",
         trend: str | None = "linear",
         inference: str = "auto",
@@ -200,7 +195,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     ) -> None:
         self.kernel = kernel
         self.n_latent = n_latent
-        self.covariance_type = covariance_type
         self.structure = structure
         self.trend = trend
         self.inference = inference

@@ -156,9 +156,7 @@ def _make_kernel(model, X, Z, log):
                 if log or np.isfinite(Z).all()
                 else int(np.clip(Z.shape[1] // 2, *N_LATENT))
             )
-        kernel = ConvolvedGaussian(
-            n_latent, covariance_type=model.covariance_type, length_scale_bounds=bounds
-        )
+        kernel = ConvolvedGaussian(n_latent, length_scale_bounds=bounds)
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
         for k in range(d):
             kernel = ConvolvedGaussian(0, regressors=[k], length_scale_bounds=bounds) + kernel

@@ -1,7 +1,7 @@
 """Multi-output covariance functions as scikit-learn kernels."""
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
-from skdgp.kernels._convolved import COVARIANCE_TYPES, ConvolvedGaussian
+from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._features import (
     Features,
     LatentFeatures,
@@ -13,7 +13,6 @@ from skdgp.kernels._features import (
 from skdgp.kernels._trend import LinearTrend
 
 __all__ = [
-    "COVARIANCE_TYPES",
     "ConvolvedGaussian",
     "Features",
     "FreeParameter",

@@ -29,7 +29,7 @@ SPACING = "spacing"  # of length_scale_bounds
 NOISE_AMPLITUDE = (
     0.1  # below this fraction of its starting amplitude an output was explained as noise
 )
-COVARIANCE_TYPES = ("diag", "tied")  # also those of DependentGPRegressor
+COVARIANCE_TYPES = ("diag", "tied")
 TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
 # Fraction of an output's variance that starts in the shared latents (guess; 0.1 ends alike)
 SHARED_VARIANCE = 0.5

@@ -43,7 +43,6 @@ Flights = dict[str, pd.DataFrame]
 
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
-FORCES = (*MEASURED, *THRUST_FORCES, "propeller_speed")
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
@@ -248,22 +247,6 @@ def _complete_rows(flight, table, regressors) -> pd.DataFrame:
             stacklevel=4,
         )
     return complete.iloc[continuous].reset_index(drop=True)
-
-
-def check_known(Y: pd.DataFrame, table: pd.DataFrame) -> None:
-    """Raise ValueError if the coefficients are known at fewer than two rows, with the missing columns."""
-    n_known = int(Y.notna().all(axis=1).sum())
-    if n_known < 2:
-        missing = {
-            name: n for name in FORCES if name in table and (n := int(table[name].isna().sum()))
-        }
-        raise ValueError(
-            f"Got coefficients at {n_known} of {len(Y)} rows of the training flights, but expected "
-            f"at least two, better "
-            f"thousands. Missing values, by rows: {missing}: bring slow sensors to the clock of "
-            f"the others, or drop "
-            "columns that are empty."
-        )
 
 
 def warn_of_engine(flights: Flights, regressors) -> None:

@@ -123,7 +123,7 @@ def identify(
         # The steps of the pipeline meet the same faults again.
         messages.ignore(FlightDataWarning, WARNING_START)
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
-        Y = prepared.coefficients()
+        Y = aerodynamic_coefficients(prepared.table, prepared.aircraft, **prepared.loads)
         targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))
 
         notify("transforming")  # 3: regressors (paper eq 22 is the set "paper"), eq 20
@@ -198,13 +198,6 @@ class PreparedFlights:
     def table(self) -> pd.DataFrame:
         """The training flights in one table."""
         return pd.concat(self.train.values(), ignore_index=True)
-
-    def coefficients(self) -> pd.DataFrame:
-        """Return the measured coefficients of the training flights, (n, 6); ValueError if hardly any is known."""
-        table = self.table
-        Y = aerodynamic_coefficients(table, self.aircraft, **self.loads)
-        _flights.check_known(Y, table)
-        return Y
 
 
 def prepare(

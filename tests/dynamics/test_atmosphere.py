@@ -1,4 +1,4 @@
-"""The standard atmosphere against its published table, on both sides of 11 km."""
+"""The standard atmosphere against its published table, and its own equations on both sides of 11 km."""
 
 import numpy as np
 import pytest
@@ -19,6 +19,17 @@ TABLE = [
 @pytest.mark.parametrize(("altitude", "density"), TABLE)
 def test_the_published_table_to_its_digits(altitude, density):
     assert float(f"{standard_density(altitude):.5g}") == density
+
+
+def test_air_carries_its_own_weight():
+    """Dp/dh = -rho g everywhere, with p = rho R T."""
+    h = np.setdiff1d(np.arange(-4990.0, 19990.0, 370.0), [11000.0])
+
+    def pressure(h):
+        return standard_density(h) * 287.05287 * (288.15 - 0.0065 * np.minimum(h, 11000.0))
+
+    slope = (pressure(h + 1.0) - pressure(h - 1.0)) / 2
+    np.testing.assert_allclose(slope, -standard_density(h) * 9.80665, rtol=1e-8)
 
 
 def test_any_shape_and_what_is_not_known():

@@ -252,7 +252,7 @@ def airspeeds(states: Array, air: AirAt) -> Vector:
     return np.linalg.norm(states[:, VELOCITY] - wind, axis=-1)
 
 
-START_NAMES = (*AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
+START_NAMES = (*AIR_DATA, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 # States of a start that may have standard deviations
 DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
 # Relative difference of a start's airspeed and the airspeed of its ground speed and wind, at most
@@ -314,8 +314,8 @@ def initial_states(
 ) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
-    By name: the velocity as u, v, w, or v_north, v_east, v_down, or airspeed, alpha, beta (relative
-    to the air); what else is not given is zero. Altitude counts before down, as the density follows
+    By name: the velocity as v_north, v_east, v_down, or airspeed, alpha, beta (relative to the
+    air); what else is not given is zero. Altitude counts before down, as the density follows
     from it. Raises ValueError if the velocity is missing, or a value is not finite or not in
     radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
     """
@@ -329,27 +329,20 @@ def initial_states(
     return states
 
 
-def table_states(table: pd.DataFrame, velocity: Sequence[str] = ()) -> Array:
-    """Return the states (n, 13) of a flight table, zero where a column is absent.
-
-    ``velocity`` names the columns of the velocity over the ground, `BODY_VELOCITY` or
-    `EARTH_VELOCITY`.
-    """
+def table_states(table: pd.DataFrame) -> Array:
+    """Return the states (n, 13) of a flight table, zero where a column is absent."""
     n = (len(table),)
     states = np.zeros((*n, len(STATE_NAMES)))
     states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, n).T)
     states[:, rigid_body.RATES] = stacked(table, RATES, n)
     states[:, rigid_body.POSITION] = stacked(table, POSITION, n)
-    values = stacked(table, velocity, n) if velocity else 0.0
-    is_in_body = not velocity or velocity == BODY_VELOCITY
-    states[:, VELOCITY] = values if is_in_body else ned_to_body(states[:, ATTITUDE], values)
+    states[:, VELOCITY] = ned_to_body(states[:, ATTITUDE], stacked(table, EARTH_VELOCITY, n))
     return states
 
 
 def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
-    velocities = [v for v in (BODY_VELOCITY, EARTH_VELOCITY) if set(v) <= set(table)]
-    states = table_states(table, velocities[0] if velocities else ())
+    states = table_states(table)
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     if (states[:, 2] > -LOWEST_LAND).any():
@@ -360,10 +353,10 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
         )
     air = air_at(states)
     wind = 0.0 if air is None else ned_to_body(states[:, ATTITUDE], air.wind)
-    if not velocities:
-        check_names(
-            ["airspeed"], table.columns, "columns of x0 (or u, v, w, or v_north, v_east, v_down)"
-        )
+    if not set(EARTH_VELOCITY) <= set(table):
+        # u, v, w alone do not say the angles
+        needed = AIR_DATA if set(BODY_VELOCITY) & set(table) else ["airspeed"]
+        check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
         for speed in table["airspeed"]:
             check_number("airspeed of x0", speed, unit="m/s")
         states[:, VELOCITY] = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T) + wind

@@ -13,7 +13,6 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices
 from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import (
-    BODY_VELOCITY,
     COEFFICIENTS,
     EARTH_VELOCITY,
     EULER,
@@ -182,8 +181,8 @@ def replay(
     ----------
     flight : pandas.DataFrame
         ``time``, ``airspeed``, ``density``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``;
-        ``v_north``, ``v_east``, ``v_down`` or ``u``, ``v``, ``w``; ``north``, ``east``, ``down``
-        where measured; ``flight`` (id); the columns of the thrust.
+        ``v_north``, ``v_east``, ``v_down``; ``north``, ``east``, ``down`` where measured;
+        ``flight`` (id); the columns of the thrust.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     coefficients : array-like of shape (n, 6)
@@ -221,7 +220,8 @@ def replay(
     """
     if not horizon > 0:
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
-    segments = check_flight(flight, ["time", "airspeed", "density", *EULER, *RATES])
+    needed = ["time", "airspeed", "density", *EULER, *RATES, *EARTH_VELOCITY]
+    segments = check_flight(flight, needed)
     values = coefficient_array(coefficients, len(flight))
     parts = (
         aerodynamic_loads(values, flight["airspeed"], flight["density"], aircraft),
@@ -229,10 +229,7 @@ def replay(
         external_loads(flight, external_forces),
     )
     loads = np.sum([np.hstack(part) for part in parts], axis=0)  # (n, 6), all but gravity
-    in_body = not set(EARTH_VELOCITY) <= set(flight) and set(BODY_VELOCITY) <= set(flight)
-    velocity = BODY_VELOCITY if in_body else EARTH_VELOCITY
-    check_columns(flight, velocity)
-    measured = table_states(flight, velocity)
+    measured = table_states(flight)
     has_loads: Any = np.isfinite(loads).all(axis=1)
     runs = [
         slice(segment.start + run.start, segment.start + run.stop)

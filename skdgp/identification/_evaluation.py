@@ -13,7 +13,6 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.messages import notify
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
-    BODY_VELOCITY,
     COEFFICIENTS,
     EARTH_VELOCITY,
     EULER,
@@ -153,9 +152,8 @@ def evaluate(
         regressors[rows], return_std=True, include_input_noise=noise_ratio[rows]
     )[1]
     std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
-    velocity = BODY_VELOCITY if set(BODY_VELOCITY) <= set(table.columns) else EARTH_VELOCITY
     replayed = None
-    if {*EULER, *velocity} <= set(table.columns):  # from which the integration starts
+    if {*EULER, *EARTH_VELOCITY} <= set(table.columns):  # from which the integration starts
         replayed = replay(table, aircraft, mean, horizon=min(settings["horizons"]), **loads)
     names, baseline = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS], None
     if linear := fit.get("least_squares"):

@@ -419,6 +419,7 @@ class TestStarts:
 
     @pytest.mark.parametrize(("start", "match"), [
         ({"phi": 0.1}, "lack 'airspeed'"),
+        ({"airspeed": 20.0, "u": 19.0, "v": 1.0, "w": 3.0}, "lack 'alpha', 'beta'"),
         ({"airspeed": np.nan}, "expected a number > 0"),
         ({"airspeed": 0.0}, "expected a number > 0"),
         ({"airspeed": 20.0, "aplha": 0.1}, "did you mean 'alpha'"),

@@ -82,8 +82,10 @@ class Record(NamedTuple):
         total = np.cumsum(np.concatenate([before, innovation]), axis=0)
         at = np.arange(n) + edges[-1] + 1
         sums = [total[at - early] - total[at - late] for early, late in pairwise(edges)]
-        columns = np.concatenate([np.ones((n, 1)), *sums], axis=1)
-        weights = np.linalg.lstsq(columns, self.inputs.surfaces, rcond=None)[0]
+        columns = np.concatenate(sums, axis=1)
+        weights = np.linalg.lstsq(
+            np.diff(columns, axis=0), np.diff(self.inputs.surfaces, axis=0), rcond=None
+        )[0]
         return self._replace(answers=columns @ weights)
 
     @property

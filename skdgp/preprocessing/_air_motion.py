@@ -82,7 +82,7 @@ MOST = 12000  # samples to learn from, of all records
 RATE = 50.0  # Hz, of samples; faster logs are thinned to 50 to 100 Hz
 LOG_MOVE = 1e-3  # of the logarithm of a noise
 NOISE_SAMPLES = 2000  # of each record, from its middle, that tell the noises
-MAX_PASSES = 30
+MAX_PASSES = 45
 # Passes before the instruments are used, whose slopes are small far from the solution. The second, where
 # the first diverges.
 ATTEMPTS = 0, 6

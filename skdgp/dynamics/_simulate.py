@@ -25,7 +25,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WIND,
 )
-from skdgp._flight.checks import check_columns
+from skdgp._flight.checks import check_columns, check_number
 from skdgp._flight.frames import (
     air_data,
     body_to_ned,
@@ -153,6 +153,7 @@ def fly_record(
     clock: Clock,
     state: Array,
     drifts: Array | None = None,
+    deflections: Mapping[str, Array] | None = None,
 ) -> Record:
     """Return the flight from states: the loop of RK4 over time.
 
@@ -169,6 +170,8 @@ def fly_record(
         At the start.
     drifts : array (n_stages, ..., 6) or None
         Added to the coefficients.
+    deflections : mapping of str to array (...), optional
+        Of the surfaces at the start, by default as commanded.
 
     Returns
     -------
@@ -198,8 +201,7 @@ def fly_record(
         part = round(2 * t / clock.dt)
         return now.derivative if part == 0 else instant(step, part, state, now, begin)[0].derivative
 
-    now = None
-    reached: dict[str, Array] = {}  # deflections at the end of the last step
+    now, reached = None, dict(deflections or {})  # and the deflections at the end of the last step
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(n):
             now, controls, wind, first = instant(k, 0, state, now, None)
@@ -409,6 +411,126 @@ def simulate(
     )
     table.attrs["air"] = sentence
     return table
+
+
+class Simulator:
+    """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
+
+    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4).
+
+    Parameters
+    ----------
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
+    dt : float, default=0.02
+        Time step [s].
+    air, thrust
+        As for :func:`skdgp.dynamics.simulate`; the wind is constant, no gusts are drawn.
+
+    Attributes
+    ----------
+    ended : str
+        Why the flight is over; "" while it is not.
+    beyond : str
+        After a step: the regressor farthest outside its training range, or "".
+
+    Examples
+    --------
+    A controller that holds the bank angle:
+
+    >>> import numpy as np
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, Simulator
+    >>> glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+    >>> def coefficients(X):
+    ...     alpha, beta, p, q, r, aileron = X.T
+    ...     Cl = -0.05 * beta - 0.4 * p + 0.1 * aileron
+    ...     return np.stack([-0.02 + 2 * alpha**2, -0.4 * beta, -0.2 - 4.5 * alpha, Cl,
+    ...                      0.02 - 0.4 * alpha - 8 * q, 0.08 * beta - 0.1 * r], axis=-1)
+    >>> model = Aerodynamics(coefficients, ["alpha", "beta", "p_hat", "q_hat", "r_hat", "aileron"])
+    >>> simulator = Simulator(model, glider, thrust=None)
+    >>> seen = simulator.reset({"airspeed": 12.0, "alpha": 0.05, "phi": 0.0, "altitude": 100.0})
+    >>> for _ in range(150):
+    ...     seen = simulator.step({"aileron": 1.5 * (0.4 - seen["phi"]) - 0.3 * seen["p"]})
+    >>> round(float(seen["time"]), 2), bool(abs(seen["phi"] - 0.4) < 0.05)
+    (3.0, True)
+    """
+
+    def __init__(
+        self,
+        model: Aerodynamics | BaseEstimator,
+        aircraft: Aircraft,
+        dt: float = 0.02,
+        *,
+        air: Any = None,
+        thrust: str | None = "auto",
+    ) -> None:
+        air = as_air(air)
+        if isinstance(air.gusts, Turbulence):
+            raise ValueError("Got a Turbulence, but a Simulator draws no gusts: simulate() does.")
+        self.motion = Motion(model, aircraft, thrust=thrust, air=air)
+        self.dt = check_number("dt", dt, unit="s")
+        self._mean = self.motion.aerodynamics
+        if tables_of(air.wind):
+            raise ValueError(
+                "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
+            )
+        self._air = wind_schedule(air.wind, Clock(dt, 1), 1)
+        self._steps = 0
+        self.ended = FLYING
+        self.beyond = ""
+        self._state: Any = None
+
+    @property
+    def time(self) -> float:
+        """Since the reset [s]."""
+        return self._steps * self.dt
+
+    def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, float]:
+        """Begin a flight, and return ``time``, position, velocities, angles, rates, air data, altitude.
+
+        ``x0`` is one start of :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean
+        of the model flies, else a function drawn from its posterior.
+        """
+        states = initial_states(as_starts(x0), lambda start: self._air(0, start))
+        if len(states) > 1:
+            raise ValueError(
+                f"Got {len(states)} starts, but expected one: simulate() flies several at once."
+            )
+        self.motion.aerodynamics = self._mean
+        if random_state is not None:
+            self.motion.aerodynamics = self._mean.sample(1, random_state, correlated=True)
+        self._state = states
+        self._steps = 0
+        self._reached: dict[str, Array] = {}  # deflections at the end of the last step
+        self.ended = FLYING
+        self.beyond = ""
+        return self._seen()
+
+    def step(self, controls: Mapping) -> dict[str, float]:
+        """Return the observation after a step with controls by name; ValueError before `reset` or after the end."""
+        if self._state is None or self.ended:
+            what = (
+                "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
+            )
+            raise ValueError(f"Got {what}, but expected one that flies: call reset(x0).")
+        record = fly_record(
+            self.motion, lambda step, stage, observe: controls, self._air,
+            Clock(self.dt, 1), self._state, deflections=self._reached,
+        )  # fmt: skip
+        self._steps += 1
+        self.ended = record.ended[0]
+        farthest = beyond(self.motion, record.regressors[-1])[0]
+        self.beyond = ["", *self.motion.regressors][farthest]
+        if not self.ended:
+            self._state = record.states[-1]
+            self._reached = {name: values[-1] for name, values in record.controls.items()}
+        return self._seen()
+
+    def _seen(self) -> dict[str, float]:
+        air = self._air(0, self._state)
+        columns = channels(self._state, None if air is None else air.wind)
+        values = {name: np.nan if self.ended else float(v[0]) for name, v in columns.items()}
+        return {"time": self.time} | values
 
 
 class SimulationWarning(UserWarning):

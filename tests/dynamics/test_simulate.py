@@ -17,6 +17,7 @@ from skdgp.dynamics import (
     Aircraft,
     FlightComputer,
     SimulationWarning,
+    Simulator,
     UncertainStart,
     as_aerodynamics,
     simulate,
@@ -360,6 +361,11 @@ class TestControls:
         with pytest.raises(ValueError, match=match):
             simulate(linear(), aircraft, controls=controls, **{"x0": START} | options)
 
+    def test_a_simulator_takes_no_table_of_wind(self, aircraft):
+        wind = pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})
+        with pytest.raises(ValueError, match=r"a wind over time, .*simulate\(\)"):
+            Simulator(linear(), aircraft, dt=0.02, air=wind)
+
     def test_a_whole_log_may_be_given(self, aircraft):
         table = table_of(1.0)
         log = table.assign(flight="monday", v_north=np.nan, phi=99.0, elevator_true=5.0)
@@ -582,3 +588,80 @@ class TestEnsembles:
         start = UncertainStart(START, {"speed": 1.0})
         with pytest.raises(ValueError, match="standard deviations of a start lack 'speed'"):
             simulate(uncertain(0.1), aircraft, start, commands, duration=1.0, n_paths=3)
+
+
+class TestSimulator:
+    @pytest.mark.parametrize("lag", [0.0, 0.1])
+    def test_steps_are_those_of_a_held_law(self, aircraft, lag):
+        def law(t, state):
+            return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
+
+        at_once = simulate(
+            linear(servo_lag=lag),
+            aircraft,
+            START,
+            FlightComputer(law),
+            dt=0.02,
+            duration=1.0,
+            air=[1.0, 2.0, 0.0],
+        )
+        simulator = Simulator(linear(servo_lag=lag), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
+        seen = simulator.reset(START)
+        for _, row in at_once.iterrows():
+            assert seen["time"] == pytest.approx(row["time"])
+            np.testing.assert_allclose(
+                [seen[name] for name in STATES], row[STATES].to_numpy(float), atol=1e-10
+            )
+            seen = simulator.step(law(seen["time"], seen))
+
+    def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft):
+        simulator = Simulator(uncertain(0.1), aircraft)
+
+        def end(seed):
+            simulator.reset(START, random_state=seed)
+            for _ in range(20):
+                seen = simulator.step(commands(0.0))
+            return seen["phi"]
+
+        assert end(1) == pytest.approx(end(1))
+        assert end(1) != pytest.approx(end(2))
+
+    def test_tells_what_is_beyond_what_was_flown(self, aircraft):
+        limits = np.array([[-0.5] * 8, [0.5] * 8])
+        limits[:, 0] = [0.0, 0.07]
+        simulator = Simulator(linear(limits=limits), aircraft, dt=0.02)
+        with pytest.warns(SimulationWarning):
+            flown = simulate(
+                linear(limits=limits),
+                aircraft,
+                START,
+                FlightComputer(lambda t, s: commands(0.0)),
+                duration=1.0,
+            )
+        simulator.reset(START)
+        told = [simulator.beyond]
+        for _ in range(50):
+            simulator.step(commands(0.0))
+            told.append(simulator.beyond)
+        assert told[1:] == flown["beyond"].tolist()[1:]
+
+    def test_says_when_it_is_over(self, aircraft):
+        simulator = Simulator(linear(0.0 * SLOPES, np.zeros(6)), aircraft, thrust=None)
+        with pytest.raises(ValueError, match="call reset"):
+            simulator.step({})
+        with pytest.raises(ValueError, match="2 starts, but expected one"):
+            simulator.reset(pd.DataFrame([START, START]))
+        seen = simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
+        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        while not simulator.ended:
+            seen = simulator.step(controls)
+        assert simulator.ended == "airspeed"
+        simulator.reset(START)
+        simulator.step(controls | {"elevator": np.nan})
+        assert simulator.ended == "diverged"
+        simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
+        while not simulator.ended:
+            seen = simulator.step(controls)
+        assert np.isnan(seen["airspeed"])
+        with pytest.raises(ValueError, match="has ended"):
+            simulator.step(controls)

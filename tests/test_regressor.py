@@ -117,6 +117,7 @@ class TestShapesAndNames:
         assert mean.shape == (6, *rest)
         assert cov.shape == (6 * P, 6 * P)
         assert model.predict_gradient(new).shape == (6, *rest, 2)
+        assert model.sample_y(new, 5).shape == (6, *rest, 5)
         assert model.noise_variance_.shape == (P,)
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):

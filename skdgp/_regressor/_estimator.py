@@ -528,6 +528,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             errors = self._slopes.added(errors)
         return errors._replace(weights=errors.weights * self.scale_)
 
+    def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
+        """Return samples of the joint posterior of all outputs at X (n, d), without noise.
+
+        They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
+        """
+        return np.moveaxis(self.sample_paths(n_samples, random_state)(X), 0, -1)
+
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors, without noise.
 

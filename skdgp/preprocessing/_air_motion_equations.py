@@ -37,6 +37,7 @@ LEAST_LAG, LAG_STEP = 1e-4, 1e-4  # s
 RESPONSE_TIME = 4.0  # s, memory of the motion that surfaces cause
 ANSWER_TIME = 8.0  # s, memory of the surfaces' answers to gusts
 N_BINS = 16  # of this time
+TINY = 1e-300
 LATE = 1  # samples; a command follows the noise of the same sample
 WINDS = ("wind_north", "wind_east", "wind_down")
 ARM = ("arm_x", "arm_y", "arm_z")
@@ -73,7 +74,9 @@ class Record(NamedTuple):
     def with_answers(self, innovation: Matrix) -> Record:
         """Return the record with the part of its surfaces that innovations (n - 1, m) up to each sample explain.
 
-        By least squares on sums of the innovations over bins of the past, wider the earlier.
+        By least squares on sums of the innovations over bins of the past, wider the earlier. What else
+        moves a surface is a first-order process of the surface's own correlation (Cochrane & Orcutt
+        1949): inputs hold their values for a while.
         """
         n, m = len(self.rows), innovation.shape[1]
         reach = max(ANSWER_TIME / np.median(self.step), 2.0)
@@ -82,11 +85,14 @@ class Record(NamedTuple):
         total = np.cumsum(np.concatenate([before, innovation]), axis=0)
         at = np.arange(n) + edges[-1] + 1
         sums = [total[at - early] - total[at - late] for early, late in pairwise(edges)]
-        columns = np.concatenate(sums, axis=1)
-        weights = np.linalg.lstsq(
-            np.diff(columns, axis=0), np.diff(self.inputs.surfaces, axis=0), rcond=None
-        )[0]
-        return self._replace(answers=columns @ weights)
+        columns, surfaces = np.concatenate(sums, axis=1), self.inputs.surfaces
+        answers = np.empty_like(surfaces)
+        for k, surface in enumerate((surfaces - surfaces.mean(axis=0)).T):
+            rest = surface - columns @ np.linalg.lstsq(columns, surface, rcond=None)[0]
+            rho = (rest[1:] @ rest[:-1]) / max(rest @ rest, TINY)
+            X, y = columns[1:] - rho * columns[:-1], surface[1:] - rho * surface[:-1]
+            answers[:, k] = columns @ np.linalg.lstsq(X, y, rcond=None)[0]
+        return self._replace(answers=answers)
 
     @property
     def sampled(self) -> Mask:

@@ -36,12 +36,14 @@ from skdgp.preprocessing._air_motion_equations import (
     FAST,
     GUST,
     N_STATES,
+    TINY,
     TURN,
     WINDS,
     Layout,
     Record,
     air_velocity,
     linearised,
+    motion_by_surfaces,
     noise,
 )
 from skdgp.preprocessing._air_motion_filter import (
@@ -101,6 +103,8 @@ DIVERGED = (
 LEAST_DIRECTION = 1e-6  # of the instruments, relative to the largest singular value
 BLOCK = 2.0  # s of scores that are summed before their covariance is taken
 LAG_ERROR = 0.1  # standard deviation by what a surface does between samples, in steps
+# Errors of path [m/s], rates [rad/s] and surfaces [rad] that seem to be motion; guesses
+ERROR_VELOCITY, ERROR_RATE, ERROR_SURFACE = 0.02, 0.002, 0.001
 MODEL_ERROR = 0.03  # standard deviation of a derivative by what the model leaves out, relative
 # Relative standard deviation of the scale of alpha, and of beta, by a wrong spectrum of gusts; chosen
 # on three of the six aircraft of docs/preprocessing.md
@@ -130,8 +134,8 @@ class AirMotion:
     surfaces : list of str
         Surfaces of the model.
     converged : bool
-        Whether the last steps were small. Otherwise the bands are those of the prior, and the results
-        are not to be used.
+        Whether the last steps were small. Otherwise the results are not to be used; ``std`` has the
+        prior's variance, and the square of the distance from its mean.
     seconds : float
         Length of the records.
     """
@@ -236,7 +240,8 @@ def estimate_air_motion(
     not tell. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, and 3 % of each derivative are added for what a linear model leaves out. All slopes by
-    alpha, and all by beta, share an error of 5 % of the scale of the angle.
+    alpha, and all by beta, share an error of 5 % of the scale of the angle. Where surfaces hardly move
+    a term, so that errors of path and sensors make most of its motion, ``std`` is that of the prior.
 
     Parameters
     ----------
@@ -579,10 +584,14 @@ class _Fit:
 
     def _result(self, sums: _Sums, converged: bool, n_rows: int) -> AirMotion:
         nd = len(self.layout.rows)
-        covariance = _covariance(sums) if converged else np.diag(self.parameters.std**2)
+        off = self.x - self.parameters.mean
+        covariance = np.diag(self.parameters.std**2 + off**2)
+        if converged:
+            covariance = _covariance(sums)
         columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
         if self.known is None:
             covariance[:nd, :nd] += np.diag((MODEL_ERROR * self.x[:nd]) ** 2)
+            covariance[:nd, :nd] += np.diag((self._unmoved() * self.parameters.std[:nd]) ** 2)
             for vane in ("alpha", "beta"):
                 if not any(record.sampled[BIASES[f"{vane}_bias"]] for record in self.records):
                     is_slope = self.layout.columns == STATE_TERMS.index(vane)
@@ -601,6 +610,26 @@ class _Fit:
         air = self._air(sums, covariance, n_rows)
         found = estimates[:nd], shown, estimates[nd:], noises, air, self.surfaces
         return AirMotion(*found, converged, seconds)
+
+    def _unmoved(self) -> Vector:
+        """Return the share of errors of path and sensors in what moves each derivative's term (p,).
+
+        One, where surfaces do not move it: what then seems to is an error.
+        """
+        moved = []
+        for record, states in zip(self.records, self.states, strict=True):
+            value = self.parameters.values(self.x, record.flight)
+            decay = self.noise(self.psi, record).decay
+            at = record, self.layout, self.aircraft, value, states, decay
+            moved.append(motion_by_surfaces(*at))
+        variance = np.concatenate(moved).var(axis=0)
+        speed = np.linalg.norm(np.concatenate([r.velocity for r in self.records]), axis=1).mean()
+        angle, rate = ERROR_VELOCITY / speed, ERROR_RATE / (2 * speed)
+        span, chord = self.aircraft.span, self.aircraft.chord
+        error = np.full(len(variance), ERROR_SURFACE)
+        error[: len(STATE_TERMS)] = 0.0, angle, 0.0, angle, rate * span, rate * chord, rate * span
+        share = error**2 / np.maximum(error**2 + variance, TINY)
+        return share[self.layout.columns]
 
     def _air(self, sums: _Sums, covariance: Matrix, n_rows: int) -> pd.DataFrame:
         """Return the smoothed motion through the air, with standard deviations, in the rows of the table."""

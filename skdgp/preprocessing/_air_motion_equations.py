@@ -318,6 +318,15 @@ def linearised(
     )
 
 
+def motion_by_surfaces(
+    record: Record, layout: Layout, aircraft: Aircraft, value: dict, states: Matrix, decay: Vector
+) -> Matrix:
+    """Return the terms (n - 1, f) of the coefficients in the motion that surfaces cause, less its mean."""
+    model = layout.model(aircraft, value)
+    moved = _predictions(record, model, value, states, decay).start.response
+    return moved - moved.mean(axis=0)
+
+
 def _surface_noise(slopes: Array, model: AirMotionModel, inputs: Inputs) -> Array:
     """Return the covariance (n, N, N) by surfaces that are off by their change in the step."""
     jump = np.diff(inputs.surfaces, axis=0)

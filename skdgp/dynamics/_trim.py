@@ -96,7 +96,6 @@ def trim(
     climb: float | None = 0.0,
     bank: float | None = None,
     fixed: Mapping[str, float] | None = None,
-    limits: Mapping[str, tuple[float, float]] | None = None,
     thrust: str | None = "auto",
     air: Any = None,
 ) -> Trim | list[Trim]:
@@ -112,7 +111,9 @@ def trim(
     The unknowns are alpha, theta, phi and four controls: the model's, and the control of the
     thrust. With ``bank`` the turn rate is unknown instead of phi. Sideslip is unknown, instead
     of zero, where there are fewer controls, as without a rudder, or where both ``bank`` and a
-    turn rate are given (a steady sideslip). Raises ValueError if there is no such flight, with
+    turn rate are given (a steady sideslip). Controls and alpha may leave the training range by its
+    width on either side, at least 0.1 rad; surfaces reach 45 degrees where that is unknown;
+    ``throttle`` is 0 to 1, ``thrust`` > 0. Raises ValueError if there is no such flight, with
     the accelerations that remain and the unknowns at a limit; if a given value is not finite, or an
     angle of 90 degrees or more.
 
@@ -133,10 +134,6 @@ def trim(
         [rad/s], and of ``beta`` [rad], by default 0 where four controls can hold it.
         A ``throttle`` that is a regressor but does not set
         the thrust (an aircraft without a propeller) is by default the middle of its training range.
-    limits : mapping of str to pair of float, optional
-        Of controls, alpha, beta, phi, theta. By default controls and alpha may leave the training
-        range by its width on either side, at least 0.1 rad; surfaces reach 45
-        degrees where that is unknown; ``throttle`` is 0 to 1, ``thrust`` > 0.
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
 
@@ -170,7 +167,7 @@ def trim(
     turn_rate = given.pop("turn_rate", 0.0 if bank is None else None)
     conditions = {"altitude": altitude, "climb": climb, "turn_rate": turn_rate, "phi": bank}
     conditions["beta"] = given.pop("beta", None)
-    steady = SteadyFlight(motion, conditions, given, dict(limits or {}))
+    steady = SteadyFlight(motion, conditions, given)
     trims: list[Trim] = []
     near = None
     for speed in np.atleast_1d(airspeeds).tolist():
@@ -209,11 +206,11 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
 class SteadyFlight:
     """The equations of a steady flight in the unknowns of one aircraft.
 
-    ``given`` holds altitude, climb, turn_rate, phi, beta; None is an unknown. ``fixed`` and
-    ``limits`` are as of `trim`.
+    ``given`` holds altitude, climb, turn_rate, phi, beta; None is an unknown. ``fixed`` is as of
+    `trim`.
     """
 
-    def __init__(self, motion: Motion, conditions: dict, fixed: dict, limits: dict):
+    def __init__(self, motion: Motion, conditions: dict, fixed: dict):
         self.motion = motion
         self.fixed = fixed
         _check_given(conditions, fixed)
@@ -236,13 +233,7 @@ class SteadyFlight:
                 f"flight has 7 equations: give the value of {len(self.unknowns) - 7} more, controls "
                 f"as fixed={{name: value}}."
             )
-        check_names(limits, (*self.unknowns, *fixed), "unknowns of this trim, and their limits,")
-        for name, pair in limits.items():
-            if np.shape(pair) != (2,) or not pair[0] < pair[1]:
-                raise ValueError(
-                    f"Got limits of {name} {pair!r}, but expected two numbers, smallest < largest."
-                )
-        self.limits = {name: limits.get(name) or self._limits(name) for name in self.unknowns}
+        self.limits = {name: self._limits(name) for name in self.unknowns}
 
     def _controls(self) -> tuple[str, ...]:
         """Return the controls to solve for, and fix a throttle that does not set the thrust."""
@@ -374,8 +365,7 @@ class SteadyFlight:
         return (
             f"There is no trim of {self.motion.aircraft.name} at {conditions}: nearest to it are left "
             f"{accelerations}, with {ends or 'nothing at a limit'}. Ask for another airspeed, climb or turn, "
-            f"free a control, let the path follow (climb=None), or give trim() wider "
-            f"limits={{name: (lowest, highest)}}."
+            f"free a control, or let the path follow (climb=None)."
         )
 
 

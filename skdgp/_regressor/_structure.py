@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils import check_random_state
@@ -73,7 +75,10 @@ def _searched(model, X, Z, log, inference, random_state):
         fit = fit_exact(kernel, X, Z, **options)
     else:
         fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
-        neglected = 0.0 if log or fit.learned.interrupted else _neglect(fit)
+        neglected = 0.0  # prior variance over the noise, of the worst output
+        if not (log or fit.learned.interrupted or fit.learned.input_std is not None):
+            sparse: Any = fit.posterior
+            neglected = float(np.max(sparse.unexplained_variance / sparse.noise))
         n_exact = EXACT_LIMIT if model.inference == "auto" else None
         if neglected > MOST_NEGLECTED:
             _checks.warn_of_approximation(neglected, model.n_inducing, n_exact)
@@ -81,17 +86,10 @@ def _searched(model, X, Z, log, inference, random_state):
             n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
             rows = stratified(np.arange(len(X)), n, random_state)
             X, Z = X[rows], Z[rows]
-            fit = as_exact(fit, X, Z)
+            fit = as_exact(fit.learned, X, Z, fit.learned.data(X, Z))
     if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
         return fit
     return average(fit, X, Z, None if log else random_state)
-
-
-def _neglect(fit):
-    """Return the prior variance that a sparse fit neglects, over the noise, of the worst output."""
-    if fit.learned.input_std is not None:
-        return 0.0
-    return float(np.max(fit.posterior.unexplained_variance / fit.posterior.noise))
 
 
 def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:

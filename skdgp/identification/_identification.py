@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import (
@@ -24,13 +25,24 @@ from skdgp._compute.files import (
     write_together,
 )
 from skdgp._compute.messages import notify
-from skdgp._flight.channels import COEFFICIENTS
-from skdgp.dynamics import Aircraft
-from skdgp.identification import _evaluation
-from skdgp.identification._evaluation import group_means
+from skdgp._compute.typing import Matrix
+from skdgp._flight.channels import (
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    LATERAL,
+    LONGITUDINAL,
+    THRUST_FORCES,
+    TRUTH_SUFFIX,
+)
+from skdgp._regressor import DependentGPRegressor
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
+from skdgp.identification._flights import Flights, regressor_columns, usable_flights
 from skdgp.identification._model_file import save_model
+from skdgp.identification._pipeline import flight_regressors
 from skdgp.identification._verdict import flight_mechanics, judge
 from skdgp.plotting import EffectsDisplay
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 from skdgp.report import (
     Evaluation,
     FlightMechanics,
@@ -94,9 +106,8 @@ class Identification:
     @cached_property
     def mechanics(self) -> FlightMechanics:
         """Trim, derivatives and modes at the median flight condition, and how long a simulation follows flights."""
-        train = list(self.train.values())
-        test = [flight.table for flight in self.evaluations if flight.table is not None]
-        return flight_mechanics(self.pipeline, self.aircraft, train, test, self.settings, self.fit)
+        flights = list(self.train.values()), [flight.table for flight in self.evaluations]
+        return flight_mechanics(self.pipeline, self.aircraft, *flights, self.settings, self.fit)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -148,8 +159,8 @@ class Identification:
         if not fit["converged"]:
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
         together = f"{len(tested)} test flights together"
-        lines += ["", f"flight {tested[0].name}" if len(tested) == 1 else together]
         names = [*COEFFICIENTS, "longitudinal", "lateral", "all"]
+        lines += ["", f"flight {tested[0].name}" if len(tested) == 1 else together]
         lines += [_score_text(scores(tested), names), ""]
         for flight in tested if len(tested) > 1 else ():
             lines += [f"flight {flight.name}", _score_text(flight.scores, ["all"]), ""]
@@ -161,8 +172,8 @@ class Identification:
         ]
         lines += [compared] if (compared := verdict.compared()) else []
         lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
-        warnings = verdict.warnings[:N_WARNINGS]
-        lines += [f"warning {k}: {warning}" for k, warning in enumerate(warnings, start=1)]
+        warnings = enumerate(verdict.warnings[:N_WARNINGS], start=1)
+        lines += [f"warning {k}: {warning}" for k, warning in warnings]
         lines += ["", "assumed, as nothing was told:"] if self.assumed else []
         for assumption in self.assumed:
             lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")
@@ -179,8 +190,9 @@ class Identification:
         }
         if self.train:
             facts = {"options": self.settings, "fit": self.fit, "flights": list(self.train)}
-            content = {"pipeline": self.pipeline, "aircraft": self.aircraft, **facts}
-            writers["model.joblib"] = lambda path: save_model(path, **content)
+            writers["model.joblib"] = lambda path: save_model(
+                path, self.pipeline, self.aircraft, **facts
+            )
         write_together(path, writers)
         return path
 
@@ -206,9 +218,7 @@ class Identification:
         fit, aircraft, settings = self.fit, self.aircraft, self.settings
         regressor = self.pipeline[-1]
         tested = {flight.name: flight.table for flight in self.evaluations}
-        sources = _evaluation.thrust_sources(
-            settings["thrust"], [*self.train.values(), *tested.values()]
-        )
+        sources = thrust_sources(settings["thrust"], [*self.train.values(), *tested.values()])
         lags = {name: row["applied"] for name, row in fit["lags"].items()}
         late = [f"{name} {lag:.3g} s" for name, lag in lags.items() if lag]
         has_record = "seconds" in fit
@@ -289,3 +299,181 @@ def _score_text(of: Mapping[str, pd.DataFrame], names: list[str]) -> str:
         columns["NRMSE of truth"] = truth["normalized_rmse"]
     form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in columns}
     return pd.DataFrame(columns, index=names).to_string(formatters=form)
+
+
+# -- records of the fit, and evaluation
+# -------------------------------------------------------------------------------------
+
+STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
+# rows of a flight at which standard deviations are computed; they cost N^2 each, means only N
+STD_ROWS = 3000
+
+
+def fit_facts(pipeline: Pipeline) -> dict:
+    """Return what a fitted pipeline knows of its fit."""
+    regressor, path = pipeline[-1], pipeline["flightpathreconstruction"]
+    how = None
+    if isinstance(path, FlightPathReconstruction):
+        smoothed, reconstructed = (
+            "not reconstructed, only smoothed",
+            "reconstructed from all sensors",
+        )
+        how = f"{reconstructed if path.used_ else smoothed}: {path.reason_}"
+    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
+    return {
+        "inference": regressor.inference_,
+        "weights": {name: _by_coefficient(values) for name, values in regressor.weights_.items()},
+        "regressors": names,
+        "log_marginal_likelihood": float(regressor.log_marginal_likelihood_value_),
+        "iterations": int(regressor.n_iter_),
+        "limit_reached": bool(regressor.n_iter_ >= regressor.max_iter_),
+        "converged": bool(regressor.converged_),
+        "interrupted": bool(regressor.interrupted_),
+        "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
+        "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
+        "paths_reconstructed": getattr(path, "used_", False),
+        "paths_not_converged": [
+            str(name)
+            for name, converged in getattr(path, "converged_", {}).items()
+            if not converged
+        ],
+        "gusts_unknown": getattr(path, "doubt_", ""),
+        "reconstruction": how,
+        "lags": lags_of(pipeline),
+    }
+
+
+def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
+    """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
+    step = pipeline.named_steps.get("lagcorrector")
+    if not isinstance(step, LagCorrector):
+        return {}
+    table = step.lags_.astype(object).where(step.lags_.notna(), None)
+    return {str(group): dict(row) for group, row in table.iterrows()}
+
+
+def lags_message(found: dict[str, dict[str, Any]]) -> str:
+    """Return the lags that were found in the flights of the fit and corrected, in one line; empty without any."""
+    lags = {name: row["applied"] for name, row in found.items() if row["remark"] == "removed"}
+    parts = [
+        f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}" for name, lag in lags.items()
+    ]
+    early = (
+        " Surfaces that are early are commands of slower servos."
+        if lags.get("surfaces", 0) < 0
+        else ""
+    )
+    return f"Lags against the inertial unit, corrected: {', '.join(parts)}.{early}" if parts else ""
+
+
+def thrust_sources(thrust: str | None, tables: Iterable[Any]) -> list[str]:
+    """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
+    if thrust is None:
+        return ["none"]
+    return sorted(
+        {"columns" if {*THRUST_FORCES} & set(table.columns) else "propeller" for table in tables}
+    )
+
+
+def _by_coefficient(values) -> dict[str, float]:
+    return dict(zip(COEFFICIENTS, map(float, values), strict=True))
+
+
+def evaluate(
+    name: str,
+    table: pd.DataFrame,
+    pipeline: Pipeline,
+    aircraft: Aircraft,
+    settings: dict,
+    fit: dict,
+) -> Evaluation:
+    """Predict a flight and replay it, with the settings and facts of `identify`."""
+    notify(f"evaluating {name}")
+    loads = {key: settings[key] for key in ("thrust", "external_forces")}
+    measured = aerodynamic_coefficients(table, aircraft, **loads).to_numpy()
+    regressors, noise_ratio = flight_regressors(pipeline, table)
+    regressor = pipeline[-1]
+    mean = regressor.predict(regressors)
+    step = -(-len(table) // STD_ROWS)
+    rows = np.arange(step // 2, len(table), step)
+    std = regressor.predict(
+        regressors[rows], return_std=True, include_input_noise=noise_ratio[rows]
+    )[1]
+    std = np.column_stack([np.interp(np.arange(len(table)), rows, column) for column in std.T])
+    replayed = None
+    if {*EULER, *EARTH_VELOCITY} <= set(table.columns):  # from which the integration starts
+        replayed = replay(table, aircraft, mean, horizon=min(settings["horizons"]), **loads)
+    names, baseline = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS], None
+    if linear := fit.get("least_squares"):
+        weights = np.array([list(linear[name].values()) for name in COEFFICIENTS])
+        baseline = weights[:, 0] + named(pipeline, regressors).to_numpy() @ weights[:, 1:].T
+    return Evaluation(
+        name=name,
+        time=table["time"].to_numpy(float),
+        table=table,
+        measured=measured,
+        mean=mean,
+        std=std,
+        measured_std=np.sqrt(std**2 + regressor.noise_variance_),
+        rows=rows,
+        regressors=regressors,
+        truth=table[names].to_numpy(float) if set(names) <= set(table) else None,
+        baseline=baseline,
+        replay=replayed,
+    )
+
+
+def fit_least_squares(
+    pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame
+) -> dict[str, dict[str, float]]:
+    """Return intercept and slopes of each coefficient (n, 6) by least squares, where it is observed.
+
+    ``regressors`` (n, d) are inputs of the last step; the slopes are in the units before the scaler
+    of the pipeline.
+    """
+    table = named(pipeline, regressors)
+    fitted = {}
+    for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
+        observed = np.isfinite(y)
+        linear = LinearRegression().fit(table[observed], y[observed])
+        slopes = dict(zip(map(str, table), map(float, linear.coef_), strict=True))
+        fitted[coefficient] = {"intercept": float(linear.intercept_), **slopes}
+    return fitted
+
+
+def named(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
+    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
+    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    return pd.DataFrame(pipeline["standardscaler"].inverse_transform(regressors), columns=names)
+
+
+def group_means(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the means of the scores over the longitudinal, the lateral and all coefficients."""
+    groups = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
+    return pd.DataFrame(
+        {group: table.loc[list(members)].mean() for group, members in groups.items()}
+    ).T
+
+
+def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
+    """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
+
+    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its
+    training flights had.
+    """
+    check_identified(pipeline)
+    regressors = pipeline["regressorselector"].regressors
+    columns = regressor_columns([pd.DataFrame(columns=pipeline[0].feature_names_in_)], regressors)
+    return usable_flights(flights, regressors, columns)
+
+
+def check_identified(pipeline: Pipeline) -> None:
+    """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
+    steps = getattr(pipeline, "named_steps", {})
+    if not set(steps) >= STEPS or not isinstance(pipeline[-1], DependentGPRegressor):
+        raise ValueError(
+            f"Got a model of {list(steps) or type(pipeline).__name__}, but expected what "
+            f"make_identification_pipeline "
+            "makes, with a DependentGPRegressor: learn it with identify."
+        )

@@ -17,7 +17,7 @@ from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED
 from skdgp._flight.faults import WARNING_START, FlightDataWarning
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, check_aircraft
-from skdgp.identification import _evaluation, _flights
+from skdgp.identification import _flights, _identification
 from skdgp.identification._flights import Flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import make_identification_pipeline
@@ -132,17 +132,17 @@ def identify(
         X = model.fit_regressors(prepared.table, targets)
         seconds = round(time.monotonic() - began, 3)
         fit = _record(prepared, model, X, Y, targets) | {"seconds": seconds}
-        if lags := _evaluation.lags_message(model):
+        if lags := _identification.lags_message(fit["lags"]):
             warn(lags, stacklevel=2)
 
         # 4: the test flights, by paper eqs 17 and 18
         aircraft = prepared.aircraft
         if "propeller" in fit["thrust"]:
-            named = _evaluation.named(model, X)
+            named = _identification.named(model, X)
             aircraft = _flights.with_thrust_errors(aircraft, prepared.table, named)
         settings = _settings(prepared, model, fit, horizons)
         evaluations = [
-            _evaluation.evaluate(name, table, model, aircraft, settings, fit)
+            _identification.evaluate(name, table, model, aircraft, settings, fit)
             for name, table in prepared.test.items()
         ]
     return Identification(
@@ -295,9 +295,9 @@ def _record(prepared: PreparedFlights, model: Pipeline, X: Any, Y: Any, targets:
         "samples": int(targets.notna().any(axis=1).sum()),
         "samples_available": int(Y.notna().any(axis=1).sum()),
         "values": int(targets.notna().sum().sum()),
-        "thrust": _evaluation.thrust_sources(prepared.loads["thrust"], prepared.train.values()),
-        **_evaluation.fit_facts(model),
-        "least_squares": _evaluation.fit_least_squares(model, X, targets),
+        "thrust": _identification.thrust_sources(prepared.loads["thrust"], prepared.train.values()),
+        **_identification.fit_facts(model),
+        "least_squares": _identification.fit_least_squares(model, X, targets),
         "flights": {name: len(part) for name, part in prepared.train.items()},
     }
 
@@ -305,8 +305,25 @@ def _record(prepared: PreparedFlights, model: Pipeline, X: Any, Y: Any, targets:
 def _settings(prepared: PreparedFlights, model: Pipeline, fit: dict, horizons: Any) -> dict:
     """Return the options of an identification, given or chosen."""
     servos = {"servos": prepared.servos} if prepared.has_full_throws else {}
-    options = _evaluation.settings_of(model, horizons)
-    return {"samples": fit["samples"], **prepared.loads, **options, **servos}
+    regressor = model[-1]
+    reconstructs = isinstance(model["flightpathreconstruction"], FlightPathReconstruction)
+    return {
+        "samples": fit["samples"],
+        **prepared.loads,
+        "inference": regressor.inference,
+        "structure": regressor.structure,
+        "regressors": model["regressorselector"].regressors,
+        "reconstruction": "auto" if reconstructs else "none",
+        "input_noise": "none" if regressor.input_noise is None else "learned",
+        "trend": "none" if regressor.trend is None else regressor.trend,
+        "seed": regressor.random_state,
+        "horizons": list(horizons),
+        "inducing": regressor.n_inducing,
+        "latents": regressor.n_latent,
+        "max_iter": regressor.max_iter,
+        "lags": model["lagcorrector"].lags,
+        **servos,
+    }
 
 
 def validate(
@@ -346,7 +363,7 @@ def validate(
     with recorded_warnings() as messages:
         notify("reading")
         named = _flights.named_flights(flights, **reading | {"servos": servos})
-        flights = _evaluation.usable_flights_of_model(model.pipeline, named)
+        flights = _identification.usable_flights_of_model(model.pipeline, named)
         messages.ignore(FlightDataWarning, WARNING_START)  # the steps meet them again
         for name in flights.keys() & set(model.get("flights", [])):
             warn(
@@ -355,9 +372,9 @@ def validate(
                 stacklevel=2,
             )
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
-        fit = _evaluation.fit_facts(model.pipeline) | model.get("fit", {})
+        fit = _identification.fit_facts(model.pipeline) | model.get("fit", {})
         evaluations = [
-            _evaluation.evaluate(name, table, model.pipeline, aircraft, settings, fit)
+            _identification.evaluate(name, table, model.pipeline, aircraft, settings, fit)
             for name, table in flights.items()
         ]
     return Identification(

@@ -22,10 +22,10 @@ from skdgp.inference._fit import (
     fit_exact,
     fit_sparse,
     mean_of,
+    misfit_variance,
     residual_drift,
 )
 from skdgp.inference._likelihood import Data, log_likelihood
-from skdgp.inference._noise import misfit_variance
 from skdgp.inference._posterior import ExactPosterior, Paths, Posterior, SinglePosterior
 from skdgp.inference._search import Optimum, maximize, n_searched, stratified
 from skdgp.inference._slopes import (

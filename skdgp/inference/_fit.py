@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.sparse import csr_array
+from scipy.spatial import KDTree
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import (
@@ -15,10 +18,9 @@ from skdgp._compute.linalg import (
     output_scale,
 )
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Matrix, Seed
+from skdgp._compute.typing import Matrix, Predictor, Seed, Vector
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._likelihood import Data
-from skdgp.inference._noise import fit_drift_to_integrals
 from skdgp.inference._posterior import ExactPosterior, Posterior, SinglePosterior
 from skdgp.inference._search import (
     NOISE_BOUNDS,
@@ -52,11 +54,7 @@ def fit_exact(
     kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
-    *,
-    optimizer: Any,
-    max_iter: int,
-    random_state: Seed,
-    input_noise: bool = False,
+    **options: Any,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
 
@@ -80,18 +78,20 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    random_state = check_random_state(random_state)
-    options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
-    learned = search(kernel, X, Y, random_state=random_state, exact=True, **options)
+    learned = search(kernel, X, Y, exact=True, **options)
     return Fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
 
 
-def as_exact(fit: Fit, X: Matrix, Y: Matrix) -> Fit:
-    """Return the exact posterior of these samples at the kernel of a sparse fit, with its own noise."""
-    data = fit.learned.data(X, Y)
-    noise = best_noise(fit.learned.kernel, X, Y, data)
-    posterior = ExactPosterior(fit.learned.kernel, noise, data)
-    return Fit(posterior, fit.learned._replace(noise=noise))
+def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data) -> Fit:
+    """Return the exact posterior of the data of these samples at a kernel that was learned, with its own noise."""
+    kernel = learned.kernel
+    noise = best_noise(kernel, X, Y, data)
+    posterior: SinglePosterior
+    if kernel.n_processes:
+        posterior = ExactPosterior(kernel, noise, data)
+    else:  # the few weights of a trend are all that there is to know, so this is exact, and small
+        posterior = SparsePosterior(kernel, inducing_features(kernel, X[:1]), noise, data)
+    return Fit(posterior, learned._replace(noise=noise))
 
 
 def fit_sparse(
@@ -100,11 +100,9 @@ def fit_sparse(
     Y: Matrix,
     *,
     n_inducing: int,
-    optimizer: Any,
-    max_iter: int,
     random_state: Seed,
-    input_noise: bool = False,
     ordered: bool = False,
+    **options: Any,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
 
@@ -134,10 +132,9 @@ def fit_sparse(
     Z = inducing_centres(start, X, n_inducing, random_state)
     size = inducing_features(start, Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    options = {"optimizer": optimizer, "max_iter": max_iter, "input_noise": input_noise}
     learned = search(kernel, X, Y, random_state=random_state, **options)
     features = inducing_features(learned.kernel, Z)
-    return _sparse_fit(learned, features, X, Y, ordered, converge=optimizer is not None)
+    return _sparse_fit(learned, features, X, Y, ordered, converge=options["optimizer"] is not None)
 
 
 def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None) -> Fit:
@@ -287,16 +284,167 @@ def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
 
     Noise of the regressors propagates by ``loading`` of the whole.
     """
-    kernel = of_terms(whole.posterior.kernel, part)
-    learned = whole.learned._replace(kernel=kernel)
+    learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
     if isinstance(whole.posterior, SparsePosterior):
         features = of_terms(whole.posterior.features, part)
         return _sparse_fit(learned, features, X, Y, ordered, loading=loading)
-    data = whole.posterior.data
-    noise = best_noise(kernel, X, Y, data)
-    posterior: SinglePosterior
-    if kernel.n_processes:
-        posterior = ExactPosterior(kernel, noise, data)
-    else:  # the few weights of a trend are all that there is to know, so this is exact, and small
-        posterior = SparsePosterior(kernel, inducing_features(kernel, X[:1]), noise, data)
-    return Fit(posterior, learned._replace(noise=noise))
+    return as_exact(learned, X, Y, whole.posterior.data)
+
+
+# -- the drift that residuals show
+# ------------------------------------------------------------------------------------
+
+LONGEST_HORIZON = 10.0  # longest time over which residuals are integrated [s]
+N_HORIZONS = 12
+MODEL_ERROR = 0.3  # relative, of the variances of integrals
+LONGEST_GAP = 4.0  # a longer interval, over the median one, ends a record
+LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
+CANDIDATES, NEIGHBOURS = (
+    40,
+    8,
+)  # nearest samples that are looked at, and largest number of neighbours far in time
+MISFIT_ROWS = 15000  # largest number of samples
+PARTS = 16  # parts of the log whose means show the standard error of the whole
+
+
+def fit_drift_to_integrals(
+    residual: Vector, clock: Matrix, least: float
+) -> tuple[float, float, float]:
+    r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals (n,) over time.
+
+    A simulated flight integrates the errors of the coefficients, so the estimate is judged by
+    integrals. Over a time h, the integral of white noise with the sample interval d and of a drift
+    has the variance
+
+    .. math:: \sigma^2 d h + 2 \tau^2 T^2 (h / T - 1 + e^{-h / T}).
+
+    tau^2 and T minimise the squared differences between its logarithm and the logarithm of the
+    residuals' variance, over
+    horizons h from two sample intervals to 10 s or the longest record; sigma^2 + tau^2 is the mean
+    square of the residuals. With n = the time flown over h, a logarithm has the weight 1 / (0.3^2 +
+    2 / n): the variance of n squares, and an error of the model. Residuals are not exactly white
+    noise plus a drift: maximum likelihood would fit the differences of neighbouring samples best,
+    and integrals over seconds worse.
+
+    The constant of the function takes up the mean of the residuals, so the mean square of n
+    independent integrals is multiplied by n / (n - 1). The clock (n, 2) holds time and flight; no
+    variance is smaller than ``least``.
+    """
+    order = np.lexsort(clock.T)
+    residual, (time, flight) = residual[order], clock[order].T
+    same, steps = flight[1:] == flight[:-1], np.diff(time)
+    moving = steps[same & (steps > 0)]
+    step = float(np.median(moving)) if len(moving) else 1.0
+    records = np.split(
+        np.arange(len(time)), 1 + np.flatnonzero(~same | (steps > LONGEST_GAP * step))
+    )
+    longest = max(np.ptp(time[rows]) for rows in records)
+    horizons = np.geomspace(2 * step, max(min(longest, LONGEST_HORIZON), 2 * step), N_HORIZONS)
+    flown = sum(np.ptp(time[rows]) for rows in records)
+    power = max(float(np.mean(residual**2)), 10 * least)
+    integrals = _mean_squared_integrals(residual, time, records, horizons)
+    known = (integrals > 0) & (horizons < flown)
+    if not known.any():  # nothing shows a drift
+        return power, least, step
+    horizons = horizons[known]
+    integrals = np.log(integrals[known] / (1 - horizons / flown))
+    weight = 1 / (MODEL_ERROR**2 + 2 * horizons / flown)
+
+    def loss(theta):
+        variance, memory = np.exp(theta)
+        ratio = horizons / memory
+        drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
+        return weight @ (np.log(drift + (power - variance) * step * horizons) - integrals) ** 2
+
+    bounds = np.log([(least, power), (step, max(longest, 2 * step))])
+    starts = [
+        (np.log(0.5 * power), start) for start in np.linspace(bounds[1, 0], bounds[1, 1], 5)[:-1]
+    ]
+    optima = [minimize(loss, start, method="L-BFGS-B", bounds=[*bounds]) for start in starts]
+    variance, memory = np.exp(min(optima, key=lambda optimum: optimum.fun).x)
+    return max(power - variance, least), variance, memory
+
+
+def _mean_squared_integrals(residual, time, records, horizons):
+    """Return the mean square of the integrals of the residuals over each horizon, within records; NaN without one."""
+    total, count = np.zeros((2, len(horizons)))
+    for rows in records:
+        elapsed = time[rows] - time[rows[0]]
+        integral = np.concatenate([[0.0], np.cumsum(residual[rows[:-1]] * np.diff(elapsed))])
+        for k, horizon in enumerate(horizons):
+            inside = elapsed + horizon <= elapsed[-1] * (1 + 1e-9)
+            change = np.interp(elapsed[inside] + horizon, elapsed, integral) - integral[inside]
+            total[k], count[k] = total[k] + change @ change, count[k] + len(change)
+    return np.divide(total, count, out=np.full(len(horizons), np.nan), where=count > 0)
+
+
+# -- the misfit that residuals show
+# -----------------------------------------------------------------------------------
+
+
+def misfit_variance(posterior: Predictor, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
+    r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
+
+    Residuals e of two samples with near regressors share the error of the function, but no noise if
+    they are from different flights or 10 s apart. So their products have the mean square of this
+    error as their mean. With the mean m of n products and its standard error s, the least that they
+    show is
+
+    .. math:: v_i = \max(0, m_i - s_i), \quad
+              m_i = \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}.
+
+    :math:`N_a` are at most 8 of the 40 samples nearest to a, by regressors over their standard
+    deviations; a sample without such neighbours does not count. s is the scatter over 16 parts of
+    the log; it is multiplied by :math:`\sqrt 2`, since two parts share the products of their
+    samples. For the right model the mean product is the negative posterior covariance, so v is zero
+    but by chance. It is positive where the function has kinks or jumps that the kernel's widths
+    smooth away. Errors that change their sign within the distance of neighbours do not show.
+
+    Parameters
+    ----------
+    posterior : ExactPosterior, SparsePosterior or regressor
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    clock : ndarray (n, 2)
+        Time [s] and flight number of each sample.
+
+    Returns
+    -------
+    ndarray (P,)
+        In squared units of Y.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from skdgp.inference import misfit_variance
+    >>> rng = np.random.default_rng(0)
+    >>> x, time = rng.uniform(-1, 1, (4000, 1)), np.arange(4000.0)
+    >>> y = np.abs(x) + rng.normal(0, 0.5, x.shape)
+    >>> line = LinearRegression().fit(x, y)
+    >>> misfit = misfit_variance(line, x, y, np.column_stack([time, 0 * time]))
+    >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
+    (0.3, 0.3)
+    """
+    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
+    rows = rows[:: -(-len(rows) // MISFIT_ROWS)]
+    X, residual, (time, flight) = X[rows], Y[rows] - posterior.predict(X[rows]), clock[rows].T
+    scaled = X / column_scale(X)
+    near: Any = KDTree(scaled).query(scaled, k=min(CANDIDATES, len(X)))[1]
+    apart = (np.abs(time[near] - time[:, None]) > LARGEST_LAG) | (flight[near] != flight[:, None])
+    sample, place = np.nonzero(apart & (np.cumsum(apart, axis=1) <= NEIGHBOURS))
+    neighbours = csr_array(
+        (np.ones(len(sample)), (sample, near[sample, place])), shape=(len(X), len(X))
+    )
+    observed = np.isfinite(residual)
+    error = np.where(observed, residual, 0.0)
+    total, count = neighbours @ error, neighbours @ observed.astype(float)
+    variance = np.zeros(Y.shape[1])
+    for i in range(Y.shape[1]):
+        some = observed[:, i] & (count[:, i] > 0)
+        if some.sum() >= PARTS:
+            products = error[some, i] * total[some, i] / count[some, i]
+            parts = [part.mean() for part in np.array_split(products, PARTS)]
+            variance[i] = max(0.0, products.mean() - np.sqrt(2 / PARTS) * np.std(parts, ddof=1))
+    return variance

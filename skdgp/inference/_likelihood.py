@@ -1,7 +1,13 @@
-"""The exact likelihood and its gradient by one Cholesky factorisation.
+"""The exact likelihood and its gradient by one Cholesky factorisation, with the noise of its covariance.
 
 Only this file knows the layout of the N x N matrix. A kernel computes one tile of one pair of
 outputs at a time.
+
+Noise is white noise of each output, and noise propagated from the regressors to all outputs. The
+noise of sample a has the covariance diag(sigma^2) + J_a S J_a^T, with the slopes J_a of the
+posterior mean and the covariance S of errors of the regressors (McHutchon & Rasmussen 2011). With G
+= J R and S = R diag(s) R^T this is diag(sigma^2) + G_a diag(s) G_a^T. G is called ``loading``, as
+in factor analysis.
 """
 
 from __future__ import annotations
@@ -21,7 +27,6 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.inference._noise import SampleNoise, add_noise, noise_gradient
 from skdgp.kernels import MultiOutputKernel
 
 TILE = (
@@ -29,6 +34,82 @@ TILE = (
 )
 PAIRED = 1000  # largest number of rows whose pairs are all kept
 HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
+
+
+class SampleNoise(NamedTuple):
+    """For each output: the sample index of each value, (n_i,), and its loading G (n_i, r) on the regressors' noise."""
+
+    sample: list[np.ndarray]
+    loading: list[np.ndarray]
+
+    @classmethod
+    def from_table(cls, observed, loading) -> SampleNoise:
+        """Return the entries of ``loading`` (n, P, r) for the observed values, a mask (n, P)."""
+        return cls(
+            [np.flatnonzero(rows) for rows in observed.T],
+            [loading[rows, i] for i, rows in enumerate(observed.T)],
+        )
+
+    def pairs(self):
+        """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
+
+        ``rows`` and ``columns`` are the indices among the stacked values of two values of the same
+        sample, on or above the diagonal.
+        """
+        start = np.cumsum([0, *map(len, self.sample)])
+        for i, j in combinations_with_replacement(range(len(self.sample)), 2):
+            _, a, b = np.intersect1d(
+                self.sample[i], self.sample[j], assume_unique=True, return_indices=True
+            )
+            yield i, j, start[i] + a, start[j] + b, self.loading[i][a], self.loading[j][b]
+
+
+def _white_and_scale(noise, data):
+    """Return sigma^2 (P,) and the factors s (r,) of a noise vector [sigma^2, s]; s is 1 where it is not learned."""
+    P = len(data.y)
+    return noise[:P], noise[P:] if len(noise) > P else 1.0
+
+
+def add_noise(K, noise, data) -> None:
+    """Add the covariance of ``noise``, [sigma^2 (P)] or [sigma^2, s (r)], to the upper triangle of K (N, N)."""
+    white, scale = _white_and_scale(noise, data)
+    np.einsum("ii->i", K)[:] += np.repeat(white, [len(y) for y in data.y])
+    if data.sample_noise is not None:
+        for _, _, rows, columns, first, second in data.sample_noise.pairs():
+            K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
+
+
+def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
+    """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) holds the white noise variances."""
+    std = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
+    draws = std * random_state.standard_normal((n_draws, len(std)))
+    if data.sample_noise is not None:
+        n_samples = 1 + max(s.max() for s in data.sample_noise.sample if len(s))
+        error = random_state.standard_normal(
+            (n_draws, n_samples, data.sample_noise.loading[0].shape[1])
+        )
+        propagated = [
+            np.einsum("snr,nr->sn", error[:, s], G) for s, G in zip(*data.sample_noise, strict=True)
+        ]
+        draws += np.hstack(propagated)
+    return draws
+
+
+def noise_gradient(W, noise, data) -> np.ndarray:
+    """Return 1/2 sum(W * dK / d log noise), in the shape of ``noise``; only the upper triangle of W is read."""
+    P, (white, scale) = len(data.y), _white_and_scale(noise, data)
+    outputs = np.repeat(
+        np.arange(P), [len(y) for y in data.y]
+    )  # an output without values contributes zero
+    by_white = 0.5 * white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)
+    if len(noise) == P:
+        return by_white
+    by_scale = np.zeros(len(noise) - P)
+    for i, j, rows, columns, first, second in data.sample_noise.pairs():
+        by_scale += (0.5 if i == j else 1.0) * np.einsum(
+            "n,nr,nr->r", W[rows, columns], first, second
+        )
+    return np.concatenate([by_white, scale * by_scale])
 
 
 class Data(NamedTuple):
@@ -89,11 +170,6 @@ class Data(NamedTuple):
             for i, X in enumerate(self.X)
             if len(X)
         ]
-
-    @property
-    def only_output(self) -> int:
-        """Number of the output that has values where no other one has."""
-        return next(i for i, y in enumerate(self.y) if len(y))
 
     @property
     def n_values(self) -> int:
@@ -192,7 +268,8 @@ def log_likelihood(
         y = np.concatenate(data.y)
         at_pairs = by_pairs = None
         if data.pairs is not None:
-            at_pairs, by_pairs = kernel.at_pairs(data.only_output, data.pairs)
+            only = next(i for i, values in enumerate(data.y) if len(values))
+            at_pairs, by_pairs = kernel.at_pairs(only, data.pairs)
         L = jittered_cholesky(lambda: covariance(kernel, noise, data, at_pairs))
         white = triangular_solve(L, y)  # equation 20, where y^T K^-1 y = white^T white
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))

@@ -24,8 +24,7 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data, covariance
-from skdgp.inference._noise import draw_noise
+from skdgp.inference._likelihood import Data, covariance, draw_noise
 from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
 
 CHUNK_BYTES = 2**27  # working memory of one batch of predictions

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import LbfgsInvHessProduct, minimize
+from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, output_scale
 from skdgp._compute.messages import notify
@@ -116,8 +117,8 @@ def search(
     *,
     optimizer: Any,
     max_iter: int,
-    random_state: Any,
-    input_noise: bool,
+    random_state: Seed,
+    input_noise: bool = False,
     exact: bool = False,
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from some rows of all outputs jointly.
@@ -125,6 +126,7 @@ def search(
     Without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so
     noise is learned again at the end. The other arguments are as in ``fit_exact``.
     """
+    random_state = check_random_state(random_state)
     rows = some_rows(Y, random_state)
     start = kernel.initialize(X, Y, random_state)
     noise, noise_bounds = _initial_noise(start.residual(X, Y), output_scale(Y))

@@ -82,6 +82,16 @@ class Instant(NamedTuple):
     settled: Array | bool  #: Whether the fixed point of the implicit regressors was found
 
 
+def check_settled(instant: Instant) -> None:
+    """Raise ValueError if the fixed point of the implicit regressors was not found."""
+    if not np.all(instant.settled):
+        raise ValueError(
+            "The coefficients depend so strongly on the accelerations they cause that the motion "
+            "is not determined: "
+            "learn a model without accelerations, as RegressorSelector() does."
+        )
+
+
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 

@@ -18,8 +18,14 @@ from skdgp._flight.checks import check_names, check_number, degrees_error
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._linearize import check_settled
-from skdgp.dynamics._motion import DEFLECTION, IMPLICIT, PROPULSION, Instant, Motion
+from skdgp.dynamics._motion import (
+    DEFLECTION,
+    IMPLICIT,
+    PROPULSION,
+    Instant,
+    Motion,
+    check_settled,
+)
 from skdgp.dynamics._rigid_body import (
     ATTITUDE,
     CENTRED,

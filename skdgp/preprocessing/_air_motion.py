@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.linalg import eigen_root
@@ -43,7 +44,6 @@ from skdgp.preprocessing._air_motion_equations import (
     Record,
     air_velocity,
     linearised,
-    motion_by_surfaces,
     noise,
 )
 from skdgp.preprocessing._air_motion_filter import (
@@ -54,13 +54,14 @@ from skdgp.preprocessing._air_motion_filter import (
     smoothed,
     state_slopes,
 )
-from skdgp.preprocessing._air_motion_model import STATE_TERMS, Inputs
-from skdgp.preprocessing._air_motion_parameters import (
+from skdgp.preprocessing._air_motion_model import (
     OWN,
     OWN_NOISES,
     SHARED,
     SHARED_NOISES,
+    STATE_TERMS,
     TERMS,
+    Inputs,
     Parameters,
     Prior,
     derivatives_of,
@@ -157,10 +158,11 @@ class AirMotion:
         """
         gust, length = self.gusts
         wind = self.constants["value"].loc[["wind_north 0", "wind_east 0"]].to_numpy(float)
+        origin = np.rad2deg(np.arctan2(-wind[1], -wind[0])) % 360
         lag, std = 1e3 * self.constants.loc[["servo_lag"], ["value", "std"]].to_numpy(float)[0]
         parts = [
             f"gusts {gust:.1f} m/s rms, {length:.0f} m",
-            f"wind {np.hypot(*wind):.1f} m/s from {_origin(wind):.0f} deg",
+            f"wind {np.hypot(*wind):.1f} m/s from {origin:.0f} deg",
             f"servos {lag:.0f} ± {std:.0f} ms late",
         ]
         if not self.converged:
@@ -374,7 +376,6 @@ class _Sums(NamedTuple):
     information: Matrix
     scatter: Matrix  # covariance of the score
     blocks: Matrix  # (b, p) scores summed over blocks
-    states: list[Matrix]
     passes: list[Pass]
     parts: list[Linearisation]  # from which the noises are estimated
 
@@ -402,9 +403,8 @@ class _Fit:
             noises = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         self.parameters = Parameters.of(dict(derivatives) | dict(shared), OWN, n_flights)
         self.noises = Parameters.of(noises, OWN_NOISES, n_flights)
-        self.n_held, self.n_held_noises = 0, 0
-        if known is not None:
-            self.n_held, self.n_held_noises = len(derivatives) + len(shared), len(noises)
+        self.n_held = 0 if known is None else len(derivatives) + len(shared)
+        self.n_held_noises = 0 if known is None else len(noises)
         self.log_noises = np.log(self.noises.mean)
         self.x, self.psi = self.parameters.mean.copy(), self.log_noises.copy()
         for names, sensors in ((("ax", "ay", "az"), slice(0, 3)), (("gyro",), slice(3, 6))):
@@ -413,7 +413,9 @@ class _Fit:
                 self.log_noises[at] = self.psi[at] = np.log(_white_noise(records, sensors))
         self.noise_moves, self.limits = np.zeros((2, len(self.psi)))
         self.limits += LARGEST_LOG
-        self.states = [_rates_alone(record) for record in records]
+        # of measured rates, without gusts
+        before = ((0, 0), (TURN.start, 0))
+        self.states = [np.pad(record.measured[:, 3:6], before) for record in records]
         self._start()
 
     def run(self, n_rows: int, n_before: int) -> AirMotion:
@@ -423,7 +425,7 @@ class _Fit:
         share, last = 1.0, np.zeros(len(self.x) - self.n_held)
         for number in range(MAX_PASSES):
             sums = self._pass(number >= n_before)
-            self.states = sums.states
+            self.states = [run.filtered for run in sums.passes]
             information = sums.information[free, free]
             damped = information + damping * np.diag(np.diag(information))
             step = self._step(damped, sums.score[free])
@@ -500,7 +502,7 @@ class _Fit:
         air, _ = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
         rates = record.measured[:, 3:6]
         width = 2 * round(0.05 / np.median(record.step)) + 1
-        smooth = np.apply_along_axis(_averaged, 0, rates, width)
+        smooth = uniform_filter1d(rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, np.append(0.0, np.cumsum(record.step)), axis=0)
         aircraft, thrust = self.aircraft, record.inputs.thrust
         moment = spin @ aircraft.inertia + cross(rates, rates @ aircraft.inertia) - thrust[:, 3:]
@@ -528,7 +530,7 @@ class _Fit:
         p = len(self.x)
         information = np.diag(self.parameters.precision)
         score = (self.x - self.parameters.mean) * self.parameters.precision
-        blocks, states, passes, parts = [], [], [], []
+        blocks, passes, parts = [], [], []
         for record in self.records if self.known is None else ():
             self._add_mean_lift(record, information, score)
         scatter = information.copy()
@@ -554,10 +556,9 @@ class _Fit:
             for k, place in enumerate(at):
                 sums[:, place] = np.bincount(number, scores[:, k])
             blocks.append(sums)
-            states.append(run.filtered)
             passes.append(run)
             parts.append(_middle(linear, NOISE_SAMPLES))
-        return _Sums(score, information, scatter, np.concatenate(blocks), states, passes, parts)
+        return _Sums(score, information, scatter, np.concatenate(blocks), passes, parts)
 
     def _noise_step(self, parts: list[Linearisation]) -> float:
         """Move the logarithms of the noises by a step of Fisher scoring; return its squared length."""
@@ -616,13 +617,9 @@ class _Fit:
 
         One, where surfaces do not move it: what then seems to is an error.
         """
-        moved = []
-        for record, states in zip(self.records, self.states, strict=True):
-            value = self.parameters.values(self.x, record.flight)
-            decay = self.noise(self.psi, record).decay
-            at = record, self.layout, self.aircraft, value, states, decay
-            moved.append(motion_by_surfaces(*at))
-        variance = np.concatenate(moved).var(axis=0)
+        pairs = zip(self.records, self.states, strict=True)
+        moved = [self.linearised(record, states).response for record, states in pairs]
+        variance = np.concatenate([motion - motion.mean(axis=0) for motion in moved]).var(axis=0)
         speed = np.linalg.norm(np.concatenate([r.velocity for r in self.records]), axis=1).mean()
         angle, rate = ERROR_VELOCITY / speed, ERROR_RATE / (2 * speed)
         span, chord = self.aircraft.span, self.aircraft.chord
@@ -672,11 +669,6 @@ class _Fit:
         return shift
 
 
-def _origin(wind: Vector) -> float:
-    """Return the direction that a wind, north and east, comes from [deg]."""
-    return float(np.rad2deg(np.arctan2(-wind[1], -wind[0])) % 360)
-
-
 def _white_noise(records: list[Record], sensors: slice) -> float:
     """Return the standard deviation of white noise of the quietest of some sensors, by third differences.
 
@@ -684,13 +676,6 @@ def _white_noise(records: list[Record], sensors: slice) -> float:
     """
     differences = np.concatenate([np.diff(r.measured[:, sensors], 3, axis=0) for r in records])
     return float(max(np.sqrt(np.nanmin(np.mean(differences**2, axis=0)) / 20), LEAST_NOISE))
-
-
-def _rates_alone(record: Record) -> Matrix:
-    """Return states (n, N) of measured rates without gusts."""
-    states = np.zeros((len(record.rows), N_STATES))
-    states[:, TURN] = record.measured[:, 3:6]
-    return states
 
 
 def _steady_wind(records: list[Record]) -> Vector:
@@ -707,12 +692,6 @@ def _steady_wind(records: list[Record]) -> Vector:
         rows = np.vstack([-air[:, :2] / speed[:, None], 0.1 * np.eye(2)])
         wind = wind + np.linalg.lstsq(rows, np.append(airspeed - speed, -0.1 * wind), rcond=None)[0]
     return wind
-
-
-def _averaged(values: Vector, width: int) -> Vector:
-    """Return the moving average over an odd ``width``."""
-    padded = np.pad(values, width // 2, mode="edge")
-    return np.convolve(padded, np.full(width, 1 / width), "valid")
 
 
 def _middle(linear: Linearisation, n_samples: int) -> Linearisation:

@@ -17,15 +17,16 @@ from skdgp.preprocessing._air_motion_filter import Linearisation, Noise
 from skdgp.preprocessing._air_motion_model import (
     AIR,
     ERRORS,
+    OWN,
     RATES,
+    SHARED,
     STATE_TERMS,
     AirMotionModel,
     Inputs,
     differentiated,
 )
-from skdgp.preprocessing._air_motion_parameters import OWN, SHARED
 
-GUST, FAST, PATH, TURN = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11)
+GUST, FAST, TURN = slice(0, 3), slice(3, 6), slice(8, 11)
 """Places of the states: two parts of the gust, north, east, down; what errors of the path and of
 attitude add to the air velocity, body axes y and z [m/s]; rates [rad/s].
 """
@@ -202,26 +203,22 @@ class Point(NamedTuple):
         return out
 
 
-class Predictions(NamedTuple):
-    """Predictions of each sample but the first, at filtered states."""
-
-    by_state: Array  # (n, 3, N) d air velocity / d states
-    start: Point  # air velocity and rates at the end of a step, about its start
-    past: Point  # sensors, from the past alone
-    known: Point  # sensors, with the recorded path
-    states: Matrix  # (n - 1, N)
-    kept: Matrix  # (n - 1, N) fraction of a state at the end of a step
-
-
 def _predictions(
-    record: Record, model: AirMotionModel, value: dict, states: Matrix, decay: Vector
-) -> Predictions:
-    """Return predictions from filtered states (n, N) whose ``decay`` is 1 / correlation time, 0 for rates."""
-    inputs, by_lag = actual_inputs(record, value)
+    record: Record,
+    model: AirMotionModel,
+    value: dict,
+    inputs: Inputs,
+    by_lag: Matrix,
+    states: Matrix,
+    decay: Vector,
+) -> tuple[Array, Point, Point, Point, Matrix]:
+    """Return predictions of each sample but the first from filtered states (n, N), as of `linearised`.
+
+    They are d air velocity / d states (n, 3, N), what is at the end of a step about its start, the
+    sensors from the past alone and with the recorded path, and the states (n - 1, N).
+    """
     later, step = inputs.part(slice(1, None)), record.step
-    by_state = _air_by_state(record, model.arm)
-    ground = record.velocity - record.attitude @ [value[name] for name in WINDS]
-    air = ground + (by_state @ states[:, :, None])[..., 0]
+    air, by_state = air_velocity(record, value, states)
     changes = _changes(model, record, by_lag, air)
 
     def point(air: Matrix, rates: Matrix) -> Point:
@@ -246,11 +243,11 @@ def _predictions(
     middle = 0.5 * (past.terms + terms), 0.5 * (response[1:] + response[:-1])
     start = Point(state, end, slopes, *middle, 0.5 * (changes[1:] + changes[:-1]))
 
-    kept = np.exp(-step[:, None] * decay)
-    predicted = states[:-1] * kept
+    predicted = states[:-1] * np.exp(-step[:, None] * decay)
     predicted[:, TURN] = end[:, RATES]
-    known = point(ground[1:] + (by_state[1:] @ predicted[..., None])[..., 0], end[:, RATES])
-    return Predictions(by_state, start, past, known, predicted, kept)
+    change = predicted - states[1:]
+    known = point(air[1:] + (by_state[1:] @ change[..., None])[..., 0], end[:, RATES])
+    return by_state, start, past, known, predicted
 
 
 def _response(
@@ -282,49 +279,43 @@ def linearised(
     ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
     """
     model = layout.model(aircraft, value)
-    at = _predictions(record, model, value, states, decay)
-    inputs, _ = actual_inputs(record, value)
-    later, before = inputs.part(slice(1, None)), at.by_state[:-1]
-    moved = _chained(at.start.slopes, before)
-    moved[:, AIR] -= record.step[:, None, None] * before * decay
-    transition = at.kept[:, :, None] * np.eye(N_STATES)
+    inputs, by_lag = actual_inputs(record, value)
+    by_state, start, past, known, predicted = _predictions(
+        record, model, value, inputs, by_lag, states, decay
+    )
+    later, step = inputs.part(slice(1, None)), record.step[:, None]
+    moved = _chained(start.slopes, by_state[:-1])
+    moved[:, AIR] -= step[..., None] * by_state[:-1] * decay
+    transition = np.exp(-step * decay)[:, :, None] * np.eye(N_STATES)
     transition[:, TURN] = moved[:, RATES]
 
-    by_parameters = at.start.by_parameters(layout, record.attitude[:-1])
+    by_parameters = start.by_parameters(layout, record.attitude[:-1])
     transition_slopes = np.zeros((len(moved), N_STATES, layout.n_slopes))
     transition_slopes[:, TURN] = by_parameters[:, RATES]
-    past_slopes = at.past.by_parameters(layout, None) + at.past.slopes[:, :, :6] @ by_parameters
-    past_slopes += _direct(at.past, layout, model, later, value)
-    known_slopes = at.known.by_parameters(layout, record.attitude[1:])
-    known_slopes += _direct(at.known, layout, model, later, value)
+    past_slopes = past.by_parameters(layout, None) + past.slopes[:, :, :6] @ by_parameters
+    past_slopes += _direct(past, layout, model, later, value)
+    known_slopes = known.by_parameters(layout, record.attitude[1:])
+    known_slopes += _direct(known, layout, model, later, value)
 
     measured, use = record.measured[1:], record.sampled
     there = np.isfinite(measured)
     return Linearisation(
         states=states,
-        predicted=at.states,
+        predicted=predicted,
         transition=transition,
         transition_slopes=transition_slopes,
-        innovation=np.where(there, measured - at.past.values, 0.0)[:, use],
-        innovation_states=(at.past.slopes[:, :, :6] @ moved)[:, use],
-        innovation_noise=_chained(at.past.slopes, at.by_state[1:])[:, use],
+        innovation=np.where(there, measured - past.values, 0.0)[:, use],
+        innovation_states=(past.slopes[:, :, :6] @ moved)[:, use],
+        innovation_noise=_chained(past.slopes, by_state[1:])[:, use],
         innovation_slopes=past_slopes[:, use],
-        residual=np.where(there, measured - at.known.values, 0.0)[:, use],
-        residual_states=_chained(at.known.slopes, at.by_state[1:])[:, use],
+        residual=np.where(there, measured - known.values, 0.0)[:, use],
+        residual_states=_chained(known.slopes, by_state[1:])[:, use],
         residual_slopes=known_slopes[:, use],
         step=record.step,
-        surface_noise=_surface_noise(at.start.slopes, model, inputs),
+        surface_noise=_surface_noise(start.slopes, model, inputs),
+        response=start.response,
         weight=np.where(there, 1.0, NOT_SAMPLED)[:, use],
     )
-
-
-def motion_by_surfaces(
-    record: Record, layout: Layout, aircraft: Aircraft, value: dict, states: Matrix, decay: Vector
-) -> Matrix:
-    """Return the terms (n - 1, f) of the coefficients in the motion that surfaces cause, less its mean."""
-    model = layout.model(aircraft, value)
-    moved = _predictions(record, model, value, states, decay).start.response
-    return moved - moved.mean(axis=0)
 
 
 def _surface_noise(slopes: Array, model: AirMotionModel, inputs: Inputs) -> Array:
@@ -338,18 +329,12 @@ def _surface_noise(slopes: Array, model: AirMotionModel, inputs: Inputs) -> Arra
 
 def air_velocity(record: Record, value: dict, states: Matrix) -> tuple[Matrix, Array]:
     """Return the velocity relative to the air (n, 3), body axes, and its derivatives by the states (n, 3, N)."""
-    by_state = _air_by_state(record, np.array([value[name] for name in ARM]))
+    by_state = np.zeros((len(states), 3, N_STATES))
+    by_state[:, :, GUST] = by_state[:, :, FAST] = -record.attitude
+    by_state[:, 1, 6] = by_state[:, 2, 7] = -1.0
+    by_state[:, :, TURN] = cross_matrix([value[name] for name in ARM])
     ground = record.velocity - record.attitude @ [value[name] for name in WINDS]
     return ground + (by_state @ states[:, :, None])[..., 0], by_state
-
-
-def _air_by_state(record: Record, arm: Vector) -> Array:
-    """Return d air velocity / d states (n, 3, N), at the centre of gravity."""
-    slopes = np.zeros((len(record.velocity), 3, N_STATES))
-    slopes[:, :, GUST] = slopes[:, :, FAST] = -record.attitude
-    slopes[:, 1, 6] = slopes[:, 2, 7] = -1.0
-    slopes[:, :, TURN] = cross_matrix(arm)
-    return slopes
 
 
 def _chained(slopes: Array, air_by_state: Array) -> Array:

@@ -36,6 +36,7 @@ class Linearisation(NamedTuple):
     step: Vector  # (n - 1,) [s]
     surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
     weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
+    response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
 
 
 class Noise(NamedTuple):

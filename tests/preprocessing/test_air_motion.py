@@ -28,12 +28,12 @@ from skdgp.preprocessing._air_motion_filter import (
     innovation_slopes,
     smoothed,
 )
-from skdgp.preprocessing._air_motion_model import Inputs
-from skdgp.preprocessing._air_motion_parameters import (
+from skdgp.preprocessing._air_motion_model import (
     DERIVATIVES,
     OWN,
     SHARED,
     TERMS,
+    Inputs,
     derivatives_of,
 )
 
@@ -80,6 +80,7 @@ def linear_system(rng, n=7, N=3, m=2):
         step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
         weight=np.ones((n - 1, m)),
+        response=zero,
     )
     noises = Noise(
         rng.uniform(1, 2, N), np.zeros(N), np.zeros(()), rng.uniform(1, 2, m), rng.uniform(1, 2, N)

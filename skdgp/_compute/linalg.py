@@ -118,12 +118,7 @@ def cholesky_solve(L: Matrix, b: Array) -> Array:
 
 def cholesky_inverse(L: Matrix) -> Matrix:
     """Return K^-1 in the lower triangle of ``L``, which it overwrites."""
-    inverse, info = lapack.dpotri(L, lower=1, overwrite_c=1)
-    if info:
-        raise np.linalg.LinAlgError(
-            f"The inverse from the Cholesky factor failed (potri info {info})."
-        )
-    return inverse
+    return lapack.dpotri(L, lower=1, overwrite_c=1)[0]
 
 
 def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:

@@ -37,7 +37,8 @@ class _OneThread:
         with self._lock:
             if self._holders == 0:
                 self._before = [(library, library.num_threads) for library in _libraries()]
-                _set((library, 1) for library, _ in self._before)
+                for library, _ in self._before:
+                    library.set_num_threads(1)
             self._holders += 1
         try:
             yield
@@ -45,12 +46,8 @@ class _OneThread:
             with self._lock:
                 self._holders -= 1
                 if self._holders == 0:
-                    _set(self._before)
-
-
-def _set(numbers: Iterable[tuple[Any, int]]) -> None:
-    for library, number in numbers:
-        library.set_num_threads(number)
+                    for library, number in self._before:
+                        library.set_num_threads(number)
 
 
 one_blas_thread = _OneThread()

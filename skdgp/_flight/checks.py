@@ -310,18 +310,20 @@ def _airspeed(flight: pd.DataFrame) -> None:
     airspeed = _values(flight, "airspeed")
     middle = _quantile(airspeed, 0.5)
     if (slow := airspeed < 0.2 * middle).any():
-        _warn(
+        warn(
             f"In {100 * slow.mean():.1f} % of the samples the airspeed is under a fifth of its "
             f"median ({middle:.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is "
             f"the part on the ground still in the flight? Cut it, e.g. "
-            f"flight[flight.airspeed > 5]."
+            f"flight[flight.airspeed > 5].",
+            stacklevel=4,
         )
     ratio = middle / _quantile(_size(flight, EARTH_VELOCITY), 0.5)
     if ratio < 0.5 or ratio > 1.8:
-        _warn(
+        warn(
             f"The median airspeed is {ratio:.2f} times the median ground speed, but both should "
             f"be m/s (1.94: airspeed in knots; 3.6: in km/h). Ignore this only if the wind was "
-            f"that strong."
+            f"that strong.",
+            stacklevel=4,
         )
 
 
@@ -339,10 +341,11 @@ def _density(flight: pd.DataFrame) -> None:
     if LOWEST <= height <= HIGHEST:
         standard = float(standard_density(height))
         if middle < 0.8 * standard or middle > 1.25 * standard:
-            _warn(
+            warn(
                 f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of "
                 f"the standard atmosphere at the median altitude {height:.0f} m: check the units "
-                f"of both."
+                f"of both.",
+                stacklevel=4,
             )
 
 
@@ -358,9 +361,10 @@ def _warn_of_commands(flight: pd.DataFrame) -> None:
         surfaces = ", ".join(
             f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)" for name, top in large.items()
         )
-        _warn(
+        warn(
             f"Got surfaces up to {surfaces}, more than most servos reach: if these are commands from "
-            f"-1 to 1, multiply each by its largest deflection [rad]."
+            f"-1 to 1, multiply each by its largest deflection [rad].",
+            stacklevel=4,
         )
 
 
@@ -385,10 +389,11 @@ def _accelerations(flight: pd.DataFrame) -> None:
     size = _quantile(_size(flight, SPECIFIC_FORCE), 0.5)
     down = _quantile(_values(flight, "az"), 0.5)
     if size < 3.0 or size > 300.0 or down > 3.0:
-        _warn(
+        warn(
             f"The median specific force is {size:.3g} m/s^2, its az {down:+.2f} m/s^2, but level "
             f"flight gives 9.8 and -9.8: an accelerometer reads specific force, so add gravity if "
-            f"it was subtracted, and change the signs of ay and az if the sensor's z points up."
+            f"it was subtracted, and change the signs of ay and az if the sensor's z points up.",
+            stacklevel=4,
         )
 
 
@@ -408,10 +413,6 @@ def _quantile(values: Vector, fraction: float) -> float:
     """Return a quantile of the finite values, NaN of none."""
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, fraction)) if finite.size else np.nan
-
-
-def _warn(text: str) -> None:
-    warn(text, stacklevel=5)
 
 
 def numeric(table: pd.DataFrame, columns: Iterable[str]) -> Matrix:

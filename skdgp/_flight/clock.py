@@ -58,10 +58,6 @@ def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, 
             f"Got time of shape {time.shape}, but expected (n,), every value finite [s]."
         )
     codes = np.zeros(len(time), int) if flight is None else flight_codes(flight)[0]
-    if len(codes) != len(time):
-        raise ValueError(
-            f"Got {len(codes)} flight identifiers and {len(time)} times, but expected as many."
-        )
     order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
     back = np.flatnonzero((np.diff(codes[order]) == 0) & ~(time[order[1:]] > time[order[:-1]]))
     if back.size:

@@ -256,9 +256,7 @@ def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
     names = [name for name in USED if name in table and pd.api.types.is_numeric_dtype(table[name])]
     columns = {name: table[name].to_numpy(float, na_value=np.nan) for name in names}
     signals = {
-        name: np.concatenate(
-            [block_means(_continuous(name, values[run], time[run]), size) for run in runs]
-        )
+        name: np.concatenate([_averaged(name, values[run], time[run], size) for run in runs])
         for name, values in columns.items()
         if np.isfinite(values).any()
     }
@@ -269,19 +267,15 @@ def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
     return Windows(segment, size * step, flying), signals
 
 
-def _continuous(name: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
+def _averaged(name: str, values: np.ndarray, time: np.ndarray, size: int) -> np.ndarray:
+    """Return the means of ``size`` rows each, between samples, without an incomplete block at the end."""
     sampled = np.isfinite(values)
-    if not sampled.any():
-        return values
-    part = values[sampled]
-    if name in EULER:
-        part = np.unwrap(part, period=360.0 if np.abs(part).max() > 2.1 * np.pi else 2 * np.pi)
-    return np.interp(time, time[sampled], part, left=np.nan, right=np.nan)
-
-
-def block_means(values: np.ndarray, size: int) -> np.ndarray:
-    """Return the means of ``size`` rows each, without an incomplete block at the end."""
-    return values[: len(values) // size * size].reshape(-1, size, *values.shape[1:]).mean(axis=1)
+    if sampled.any():
+        part = values[sampled]
+        if name in EULER:
+            part = np.unwrap(part, period=360.0 if np.abs(part).max() > 2.1 * np.pi else 2 * np.pi)
+        values = np.interp(time, time[sampled], part, left=np.nan, right=np.nan)
+    return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
 
 
 def _equal(

@@ -88,7 +88,7 @@ def noise_level(
     for rows, channels in _same_rows(columns):
         part, levels, weights = columns[np.ix_(rows, channels)], [], []
         for runs in runs_by_flight(times[rows], codes[rows]):
-            spectrum = _spectrum_of_flight(part, times[rows], runs)
+            spectrum = _flight_spectrum(part, times[rows], runs)
             if spectrum is not None:
                 levels.append(white_noise(spectrum) * spectrum.frequency[-1])
                 weights.append(sum(run.stop - run.start for run in runs))
@@ -111,7 +111,7 @@ def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[st
     for runs in runs_by_flight(time, codes):
         kernel = None
         if isinstance(cutoff, str):
-            spectrum = _spectrum_of_flight(columns, time, runs)
+            spectrum = _flight_spectrum(columns, time, runs)
             if spectrum is None:
                 remarks.add(
                     f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to "
@@ -148,13 +148,6 @@ def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
     if not jittered:
         return _slope(smoothed, grid) if derivative else smoothed
     return interpolate.CubicSpline(grid, smoothed)(time, int(derivative))
-
-
-def _spectrum_of_flight(
-    columns: np.ndarray, time: np.ndarray, runs: list[slice]
-) -> Spectrum | None:
-    steps = np.concatenate([np.diff(time[run]) for run in runs])
-    return flight_spectrum([columns[run] for run in runs], np.median(steps)) if steps.size else None
 
 
 def _slope(columns: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -199,17 +192,18 @@ class Spectrum(NamedTuple):
         return np.einsum("mii->mi", self.power).real
 
 
-def flight_spectrum(segments: list[np.ndarray], step: float) -> Spectrum | None:
-    """Return the spectrum of segments, each (n, k), sampled every ``step`` s; None where none is long enough.
+def _flight_spectrum(columns: np.ndarray, time: np.ndarray, runs: list[slice]) -> Spectrum | None:
+    """Return the spectrum of the runs of a flight's channels (n, k); None where none is long enough.
 
     Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
-    longest = max(len(segment) for segment in segments)
+    longest = max(run.stop - run.start for run in runs)
     if longest < LEAST_SAMPLES:
         return None
+    step = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
     size = 2 * (min(int(max(WINDOW_SECONDS / step, 2 * SHORTEST_WINDOW)), longest // 4) // 2)
     pieces = np.concatenate(
-        [_windows(segment, size) for segment in segments if len(segment) >= size]
+        [_windows(columns[run], size) for run in runs if run.stop - run.start >= size]
     )
     taper = signal.windows.hann(size)
     waves = np.fft.rfft(signal.detrend(pieces, axis=-1) * taper, axis=-1).transpose(2, 1, 0)

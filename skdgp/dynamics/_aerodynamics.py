@@ -52,21 +52,15 @@ class Drift(NamedTuple):
     # `MISFIT_MEMORY`.
     misfit: Array | float = 0.0
 
-    def _processes(self) -> list[tuple[Array, Array]]:
-        """Return variances and memories (6,) of the independent processes."""
-        misfit = np.broadcast_to(self.misfit, self.variance.shape)
-        return [
-            (self.variance - misfit, self.memory),
-            (misfit, np.full(len(misfit), MISFIT_MEMORY)),
-        ]
-
     def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
         """Return draws (n, *shape, 6) at times (n,) that increase."""
         seed = check_random_state(random_state).randint(
             2**31 - 1, size=4
         )  # other numbers than the paths have
         rng, total = np.random.default_rng(seed), np.zeros((len(time), *shape, 6))
-        for variance, memory in self._processes():
+        misfit = np.broadcast_to(self.misfit, self.variance.shape)
+        processes = [(self.variance - misfit, self.memory), (misfit, np.full(6, MISFIT_MEMORY))]
+        for variance, memory in processes:
             if variance.any():
                 drawn = rng.standard_normal(total.shape) * np.sqrt(variance)
                 for k, r in enumerate(np.exp(-np.diff(time)[:, None] / memory), start=1):

@@ -157,9 +157,6 @@ def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.Data
     return measured, differentiate(flight[list(RATES)].to_numpy(float), **clock)
 
 
-REPLAYED = (*POSITION, *EARTH_VELOCITY, *EULER, *RATES)
-
-
 def replay(
     flight: pd.DataFrame,
     aircraft: Aircraft,
@@ -262,7 +259,7 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -
     window = np.broadcast_to(np.arange(len(rows))[:, None], rows.shape)
     time = flight["time"].to_numpy(float)
     columns = {"window": window, "elapsed": time[rows] - time[rows[:, :1]]} | channels(states)
-    names = [name for name in REPLAYED if name not in POSITION or name in flight]
+    names = [name for name in POSITION if name in flight] + [*EARTH_VELOCITY, *EULER, *RATES]
     table = flight[[name for name in ("time", "flight") if name in flight]].assign(horizon=horizon)
     for name in ("window", "elapsed", *names):
         values = np.full(len(flight), -1 if name == "window" else np.nan)

@@ -56,7 +56,6 @@ from skdgp.dynamics._trim import Trim
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
 SHARES = np.array([0.4, 0.2])
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of a linear model
-ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `STATES`
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
 # Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
@@ -93,7 +92,7 @@ def jacobian(
     n = len(STATES) + len(inputs)
     change: np.ndarray = slopes @ G[..., :n]
     gain: np.ndarray = np.eye(6)
-    if motion.is_implicit:
+    if motion.implicit:
         gain = np.linalg.inv(np.eye(6) - slopes @ G[..., n:])
         change = gain @ change
     if lag is not None:
@@ -139,7 +138,7 @@ def _mechanics(
 
 def _state(x: Array) -> Array:
     """Return states (..., 13) of states with Euler angles (..., 12)."""
-    attitude = euler_to_quaternion(*np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0))
+    attitude = euler_to_quaternion(*np.moveaxis(x[..., 6:9], -1, 0))
     return np.concatenate([x[..., :6], attitude, x[..., 9:]], axis=-1)
 
 
@@ -675,7 +674,12 @@ class _Frame:
     """Conversion of coefficients and slopes in body axes to rows and columns of the table of derivatives."""
 
     def __init__(self, motion: Motion, now: Instant):
-        self.turn = _axes(now.alpha)
+        # what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)
+        self.turn = np.zeros((len(now.alpha), len(ROWS), 6))
+        self.turn[:, :6] = np.eye(6)
+        sine, cosine = np.sin(now.alpha), np.cos(now.alpha)
+        self.turn[:, 6, 0], self.turn[:, 6, 2] = sine, -cosine  # CL
+        self.turn[:, 7, 0], self.turn[:, 7, 2] = -cosine, -sine  # CD
         self.columns = list(motion.regressors)
         # slopes by the conventional quantities over slopes by the model's regressors, (n, d)
         self.scale = np.ones((len(now.airspeed), len(self.columns)))
@@ -746,15 +750,6 @@ def _points(
     states = np.stack([state for state, _ in flights])
     names = flights[0][1]
     return states, {n: np.array([row[n] for _, row in flights]) for n in names}, is_single
-
-
-def _axes(alpha: Array) -> Array:
-    """Return what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)."""
-    turn = np.zeros((len(alpha), len(ROWS), 6))
-    turn[:, :6] = np.eye(6)
-    turn[:, 6, 0], turn[:, 6, 2] = np.sin(alpha), -np.cos(alpha)  # CL
-    turn[:, 7, 0], turn[:, 7, 2] = -np.cos(alpha), -np.sin(alpha)  # CD
-    return turn
 
 
 def _unit(name: str) -> str:

@@ -145,9 +145,9 @@ class Motion:
                 f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
             )
         self._needs_angles = any(name in EULER for name in self.regressors)
-        self._implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
-        self.is_implicit = bool(self._implicit)  # the coefficients depend on what follows from them
-        self._follows = [IMPLICIT.index(self.regressors[k]) for k in self._implicit]
+        # places of regressors that follow from the coefficients
+        self.implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
+        self._follows = [IMPLICIT.index(self.regressors[k]) for k in self.implicit]
 
     def factor(self, k: int, airspeed: Array) -> Array | float:
         """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""
@@ -217,12 +217,12 @@ class Motion:
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
         values = {**controls, "airspeed": airspeed, "density": density}
         propulsion = propulsive_loads(values, self.aircraft, self.thrust)
-        if not self._implicit:
+        if not self.implicit:
             return self._loaded(state, X, airspeed, alpha, beta, density, propulsion, drift)
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         tried: list[tuple[Array, Array]] = []
         for _ in range(MOST_ITERATIONS):
-            for k, place in zip(self._implicit, self._follows, strict=True):
+            for k, place in zip(self.implicit, self._follows, strict=True):
                 X[..., k] = guess[..., place] * self.factor(k, airspeed)
             now = self._loaded(state, X, airspeed, alpha, beta, density, propulsion, drift)
             result = self._follow(state, now, velocity, wind, air)
@@ -237,27 +237,17 @@ class Motion:
 
     def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
         """Return the regressors (..., d); regressors that follow from the loads are not yet set."""
+        rates = (
+            state[..., RATES]
+            if air is None or air.rotation is None
+            else state[..., RATES] - air.rotation
+        )
         values = {
             "airspeed": airspeed,
             "alpha": alpha,
             "beta": beta,
             "density": density,
             "altitude": altitude,
-        }
-        if self._needs_angles:
-            values |= dict(
-                zip(
-                    EULER,
-                    np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0),
-                    strict=True,
-                )
-            )
-        rates = (
-            state[..., RATES]
-            if air is None or air.rotation is None
-            else state[..., RATES] - air.rotation
-        )
-        values |= {
             "p": rates[..., 0],
             "q": rates[..., 1],
             "r": rates[..., 2],
@@ -265,6 +255,9 @@ class Motion:
             "v": state[..., 4],
             "w": state[..., 5],
         }
+        if self._needs_angles:
+            angles = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
+            values |= dict(zip(EULER, angles, strict=True))
         X = np.empty((*state.shape[:-1], len(self._plan)))
         for k, name in enumerate(self.regressors):
             if name not in IMPLICIT:

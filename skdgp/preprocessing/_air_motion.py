@@ -67,14 +67,12 @@ from skdgp.preprocessing._air_motion_model import (
     derivatives_of,
 )
 from skdgp.preprocessing._path import (
-    CONSTANTS,
     GUSTS,
     INERTIAL,
     NEEDED,
     NOISE,
     Log,
     estimate,
-    first_guess,
     flight_logs,
 )
 from skdgp.preprocessing._table import has_values, interpolate_missing
@@ -355,7 +353,6 @@ def _path(log: Log):
     log = log._replace(air=np.full((len(log.time), 3), np.nan))
     return estimate(
         log,
-        first_guess(log, np.zeros(len(CONSTANTS))),
         NOISE | GUSTS,
         learn=NOISE.keys() - {*AIR_DATA},
         free=list(PATH_CONSTANTS),

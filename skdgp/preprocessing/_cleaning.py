@@ -81,7 +81,9 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
     check_columns(check_table(flight), ["time"])
-    return _as_table(_inspect(flight, ignore))
+    findings = _inspect(flight, ignore)
+    rows = [(*finding[:5], len(finding.rows), finding.message) for finding in findings]
+    return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
 
 
 class FlightCheck(TableTransformer):
@@ -154,11 +156,6 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Finding]:
     """Return the findings of a table whose time increases within each flight."""
     check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
     return find_faults(table, ignore)
-
-
-def _as_table(findings: list[Finding]) -> pd.DataFrame:
-    rows = [(*finding[:5], len(finding.rows), finding.message) for finding in findings]
-    return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
 
 
 def _interpolated(time: Vector, values: Vector) -> Vector:
@@ -278,9 +275,10 @@ class FlightSmoother(TableTransformer):
 
     def _apply(self, operation, names, table):
         new: dict[str, Vector] = {}
+        clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
         for group, partners in self._groups(names):
             columns = unwrapped(table, group + partners)
-            values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **_clock(table))
+            values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
             # without the partners, which are in other groups
             new |= dict(zip(group, values.T, strict=False))
         return {name: new[name] for name in names}
@@ -294,7 +292,3 @@ class FlightSmoother(TableTransformer):
 
 def _present(names, table):
     return [name for name in names if name in table]
-
-
-def _clock(table):
-    return {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}

@@ -30,7 +30,6 @@ from skdgp._flight.checks import check_airspeed, check_columns, numeric
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
 
-OPTIONAL = ("throttle", *SURFACES)
 RATED = (*VANES, *RATES)
 # The column that another is made from, and the step that does it
 MAKERS = {
@@ -338,7 +337,8 @@ class RegressorSelector(TableTransformer):
         _check_made(table, names)
         names = [name + HAT if name + HAT in table else name for name in names]
         words = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
-        missing = [name for name in OPTIONAL if name in names and name not in table]  # or misspelt
+        controls = ("throttle", *SURFACES)
+        missing = [name for name in controls if name in names and name not in table]  # or misspelt
         self.absent_ = [
             name for name in missing if not get_close_matches(name, words, n=1, cutoff=0.85)
         ]

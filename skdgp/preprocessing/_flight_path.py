@@ -32,7 +32,6 @@ from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
 from skdgp.preprocessing._air_motion_equations import lagged
 from skdgp.preprocessing._cleaning import FlightSmoother
 from skdgp.preprocessing._path import (
-    CONSTANTS,
     GUSTS,
     INERTIAL,
     MEAN_WIND,
@@ -42,7 +41,6 @@ from skdgp.preprocessing._path import (
     FlightPath,
     Log,
     estimate,
-    first_guess,
     flight_logs,
     missing_channels,
 )
@@ -310,15 +308,11 @@ class FlightPathReconstruction(TableTransformer):
         for _, rows, log, solved in self._estimates(table, learn=GUSTS):
             for name, values in _channels(solved.path, log).items():
                 new[name][rows] = values
-            new["gust"][rows] = self._gust_of(solved, np.ptp(log.time))
+            # the variance of the gusts of the fit counts as `OPINION` seconds of this flight
+            squares = [_gust(solved) ** 2, self.gust_std_**2]
+            gust = np.sqrt(np.average(squares, weights=[np.ptp(log.time), OPINION]))
+            new["gust"][rows] = gust if solved.converged else self.gust_std_
         return new
-
-    def _gust_of(self, solved: Estimate, seconds: float) -> float:
-        """Return the gusts of a flight of some seconds; the variance of those of the fit counts as `OPINION` does."""
-        if not solved.converged:
-            return self.gust_std_
-        squares = [_gust(solved) ** 2, self.gust_std_**2]
-        return float(np.sqrt(np.average(squares, weights=[seconds, OPINION])))
 
     def _columns_out(self, names):
         made = [*MADE, "gust"] if self.used_ else []
@@ -336,8 +330,7 @@ class FlightPathReconstruction(TableTransformer):
         for name, rows, whole in flight_logs(table):
             for part, inner in _parts(len(rows), self.max_rows):
                 log = whole.part(part.start, part.stop)
-                start = first_guess(log, np.zeros(len(CONSTANTS)))
-                each = estimate(log, start, noise, learn=learn, free=FREE)
+                each = estimate(log, noise, learn=learn, free=FREE)
                 path = each.path.part(inner.start, inner.stop)
                 kept = rows[part][inner], log.part(inner.start, inner.stop)
                 estimates.append((name, *kept, each._replace(path=path)))

@@ -41,7 +41,6 @@ from skdgp.preprocessing._path import (
     MEAN_WIND,
     NOISE,
     estimate,
-    first_guess,
     flight_logs,
     missing_channels,
 )
@@ -300,9 +299,6 @@ def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
     return signal.sosfiltfilt(sections, values, padlen=padding)
 
 
-Equation = Callable[[Segment, float], tuple[Matrix, Matrix]]
-
-
 def segments_of(table: pd.DataFrame) -> list[Segment]:
     """Return the segments that are long enough and have all inertial sensors."""
     if not has_values(table, *INERTIAL):
@@ -334,8 +330,7 @@ def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
     prior = np.diag([CONSTANTS[name] ** -2 for name in lags])
     precision, weighted = prior.copy(), np.zeros(len(lags))
     for _, _, log in flight_logs(inertial):
-        start, noise = first_guess(log, np.zeros(len(CONSTANTS))), NOISE | GUSTS
-        solved = estimate(log, start, noise, learn=noise, free=free)
+        solved = estimate(log, NOISE | GUSTS, learn=NOISE | GUSTS, free=free)
         of_flight = np.linalg.inv(solved.covariance[at, at])
         weighted += of_flight @ solved.path.constant(*lags)
         precision += of_flight - prior
@@ -359,7 +354,11 @@ def _lags_of_motion(segments: list[Segment]) -> dict[str, Lag]:
     return {"air": _profile_estimate(segments, VANES, angles), "surfaces": surfaces}
 
 
-def _profile_estimate(segments: list[Segment], names: Sequence[str], equation: Equation) -> Lag:
+def _profile_estimate(
+    segments: list[Segment],
+    names: Sequence[str],
+    equation: Callable[[Segment, float], tuple[Matrix, Matrix]],
+) -> Lag:
     """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
 
     RSS is the residual sum of squares of n samples over that of the response. Each piece of a

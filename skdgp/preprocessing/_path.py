@@ -382,7 +382,6 @@ class Estimate(NamedTuple):
 
 def estimate(
     log: Log,
-    start: FlightPath,
     noise: dict[str, float],
     *,
     learn: Collection[str],
@@ -397,7 +396,7 @@ def estimate(
     posterior. The constants in ``free`` are estimated, with prior means of zero. ``noise`` holds
     the initial standard deviations, by the names in NOISE and GUSTS.
     """
-    path, places = start, [PLACE[name] for name in free]
+    path, places = first_guess(log, np.zeros(len(CONSTANTS))), [PLACE[name] for name in free]
     draws = _mirrored_pairs(len(log.time), free)
     process_names = _process_names(log)
     last = np.zeros(len(places))

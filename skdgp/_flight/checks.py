@@ -11,7 +11,6 @@ import pandas as pd
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
     ALL_SURFACES,
     CHANNELS,
@@ -21,6 +20,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
 )
 from skdgp._flight.clock import flight_segments
+from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
 
 LARGEST_ANGLE = {
     "alpha": np.pi,

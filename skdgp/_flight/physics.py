@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._flight.atmosphere import STANDARD_GRAVITY as G
 from skdgp._flight.channels import (
     ALL_SURFACES,
     BODY_VELOCITY,
@@ -43,6 +42,7 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.clock import flight_rows, flight_segments
+from skdgp._flight.frames import STANDARD_GRAVITY as G
 from skdgp._flight.frames import air_data, air_velocity, euler_to_matrix
 
 RATE = 20.0  # rows are averaged to about this rate [Hz]

@@ -17,7 +17,6 @@ from sklearn.utils import Bunch, check_random_state
 from skdgp._compute.sklearn_compat import Interval, validate_params
 from skdgp._compute.typing import Array, Seed
 from skdgp._excitation import Steps, Wavetrain, doublet, multisine, three_two_one_one
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import (
     COEFFICIENTS,
     EARTH_VELOCITY,
@@ -31,6 +30,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     WIND,
 )
+from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,

@@ -11,9 +11,9 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import HAT, LENGTHS, rate_factor
 from skdgp._flight.checks import as_floats, check_columns
+from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, as_aerodynamics, trajectory_bands
 
 # What an envelope limits, and the options of the command line

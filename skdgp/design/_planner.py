@@ -20,9 +20,9 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Seed
 from skdgp._display.page import number, percent, table, text
 from skdgp._excitation import Signal, Wavetrain, wavetrain
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.checks import check_names, check_number
+from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.design._envelope import (
     GROWTH,
     OPTIONS,

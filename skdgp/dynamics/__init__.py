@@ -4,7 +4,6 @@ Body axes x forward, y right, z down; moments about the centre of gravity; SI un
 The interface to a regressor is a flight table and a table of the six coefficients.
 """
 
-from skdgp._flight.atmosphere import standard_density
 from skdgp._flight.frames import (
     air_data,
     air_velocity,
@@ -15,6 +14,7 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
     quaternion_to_matrix,
+    standard_density,
 )
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, scaling_of
 from skdgp.dynamics._air import (

@@ -209,8 +209,6 @@ class Aerodynamics:
     def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
         """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
         paths = () if self.n_paths is None else (self.n_paths,)
-        if X.ndim == len(paths) + 2:
-            return function(X)
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
     def _differences(self, X: Array) -> Array:

@@ -16,7 +16,6 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import covariance_root
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import (
     as_floats,
@@ -27,7 +26,13 @@ from skdgp._flight.checks import (
     check_table,
 )
 from skdgp._flight.clock import flight_segments
-from skdgp._flight.frames import air_velocity, body_to_ned, cross, euler_to_quaternion
+from skdgp._flight.frames import (
+    STANDARD_GRAVITY,
+    air_velocity,
+    body_to_ned,
+    cross,
+    euler_to_quaternion,
+)
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 
 FEET = 0.3048

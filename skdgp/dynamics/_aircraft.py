@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 from skdgp._compute.files import read_json, read_toml
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
 from skdgp._flight.checks import (
     as_floats,
@@ -29,6 +28,7 @@ from skdgp._flight.checks import (
     check_numbers,
     check_table,
 )
+from skdgp._flight.frames import SEA_LEVEL_DENSITY
 
 USUAL_THRUST = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
 # c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter: least squares of the wind-tunnel
@@ -363,10 +363,9 @@ MOMENTS = ("Ixx", "Iyy", "Izz")
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
 PRODUCT = "Ixz"
 PRESSURE = "dynamic pressure"
-FORCE = {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0}
 # A measured coefficient is proportional to these powers: m f / (qbar S), and I omega_dot / (qbar S
 # b) but for products of inertia and gyroscopic moments
-POWERS = dict.fromkeys(COEFFICIENTS[:3], FORCE) | {
+POWERS = {name: {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0} for name in COEFFICIENTS[:3]} | {
     name: {moment: 1.0, "wing_area": -1.0, length: -1.0, PRESSURE: -1.0}
     for name, moment, length in zip(
         COEFFICIENTS[3:], MOMENTS, ("span", "chord", "span"), strict=True

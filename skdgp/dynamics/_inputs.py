@@ -115,10 +115,7 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
                 f"finite velocity of the air, north, east, down [m/s]; or a table with time."
             )
         return lambda stage, state: LocalAir(constant)
-    tables = as_tables(wind, "wind", n_starts)
-    for table in tables:
-        check_columns(table, WIND, what="wind")
-    columns = interpolated(tables, WIND, clock, "wind")
+    columns = interpolated(as_tables(wind, "wind", n_starts), WIND, clock, "wind")
     velocity = np.stack([columns[name] for name in WIND], axis=-1)
     rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
     return lambda stage, state: LocalAir(velocity[stage], rate[stage])
@@ -409,22 +406,19 @@ def perturbed(
 
 def tables_of(*sources: Any) -> list[pd.DataFrame]:
     """Return the tables among controls and winds, checked: a time that increases."""
-    tables = []
-    for source in sources:
-        for table in _as_list(source):
-            if isinstance(table, pd.DataFrame):
-                check_columns(check_table(table, what="table"), ["time"], what="table")
-                if not pd.api.types.is_numeric_dtype(table["time"]):
-                    raise ValueError(
-                        f"Got a table whose time is {table['time'].dtype}, but expected seconds: "
-                        "(time - time.iloc[0]).dt.total_seconds() of stamps."
-                    )
-                if not (np.diff(table["time"].to_numpy(float)) > 0).all():
-                    raise ValueError(
-                        "Got a table whose time does not increase, but expected seconds, row "
-                        "after row."
-                    )
-                tables.append(table)
+    every = [table for source in sources for table in _as_list(source)]
+    tables = [table for table in every if isinstance(table, pd.DataFrame)]
+    for table in tables:
+        check_columns(check_table(table, what="table"), ["time"], what="table")
+        if not pd.api.types.is_numeric_dtype(table["time"]):
+            raise ValueError(
+                f"Got a table whose time is {table['time'].dtype}, but expected seconds: "
+                "(time - time.iloc[0]).dt.total_seconds() of stamps."
+            )
+        if not (np.diff(table["time"].to_numpy(float)) > 0).all():
+            raise ValueError(
+                "Got a table whose time does not increase, but expected seconds, row after row."
+            )
     return tables
 
 
@@ -496,10 +490,9 @@ def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
 
 
 def interpolated(
-    tables: list[pd.DataFrame], names: Iterable[str], clock: Clock, what: str
+    tables: list[pd.DataFrame], names: Sequence[str], clock: Clock, what: str
 ) -> dict[str, Array]:
     """Return columns at every stage, linear between rows: (n_stages,), or (n_stages, n_starts) of several tables."""
-    names = list(names)
     parts = []
     for table in tables:
         check_columns(table, names, what=what)

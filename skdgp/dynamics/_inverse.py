@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import (
     COEFFICIENTS,
     EARTH_VELOCITY,
@@ -30,6 +29,7 @@ from skdgp._flight.faults import (
     find_faults,
     without_faults,
 )
+from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._inputs import table_states

@@ -459,9 +459,8 @@ def _named(
 def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
     """Return a single unit by its name; several with numbers, the fastest first."""
     units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
-    if len(units) == 1:
-        return {name: units[0]}
-    return {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
+    names = [f"{name} {k}" for k in range(1, len(units) + 1)] if len(units) > 1 else [name]
+    return dict(zip(names, units, strict=True))
 
 
 def _values(roots: np.ndarray) -> tuple[float, float, float]:

@@ -11,7 +11,6 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import HIGHEST, LOWEST, standard_density
 from skdgp._flight.channels import (
     ALL_SURFACES,
     CHANNELS,
@@ -24,7 +23,16 @@ from skdgp._flight.channels import (
     rate_factor,
 )
 from skdgp._flight.checks import check_names
-from skdgp._flight.frames import air_data, air_data_slopes, cross, ned_to_body, quaternion_to_euler
+from skdgp._flight.frames import (
+    HIGHEST,
+    LOWEST,
+    air_data,
+    air_data_slopes,
+    cross,
+    ned_to_body,
+    quaternion_to_euler,
+    standard_density,
+)
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft
@@ -268,18 +276,13 @@ class Motion:
 
     def _loaded(self, state, X, airspeed, alpha, beta, density, propulsion, drift) -> Instant:
         """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
-        C = self._coefficients(X) + drift
+        # NaN where a state has diverged: models refuse infinite values
+        finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        C = np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan) + drift
         force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
         force, moment = force + propulsion[0], moment + propulsion[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         return Instant(derivative, C, X, airspeed, alpha, beta, density, force, None, True)
-
-    def _coefficients(self, X: Array) -> Array:
-        """Return the model's coefficients, NaN where a state has diverged: models refuse infinite values."""
-        if np.isfinite(X).all():
-            return self.aerodynamics(X)
-        finite = np.isfinite(X).all(axis=-1, keepdims=True)
-        return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
     def _follow(self, state, now: Instant, velocity, wind, air) -> Array:
         """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`; ``wind`` in body axes."""

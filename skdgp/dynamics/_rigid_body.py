@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import cross
+from skdgp._flight.frames import STANDARD_GRAVITY, cross
 from skdgp.dynamics._aircraft import Aircraft, Propeller, ThrustLine
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")

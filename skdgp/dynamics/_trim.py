@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
@@ -189,11 +188,9 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     check_settled(now)
     model = steady.motion.aerodynamics
     aircraft = steady.motion.aircraft
-    low, high = (-np.inf, np.inf) if model.limits is None else model.limits
-    is_beyond = ~((low <= now.regressors) & (now.regressors <= high))
-    outside = pd.DataFrame(
-        {"value": now.regressors, "low": low, "high": high}, list(model.regressors)
-    )
+    limits = [[-np.inf], [np.inf]] if model.limits is None else model.limits
+    values = np.vstack(np.broadcast_arrays(now.regressors, *limits)).T.tolist()
+    named = zip(model.regressors, values, strict=True)
     engine = now.force - aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)[0]
     return Trim(
         state=state,
@@ -205,7 +202,7 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         thrust=float(engine @ (aircraft.thrust_line or CENTRED).direction),
         solved=steady.unknowns,
         residual=float(np.abs(steady.residual(x, airspeed)[:6]).max()),
-        beyond={row[0]: row[1:] for row in outside[is_beyond].itertuples(name=None)},
+        beyond={name: (x, a, b) for name, (x, a, b) in named if not a <= x <= b},
     )
 
 

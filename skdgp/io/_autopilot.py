@@ -21,11 +21,18 @@ from scipy.signal import butter, sosfiltfilt
 
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.atmosphere import HIGHEST, LOWEST, STANDARD_GRAVITY, standard_density
 from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.clock import GAP
 from skdgp._flight.faults import POSSIBLE, RARE
-from skdgp._flight.frames import euler_to_matrix, quaternion_to_euler, without_sign_changes
+from skdgp._flight.frames import (
+    HIGHEST,
+    LOWEST,
+    STANDARD_GRAVITY,
+    euler_to_matrix,
+    quaternion_to_euler,
+    standard_density,
+    without_sign_changes,
+)
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._dataflash import read_dataflash
 from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Control, Log, Rule, Topic

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.atmosphere import SEA_LEVEL_DENSITY as DENSITY
-from skdgp._flight.atmosphere import SEA_LEVEL_PRESSURE as PRESSURE
+from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
+from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 
 QUATERNION = ("qw", "qx", "qy", "qz")  # of a rule for attitude: body to north-east-down, any length
 EQUIVALENT = "equivalent_airspeed"  # of a rule for equivalent airspeed; the table gets the true one

@@ -18,8 +18,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import extra
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
-from skdgp._flight.frames import euler_to_quaternion
+from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import controls_of
 from skdgp.io._log import (
     EQUIVALENT,

@@ -71,7 +71,6 @@ from skdgp.preprocessing._path import (
     INERTIAL,
     NEEDED,
     NOISE,
-    Log,
     estimate,
     flight_logs,
 )
@@ -314,7 +313,10 @@ def _records(table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: in
     vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
     for flight, (_, rows, log) in enumerate(flight_logs(table)):
-        path = _path(log)
+        # over the ground, without air data; lags of GPS and attitude and biases are removed
+        log = log._replace(air=np.full((len(log.time), 3), np.nan))
+        learn = NOISE.keys() - {*AIR_DATA}
+        path = estimate(log, NOISE | GUSTS, learn=learn, free=PATH_CONSTANTS).path
         to_body = np.swapaxes(path.attitude.as_matrix(), 1, 2)
         velocity = (to_body @ path.velocity[..., None])[..., 0]
         sensed = np.column_stack([path.force(log), path.rate(log), vanes[rows]])
@@ -343,20 +345,7 @@ def _records(table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: in
 def _shortened(records: list[Record]) -> list[Record]:
     """Return the first part of each record, `MOST` samples together."""
     share = MOST / sum(len(record.rows) for record in records)
-    if share >= 1:
-        return records
     return [record.first(max(FEWEST, int(share * len(record.rows)))) for record in records]
-
-
-def _path(log: Log):
-    """Return the path over the ground, without air data; lags of GPS and attitude and biases are removed."""
-    log = log._replace(air=np.full((len(log.time), 3), np.nan))
-    return estimate(
-        log,
-        NOISE | GUSTS,
-        learn=NOISE.keys() - {*AIR_DATA},
-        free=list(PATH_CONSTANTS),
-    ).path
 
 
 def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:
@@ -582,10 +571,8 @@ class _Fit:
 
     def _result(self, sums: _Sums, converged: bool, n_rows: int) -> AirMotion:
         nd = len(self.layout.rows)
-        off = self.x - self.parameters.mean
-        covariance = np.diag(self.parameters.std**2 + off**2)
-        if converged:
-            covariance = _covariance(sums)
+        prior = np.diag(self.parameters.std**2 + (self.x - self.parameters.mean) ** 2)
+        covariance = _covariance(sums) if converged else prior
         columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
         if self.known is None:
             covariance[:nd, :nd] += np.diag((MODEL_ERROR * self.x[:nd]) ** 2)
@@ -693,16 +680,10 @@ def _steady_wind(records: list[Record]) -> Vector:
 
 def _middle(linear: Linearisation, n_samples: int) -> Linearisation:
     """Return the linearisation of ``n_samples`` in the middle."""
-    excess = len(linear.step) - n_samples
-    if excess <= 0:
-        return linear
-    part = slice(excess // 2, excess // 2 + n_samples)
-    n = len(linear.states)
-    fields = {}
-    for name, values in linear._asdict().items():
-        rows = slice(part.start, part.stop + 1) if len(values) == n else part
-        fields[name] = values[rows]
-    return linear._replace(**fields)
+    n = len(linear.step)
+    first = max(n - n_samples, 0) // 2
+    # there is a state more than steps
+    return Linearisation(*(part[first : first + n_samples + len(part) - n] for part in linear))
 
 
 def _likelihood_slopes(run: Pass) -> tuple[Vector, Matrix]:

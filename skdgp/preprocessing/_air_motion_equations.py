@@ -9,9 +9,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.frames import cross_matrix
+from skdgp._flight.frames import STANDARD_GRAVITY, cross_matrix
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion_filter import Linearisation, Noise
 from skdgp.preprocessing._air_motion_model import (

@@ -282,8 +282,15 @@ class RegressorSelector(TableTransformer):
         if targeted:
             observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
         values = values[observed & np.isfinite(values).all(axis=1)]
-        if targeted and len(values):
-            _warn_of_constant_regressors(values, self.regressors_)
+        pairs = zip(self.regressors_, values.T, strict=True) if len(values) else ()
+        constant = [name for name, v in pairs if np.ptp(v) <= STILL * np.abs(v).max()]
+        if targeted and constant:
+            warn(
+                f"In the training flights {constant} never change, so the model cannot learn their "
+                f"effects. Fly manoeuvres that move them, or leave them out of the regressors.",
+                FlightDataWarning,
+                stacklevel=2,
+            )
         channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
         self.ranges_ = {
             str(name): (float(kept.min()), float(kept.max()))
@@ -360,21 +367,6 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     check_columns(
         table, [MAKERS[name][0] for name in lacking if name in MAKERS and name.endswith("_dot")]
     )
-
-
-def _warn_of_constant_regressors(values: Matrix, names: list[str]) -> None:
-    constant = [
-        name
-        for name, v in zip(names, values.T, strict=True)
-        if np.ptp(v) <= STILL * np.abs(v).max()
-    ]
-    if constant:
-        warn(
-            f"In the training flights {constant} never change, so the model cannot learn their "
-            f"effects. Fly manoeuvres that move them, or leave them out of the regressors.",
-            FlightDataWarning,
-            stacklevel=3,
-        )
 
 
 def _check_finite(values: Matrix, names: list[str]) -> None:

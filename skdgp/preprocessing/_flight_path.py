@@ -216,7 +216,14 @@ class FlightPathReconstruction(TableTransformer):
         self.gust_std_ = float(
             np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples))
         )
-        self.calibration_ = _calibration(estimates)
+        rows = [
+            {"flight": flight, "constant": name, "estimate": value, "std": std}
+            for flight, _, _, each in estimates
+            for name, value, std in zip(
+                FREE, each.path.constant(*FREE), np.sqrt(np.diag(each.covariance)), strict=True
+            )
+        ]
+        self.calibration_ = pd.DataFrame(rows)
         if contradictions := _contradictions(estimates, self.noise_std_):
             of_air = contradictions.keys() & {*AIR_DATA}
             alone = len(contradictions) == len(of_air) == 1  # probably filtered by the autopilot
@@ -392,22 +399,6 @@ def _late(log: Log, surfaces: Matrix, lag: float) -> Matrix:
 def _gust(solved: Estimate) -> float:
     """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
     return float(np.sqrt(np.mean([solved.noise[name] ** 2 for name in GUSTS])))
-
-
-def _calibration(estimates: Flights) -> pd.DataFrame:
-    """Return a row per flight and constant."""
-    parts = [
-        pd.DataFrame(
-            {
-                "flight": flight,
-                "constant": FREE,
-                "estimate": each.path.constant(*FREE),
-                "std": np.sqrt(np.diag(each.covariance)),
-            }
-        )
-        for flight, _, _, each in estimates
-    ]
-    return pd.concat(parts, ignore_index=True)
 
 
 def _contradictions(estimates: Flights, residuals: Mapping[str, float]) -> dict[str, str]:

@@ -16,7 +16,6 @@ from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
-from skdgp._flight.atmosphere import STANDARD_GRAVITY
 from skdgp._flight.channels import (
     AIR_DATA,
     EARTH_VELOCITY,
@@ -27,7 +26,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import numeric
 from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
-from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
+from skdgp._flight.frames import STANDARD_GRAVITY, air_data, air_data_slopes, cross_matrix
 from skdgp.preprocessing._table import has_values, interpolate_missing
 
 NEEDED = (

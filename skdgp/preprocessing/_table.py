@@ -151,8 +151,7 @@ def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
     values = values.copy()
     for column in values.T:
         known = np.isfinite(column)
-        if not known.all():
-            column[~known] = np.interp(time[~known], time[known], column[known])
+        column[~known] = np.interp(time[~known], time[known], column[known])
     return values
 
 

@@ -145,8 +145,7 @@ def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, m
 
 def check_observed(Y: np.ndarray, names: list[str]) -> None:
     """Raise a ValueError if an output has fewer than two observed values."""
-    counts = np.isfinite(Y).sum(axis=0)
-    few = {name: int(n) for name, n in zip(names, counts, strict=True) if n < 2}
+    few = {name: int(n) for name, n in zip(names, np.isfinite(Y).sum(axis=0), strict=True) if n < 2}
     if few:
         raise ValueError(
             f"Got outputs observed at fewer than two samples: {few} (NaN means not observed). "

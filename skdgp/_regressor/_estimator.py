@@ -312,11 +312,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.max_iter_ = most_iterations(self.max_iter, Z, log)
         fit = fit_structure(self, X, Z, log, inference)
         posterior, learned = fit.posterior, fit.learned
-        is_exact = isinstance(posterior.members[0], ExactPosterior)
-        self.inference_ = "exact" if is_exact else "sparse"
+        self.inference_ = "exact" if isinstance(posterior.members[0], ExactPosterior) else "sparse"
         self.weights_ = weights_of(posterior)
-        names = self._regressor_names()
-        _checks.warn_of_search(learned, self.max_iter_, X, names)
+        _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
         _checks.warn_of_bounds(self.kernel, posterior.kernel)
         if not learned.interrupted:
             errors = Z - likeliest_mean(posterior, X)

@@ -190,11 +190,6 @@ class Rehearsal:
             next(iter(self.limits)): Steps([max((*MULTISINES, self.response))], [0.0])
         }
 
-    @cached_property
-    def still(self) -> pd.DataFrame:
-        """Trimmed flight of the mean, as long as the longest multisine."""
-        return self.flown([self._nothing])[0]
-
     def flown(self, several: Sequence[Inputs]) -> list[pd.DataFrame]:
         """Return the flights of manoeuvres, each with its response after it, by the mean."""
         trains, tables = self._tables(several)
@@ -253,8 +248,7 @@ class Rehearsal:
     def hold(self) -> Hold:
         """Trimmed flight and the room around it; raise ValueError if gusts alone leave the envelope."""
         paths = self.drawn(self._nothing, self.envelope.n_paths, self.envelope.gusts)
-        begun = paths[paths["time"] <= self.response + 1e-6]
-        risk, causes = self.risk(begun)
+        risk, causes = self.risk(paths[paths["time"] <= self.response + 1e-6])
         if risk > self.envelope.risk:
             raise ValueError(
                 f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and "
@@ -269,7 +263,7 @@ class Rehearsal:
         ]  # a control has no response
         margin = np.where(is_set, 0.0, self.envelope.margin)
         low, high = np.array([*limits.values()]).T
-        centre, allowed = self.channels(self.still), 0
+        centre, allowed = self.channels(self.flown([self._nothing])[0]), 0
         if self.aerodynamics.is_uncertain:
             allowed = int(np.floor(self.envelope.risk * (self.envelope.n_paths + 2) - 1 + ROUNDING))
         return Hold(

@@ -126,8 +126,7 @@ def _go(plan: Plan) -> str:
 
 def _entry(plan: Plan) -> str:
     states = ("airspeed", "altitude", "phi", "alpha", "theta")
-    controls = plan.trim.controls
-    values = {name: getattr(plan.trim, name) for name in states} | controls
+    values = {name: getattr(plan.trim, name) for name in states} | plan.trim.controls
     row = ["", *(shown(name, value) for name, value in values.items())]
     row.append(number(plan.manoeuvres["start"].iloc[0], ".1f"))
     caption = (
@@ -194,14 +193,13 @@ def _limits(plan: Plan) -> str:
 
 def _promise(plan: Plan) -> str:
     """Return the engineer's page."""
-    errors = plan.errors
     rows = [
         [
             text(name),
             *(number(row[end], ".2g") for end in ("before", "promised")),
             percent(row["promised"] / row["before"], ".0f"),
         ]
-        for name, row in errors.iterrows()
+        for name, row in plan.errors.iterrows()
     ]
     caption = (
         f"Standard deviations of derivatives at the trim, as <code>derivatives</code> states "

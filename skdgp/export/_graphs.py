@@ -112,8 +112,7 @@ def onnx_model(model: PortableModel) -> Any:
             g = graph("Concat", *(graph("Sum", *map(functions, group)) for group in terms), axis=1)
             offset = part.trend_root.shape[1] - len(part.readout.weights)
             value = graph("Add", value, graph("MatMul", g, weights[:, None]))
-            explained = graph("MatMul", g, root)
-            half = graph("Add", half, graph("Pad", explained, [0, offset, 0, 0]))
+            half = graph("Add", half, graph("Pad", graph("MatMul", g, root), [0, offset, 0, 0]))
         tau = part.trend_scale
         prior = graph.squares(graph("Mul", p, tau[1:]), 1)
         prior = graph("Add", prior, np.array(part.prior_variance + tau[0] ** 2))

@@ -156,10 +156,6 @@ class Part:
             values[:, term.entries] += term.functions(Z)
         return values
 
-    def mean(self, p: Matrix, g: Matrix) -> Vector:
-        """Return mu (n,) from p (n, d + 1) and g (n, k)."""
-        return p @ self.trend_weights + g @ self.readout.weights
-
     def prior(self, p: Matrix) -> Vector:
         """Return the prior variance: a plus the squared norm of tau p, (n,)."""
         return np.asarray(self.prior_variance + np.square(p * self.trend_scale).sum(axis=1))
@@ -349,8 +345,7 @@ class PortableModel:
         p = self.trend(Z)
         errors = np.column_stack([part.rounding(p, part.basis(Z)) for part in self.parts])
         error = self._mixed(errors)[0]
-        variance = self._moments(Z, True)[1]
-        return self.output_scale * error / np.sqrt(np.maximum(variance, error))
+        return self.output_scale * error / np.sqrt(np.maximum(self._moments(Z, True)[1], error))
 
     def _moments(self, Z, return_std):
         """Return normalised mean and variance of the outputs, (n, P) each."""
@@ -358,7 +353,7 @@ class PortableModel:
         mean, variance = np.zeros((2, len(Z), len(self.parts)))
         for j, part in enumerate(self.parts):
             g = part.basis(Z)
-            mean[:, j] = part.mean(p, g)
+            mean[:, j] = p @ part.trend_weights + g @ part.readout.weights
             if return_std:
                 variance[:, j] = part.variance(p, g @ part.readout.root)
         mixed, away = self._mixed(mean)
@@ -413,12 +408,11 @@ class PortableModel:
     def from_arrays(cls, head: dict[str, Any], arrays: dict[str, np.ndarray]) -> PortableModel:
         """Return the model of a head and arrays."""
         places = arrays["term_place"]
-        n_readouts = int(arrays["readout_of"].max()) + 1
         readouts = [
             Readout(
                 arrays[f"weights_{k}"], unpacked(arrays[f"root_{k}"], len(arrays[f"weights_{k}"]))
             )
-            for k in range(n_readouts)
+            for k in range(int(arrays["readout_of"].max()) + 1)
         ]
         terms: list[list[Term]] = [[] for _ in arrays["readout_of"]]
         centres = np.split(arrays["centres"], np.cumsum(places[:-1, 2]))

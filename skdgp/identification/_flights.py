@@ -116,10 +116,9 @@ def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
     """Return one table for each flight, in their order."""
     if "flight" not in table:
         return {default: table.reset_index(drop=True).assign(flight=default)}
-    rows = flight_rows(table["flight"])
     return {
         name: table.iloc[flight].reset_index(drop=True).assign(flight=name)
-        for name, flight in rows.items()
+        for name, flight in flight_rows(table["flight"]).items()
     }
 
 

@@ -395,7 +395,6 @@ def simulation_errors(
     total, explained = (
         np.add.reduceat(each, edges, axis=1) / counts for each in (squares.mean(axis=0), gusts)
     )
-    error = np.sqrt(total)
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
     noises = [noise_level(unwrapped(table, STATES), table["time"]) for table in tables]
     noise = pd.DataFrame(noises).median().fillna(0.0).to_numpy()  # of short flights not known
@@ -409,7 +408,7 @@ def simulation_errors(
     columns = {
         "spread": spread,
         "limit": limit,
-        "error": error[:, -1],
+        "error": np.sqrt(total[:, -1]),
         "lasts": lasts(total),
         "lasts_without_gusts": lasts(total - explained),
         "gusts": 0.0 if met is None else float(np.sqrt(np.mean(np.square(met.intensity)))),

@@ -116,20 +116,17 @@ class AveragePosterior(Posterior):
         """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""
         means = np.array([member.predict(Xs) for member in self.members])
         off = means - moments(self.mixture, means)
-        shared = self._shared()
+        ends = np.cumsum(self.mixture, axis=0)
+        starts = ends - self.mixture
+        first = np.maximum(starts[:, None, :, None], starts[None, :, None, :])
+        last = np.minimum(ends[:, None, :, None], ends[None, :, None, :])
+        # probability that output i has member k and output j member l, (K, K, P, P)
+        shared = np.maximum(last - first, 0.0)
         n, P = off.shape[1:]
         joint = np.einsum("klij,kai,lbj->iajb", shared, off, off).reshape(P * n, P * n)
         for k, member in enumerate(self.members):
             joint += member.covariance(Xs) * np.kron(shared[k, k], np.ones((n, n)))
         return joint
-
-    def _shared(self):
-        """Return the probability that output i has member k and output j member l, (K, K, P, P)."""
-        ends = np.cumsum(self.mixture, axis=0)
-        starts = ends - self.mixture
-        first = np.maximum(starts[:, None, :, None], starts[None, :, None, :])
-        last = np.minimum(ends[:, None, :, None], ends[None, :, None, :])
-        return np.maximum(last - first, 0.0)
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples of the mixture that are functions of the regressors: each output of a path has one member.
@@ -277,8 +274,7 @@ class CentredTerm:
 
     def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
         """Return the mean and the variance at X (n, d), (n, P) each."""
-        predictions = [term.predict(X) for term in self.terms]
-        return moments(self.mixture, predictions, return_variance=True)
+        return moments(self.mixture, [term.predict(X) for term in self.terms], return_variance=True)
 
 
 class _MemberTerm:

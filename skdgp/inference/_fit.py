@@ -252,8 +252,7 @@ def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
     except KeyboardInterrupt:
         return fit.cut_short()
     posterior = AveragePosterior(members, weights)
-    noise = np.sum(weights * noises, axis=0)
-    return Fit(posterior, fit.learned._replace(noise=noise))
+    return Fit(posterior, fit.learned._replace(noise=np.sum(weights * noises, axis=0)))
 
 
 def mean_of(fits: Sequence[Fit]) -> Fit:

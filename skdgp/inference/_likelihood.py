@@ -42,14 +42,6 @@ class SampleNoise(NamedTuple):
     sample: list[np.ndarray]
     loading: list[np.ndarray]
 
-    @classmethod
-    def from_table(cls, observed, loading) -> SampleNoise:
-        """Return the entries of ``loading`` (n, P, r) for the observed values, a mask (n, P)."""
-        return cls(
-            [np.flatnonzero(rows) for rows in observed.T],
-            [loading[rows, i] for i, rows in enumerate(observed.T)],
-        )
-
     def pairs(self):
         """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
 
@@ -139,7 +131,12 @@ class Data(NamedTuple):
         return cls(
             [X[rows] for rows in observed.T],
             [y[rows] for y, rows in zip(Y.T, observed.T, strict=True)],
-            None if loading is None else SampleNoise.from_table(observed, loading),
+            loading
+            if loading is None
+            else SampleNoise(
+                [np.flatnonzero(rows) for rows in observed.T],
+                [loading[rows, i] for i, rows in enumerate(observed.T)],
+            ),
         )
 
     def every(self, step: int) -> Data:
@@ -280,8 +277,8 @@ def log_likelihood(
 
 def _gradient(kernel, noise, data, y, L, by_pairs):
     inverse = cholesky_inverse(L)
-    alpha = dsymv(1.0, inverse, y, lower=1)
     # -W: only one triangle is computed and read, the upper one in C order.
+    alpha = dsymv(1.0, inverse, y, lower=1)
     minus_W = dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 
     def contract(pair):

@@ -265,8 +265,7 @@ class ExactPosterior(SinglePosterior):
             residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
             half = triangular_solve(self.L, np.array(residual.T, order="F"))
             weights = triangular_solve(self.L, half, transposed=True)
-            correction = covariance_paths(self.kernel, data.X, weights.T)
-            return prior + correction
+            return prior + covariance_paths(self.kernel, data.X, weights.T)
 
 
 FREQUENCIES = 64  # waves of each latent process in each path

@@ -343,8 +343,7 @@ class Objective:
     ) -> None:
         self.kernel = kernel
         self.n_noise = n_noise
-        pairs = combinations(range(kernel.n_outputs), 2)
-        coupled = any(kernel.couples(i, j) for i, j in pairs)
+        coupled = any(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
         coupled |= common and data.sample_noise is not None
         self.parts = [data] if coupled else data.by_output()
 

@@ -248,8 +248,7 @@ def shares_of(data: Data) -> list[SampleShare]:
         ]
     shares = []
     for outputs, *table in tables:
-        most = SHARES if len(outputs) == 1 else SAMPLE_SHARES
-        n_shares = min(most, -(-len(table[0]) // ROWS))
+        n_shares = min(SHARES if len(outputs) == 1 else SAMPLE_SHARES, -(-len(table[0]) // ROWS))
         parts = zip(*(np.array_split(part, n_shares) for part in table), strict=True)
         shares += [SampleShare(outputs, *part) for part in parts]
     return shares
@@ -310,8 +309,10 @@ def _share_sums(kernel, features, noise, Lu, share):
         size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
     outer, inner = np.zeros((size, size)), np.zeros(size)
     square = variance = log_determinant = 0.0
-    for X, Y, precision, log_determinants in _blocks(share, noise):
-        Y = np.nan_to_num(Y)
+    noise = noise[list(share.outputs)]
+    for rows in gen_batches(len(share.X), ROWS):
+        X, Y = share.X[rows], np.nan_to_num(share.Y[rows])
+        precision, log_determinants = precisions(share.Y[rows], share.loading[rows], noise)
         weighted = np.einsum("nij,nj->ni", precision, Y)
         V = [triangular_solve(factors[i], features.Kfu(share.outputs[i], X).T) for i in outputs]
         for i, j in combinations_with_replacement(outputs, 2):
@@ -336,14 +337,6 @@ def _share_sums(kernel, features, noise, Lu, share):
 def sub_factor(Lu, columns):
     """Return the Cholesky factor of some features: Kuu is block diagonal, and ``columns`` are whole blocks."""
     return np.asfortranarray(Lu[np.ix_(columns, columns)])
-
-
-def _blocks(share, noise):
-    """Yield X, Y, inverse noise covariances (n, p, p) and log |2 pi noise| (n,) for successive rows of a share."""
-    noise = noise[list(share.outputs)]
-    for rows in gen_batches(len(share.X), ROWS):
-        X, Y, loading = share.X[rows], share.Y[rows], share.loading[rows]
-        yield X, Y, *precisions(Y, loading, noise)
 
 
 def precisions(Y, loading, noise):

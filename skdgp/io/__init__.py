@@ -4,9 +4,18 @@
 """
 
 from skdgp.io._autopilot import AUTOPILOTS, is_log
-from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, Servo, Topic
+from skdgp.io._log import (
+    EQUIVALENT,
+    FULL_THROW,
+    QUATERNION,
+    Log,
+    Rule,
+    Servo,
+    Topic,
+    read_servos,
+    reversed_of,
+)
 from skdgp.io._read import LogSummary, inspect_log, names_servos, read_flight
-from skdgp.io._servos import FULL_THROW, read_servos, reversed_of
 from skdgp.io._tables import FlightReadError
 
 __all__ = [

@@ -35,8 +35,19 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._dataflash import read_dataflash
-from skdgp.io._log import DENSITY, EQUIVALENT, QUATERNION, Control, Log, Rule, Topic
-from skdgp.io._servos import full_throws, read_servos, reversed_of, with_throws
+from skdgp.io._log import (
+    DENSITY,
+    EQUIVALENT,
+    QUATERNION,
+    Control,
+    Log,
+    Rule,
+    Topic,
+    full_throws,
+    read_servos,
+    reversed_of,
+    with_throws,
+)
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog

@@ -42,9 +42,9 @@ class PathBundle(ABC):
     def gradient(self, X: Array) -> np.ndarray:
         """Return the slopes of all outputs, (S, n, P, d)."""
 
-    @abstractmethod
     def take(self, index: slice | np.ndarray) -> PathBundle:
-        """Return some of the functions."""
+        """Return some of the functions, of which a mixture takes those that it needs."""
+        raise NotImplementedError
 
     @abstractmethod
     def doubles(self, same_points: bool) -> int:
@@ -108,15 +108,6 @@ class MixedPaths(PathBundle):
     def __init__(self, bundles: list[PathBundle], member: np.ndarray):
         self.bundles, self.member = bundles, member
         self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
-
-    def take(self, index):
-        wanted = np.arange(len(self.member))[index]
-        held = [wanted[np.isin(wanted, own)] for own in self.rows]
-        bundles = [
-            bundle.take(np.searchsorted(own, new))
-            for bundle, own, new in zip(self.bundles, self.rows, held, strict=True)
-        ]
-        return MixedPaths(bundles, self.member[index])
 
     def doubles(self, same_points):
         return max(
@@ -223,8 +214,7 @@ class Waves(PathBundle):
     def gradient(self, X):
         wave = -np.sin(X @ self.omega + self.phase)
         turned = self.omega.swapaxes(1, 2)[:, None]
-        weights = self.weights.swapaxes(1, 2)
-        return (wave[:, :, None] * weights[:, None]) @ turned
+        return (wave[:, :, None] * self.weights.swapaxes(1, 2)[:, None]) @ turned
 
 
 def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
@@ -423,8 +413,7 @@ class ValueFeatures(Features):
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
-        distinct = {id(z): z for z in self.Z}
-        values = {key: paths.values(z[None]) for key, z in distinct.items()}
+        values = {key: paths.values(z[None]) for key, z in {id(z): z for z in self.Z}.items()}
         u = np.hstack([values[id(z)][..., f] for f, z in zip(self.outputs, self.Z, strict=True)])
         variance = [self.joint.block_diag(f, z) for f, z in zip(self.outputs, self.Z, strict=True)]
         u += np.sqrt(JITTER * np.concatenate(variance)) * random_state.standard_normal(u.shape)

@@ -135,8 +135,7 @@ class LinearTrend(MultiOutputKernel):
 
     def basis_slopes(self, i: int) -> Array:
         """Return dbasis / dX, (d, 1, d + 1), which is constant."""
-        slopes = np.diag(self.value("slope_scale")[i])
-        return np.pad(slopes, [(0, 0), (1, 0)])[:, None]
+        return np.pad(np.diag(self.value("slope_scale")[i]), [(0, 0), (1, 0)])[:, None]
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [(), *((k,) for k in range(self.n_features))]

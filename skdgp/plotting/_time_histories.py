@@ -224,8 +224,7 @@ class TimeHistoryDisplay(Display):
                     line[:, k] += 2 * np.pi * np.round((middle[0, k] - line[0, k]) / (2 * np.pi))
         beyond = None
         if "beyond" in trajectories:
-            outside = (trajectories["beyond"] != "").to_numpy()
-            beyond = outside.reshape(n_paths, -1).mean(axis=0)
+            beyond = (trajectories["beyond"] != "").to_numpy().reshape(n_paths, -1).mean(axis=0)
         return cls(
             time=time,
             names=tuple(names),

@@ -114,8 +114,7 @@ def items_of(flights: Any) -> list:
 
 def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
     """Return one table for each flight, in their order."""
-    if "flight" not in table:
-        return {default: table.reset_index(drop=True).assign(flight=default)}
+    table = table if "flight" in table else table.assign(flight=default)
     return {
         name: table.iloc[flight].reset_index(drop=True).assign(flight=name)
         for name, flight in flight_rows(table["flight"]).items()

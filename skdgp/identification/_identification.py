@@ -160,20 +160,25 @@ class Identification:
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
         together = f"{len(tested)} test flights together"
         names = [*COEFFICIENTS, "longitudinal", "lateral", "all"]
-        lines += ["", f"flight {tested[0].name}" if len(tested) == 1 else together]
-        lines += [_score_text(scores(tested), names), ""]
-        for flight in tested if len(tested) > 1 else ():
-            lines += [f"flight {flight.name}", _score_text(flight.scores, ["all"]), ""]
-        lines += [f"flight paths {paths}"] if (paths := fit["reconstruction"]) else []
-        lines += [line for part in self.supplements for line in part.summary()]
         lines += [
             "",
-            f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands",
+            f"flight {tested[0].name}" if len(tested) == 1 else together,
+            _score_text(scores(tested), names),
+            "",
         ]
-        lines += [compared] if (compared := verdict.compared()) else []
-        lines += [f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses]
+        for flight in tested if len(tested) > 1 else ():
+            lines += [f"flight {flight.name}", _score_text(flight.scores, ["all"]), ""]
+        if fit["reconstruction"]:
+            lines.append(f"flight paths {fit['reconstruction']}")
         warnings = enumerate(verdict.warnings[:N_WARNINGS], start=1)
-        lines += [f"warning {k}: {warning}" for k, warning in warnings]
+        lines += [
+            *(line for part in self.supplements for line in part.summary()),
+            "",
+            f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands",
+            *filter(None, [verdict.compared()]),
+            *(f"{use.purpose + ':':<22}{use.fit}, {use.reason}" for use in verdict.uses),
+            *(f"warning {k}: {warning}" for k, warning in warnings),
+        ]
         lines += ["", "assumed, as nothing was told:"] if self.assumed else []
         for assumption in self.assumed:
             lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")

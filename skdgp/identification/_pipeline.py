@@ -213,13 +213,11 @@ class FlightPipeline(Pipeline):
     def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
         """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights."""
         name, last = self.steps[-1]
-        words = {
-            key.removeprefix(f"{name}__"): value for key, value in (self._clock(X) | params).items()
-        }
+        given = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         steps = self[:-1]
         own = np.asarray(steps.fit_transform(X, y))
         self.steps = [*steps.steps, (name, last)]  # a memory fits clones
-        last.fit(own, y, **self._known_slopes(own, y) | words)
+        last.fit(own, y, **self._known_slopes(own, y) | self._clock(X) | given)
         self._learn_turbulence(X)
         return own
 
@@ -255,15 +253,14 @@ class FlightPipeline(Pipeline):
 
     def _clock(self, X):
         """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""
-        name, last = self.steps[-1]
         if (
             get_config()["enable_metadata_routing"]
-            or not isinstance(last, DependentGPRegressor)
+            or not isinstance(self[-1], DependentGPRegressor)
             or "time" not in X
         ):
             return {}
-        flight = {f"{name}__flight": np.asarray(X["flight"])} if "flight" in X else {}
-        return {f"{name}__time": X["time"].to_numpy(float), **flight}
+        flight = {"flight": np.asarray(X["flight"])} if "flight" in X else {}
+        return {"time": X["time"].to_numpy(float), **flight}
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.

@@ -269,13 +269,10 @@ class LogSummary:
     def to_dict(self) -> dict:
         """Return everything as lists, dicts, texts and numbers, NaN as None, ready for JSON."""
         tables = {
-            "topics": self.topics.reset_index(names="name"),
-            "columns": self.columns.reset_index(names="name"),
-            "flights": self.flights.reset_index(names="name"),
+            name: getattr(self, name).reset_index(names="name").to_dict("records")
+            for name in ("topics", "columns", "flights")
         }
-        return plain(
-            vars(self) | {name: frame.to_dict("records") for name, frame in tables.items()}
-        )
+        return plain(vars(self) | tables)
 
     def __str__(self) -> str:
         vehicle = self.vehicle or "vehicle unknown"

@@ -275,9 +275,7 @@ def _split_model(model):
 
 def _name(columns, names):
     """Return the name of the term of some regressors; empty for a constant."""
-    if len(columns) == len(names) > 1:
-        return JOINT
-    return ", ".join(names[k] for k in columns)
+    return JOINT if len(columns) == len(names) > 1 else ", ".join(names[k] for k in columns)
 
 
 N_EFFECTS = 4  # regressors shown for each output: those whose effects vary most over the samples

@@ -179,12 +179,17 @@ def _sections(content: ReportContent) -> list[str]:
     draw = can_draw()
     parts = [_verdict(content), _next_flight(content), *content.sections]
     further = _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
-    parts += [_section("Further warnings", further)]
-    parts += [_section("What was assumed", _list(content.assumed))]
+    parts += [
+        _section("Further warnings", further),
+        _section("What was assumed", _list(content.assumed)),
+    ]
     if not draw:
         parts.append(_note('No figures: they need matplotlib, pip install "skdgp[plot]".'))
-    parts += [_mechanics(content.mechanics), _simulation(content.mechanics, draw)]
-    parts += _flights(content, draw)
+    parts += [
+        _mechanics(content.mechanics),
+        _simulation(content.mechanics, draw),
+        *_flights(content, draw),
+    ]
     if draw:
         effects = "" if content.effects is None else content.effects.html(EFFECTS)
         parts += [_section("Effects", effects), _flown(content)]
@@ -519,8 +524,10 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> sli
 
 def _flown(content: ReportContent) -> str:
     """Return the inputs of the flights."""
-    flights = {f"{name} (train)": table for name, table in content.train.items()}
-    flights |= {f"{result.name} (test)": result.table for result in content.test}
+    flights = {
+        **{f"{name} (train)": table for name, table in content.train.items()},
+        **{f"{result.name} (test)": result.table for result in content.test},
+    }
     parts = [
         TimeHistoryDisplay.from_inputs(table, ax=False).html(f"Inputs of {text(name)}.")
         for name, table in flights.items()

@@ -114,9 +114,11 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding
     codes, names = flight_codes(
         table["flight"] if "flight" in table else np.full(len(table), "flight")
     )
-    used = [name for name in POSSIBLE if name in table and name not in ignored]
-    used = [name for name in used if pd.api.types.is_numeric_dtype(table[name])]
-    channels = {name: table[name].to_numpy(float, na_value=np.nan) for name in used}
+    channels = {
+        name: table[name].to_numpy(float, na_value=np.nan)
+        for name in POSSIBLE
+        if name in table and name not in ignored and pd.api.types.is_numeric_dtype(table[name])
+    }
     findings = []
     origin = float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0  # counts from 1970
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])

@@ -352,8 +352,7 @@ class _Chain:
 
     def training_rows(self) -> Array | None:
         """Return the regressors (n, d) that the model was learned from, None where they are not known."""
-        posterior = getattr(self.regressor, "posterior_", None)
-        data = None if posterior is None else posterior.data
+        data = getattr(getattr(self.regressor, "posterior_", None), "data", None)
         return None if data is None else data.X[0] * self.scale + self.shift
 
     def function_errors(self) -> Any:

@@ -219,13 +219,17 @@ def _predictions(
     later, step = inputs.part(slice(1, None)), record.step
     air, by_state = air_velocity(record, value, states)
     changes = _changes(model, record, by_lag, air)
+    # what sensors with scale and biases read
+    scale, offset = np.ones(9), np.zeros(9)
+    scale[AIRSPEED] += value["airspeed_scale"]
+    offset[[*BIASES.values()]] = [value[name] for name in BIASES]
 
     def point(air: Matrix, rates: Matrix) -> Point:
         state = np.concatenate([air, rates, np.zeros((len(air), 6))], axis=1)
         values, slopes = differentiated(lambda s: model.sensors(s, later), state)
         terms = model.terms(air, rates, later.surfaces)
-        at = Point(state, values, slopes, terms, response[1:], changes[1:])
-        return _with_errors(at, value)
+        read = scale * values + offset, scale[:, None] * slopes
+        return Point(state, *read, terms, response[1:], changes[1:])
 
     # The step from the filtered state to the next sample.
     rates = states[:-1, TURN]
@@ -352,24 +356,12 @@ def _changes(model: AirMotionModel, record: Record, by_lag: Matrix, air: Matrix)
     return np.stack([by_lag @ model.derivatives[:, len(STATE_TERMS) :].T, by_thrust], axis=-1)
 
 
-def _with_errors(point: Point, value: dict) -> Point:
-    """Return what sensors with scale and biases read."""
-    scale, offset = np.ones(9), np.zeros(9)
-    scale[AIRSPEED] += value["airspeed_scale"]
-    for name, place in BIASES.items():
-        offset[place] = value[name]
-    return point._replace(
-        values=scale * point.values + offset, slopes=scale[:, None] * point.slopes
-    )
-
-
 def _direct(
     point: Point, layout: Layout, model: AirMotionModel, inputs: Inputs, value: dict
 ) -> Array:
     """Return derivatives of the sensors by their own errors (n, 9, parameters and instruments)."""
     slopes = np.zeros((len(point.values), 9, layout.n_slopes))
-    for name, sensor in BIASES.items():
-        slopes[:, sensor, layout.names.index(name)] = 1.0
+    slopes[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
     (scale,) = layout.place("airspeed_scale")
     slopes[:, AIRSPEED, scale] = point.values[:, AIRSPEED] / (1 + value["airspeed_scale"])
     slopes[:, :3, layout.place(*ARM)] = model.arm_slopes(point.state, inputs)

@@ -276,18 +276,15 @@ class FlightSmoother(TableTransformer):
     def _apply(self, operation, names, table):
         new: dict[str, Vector] = {}
         clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
-        for group, partners in self._groups(names):
+        # every name is in one group of columns that are filtered together, with their partners
+        apart = [name for name in names if name not in self._vanes]
+        groups = [(self._vanes, self.partners_)] * any(name in self._vanes for name in names)
+        for group, partners in groups + [(apart, [])] * bool(apart):
             columns = unwrapped(table, group + partners)
             values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
             # without the partners, which are in other groups
             new |= dict(zip(group, values.T, strict=False))
         return {name: new[name] for name in names}
-
-    def _groups(self, names):
-        """Return (columns to filter together, their partners); every name is in one group."""
-        apart = [name for name in names if name not in self._vanes]
-        groups = [(self._vanes, self.partners_)] * any(name in self._vanes for name in names)
-        return groups + [(apart, [])] * bool(apart)
 
 
 def _present(names, table):

@@ -244,17 +244,6 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
     return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled)
 
 
-def air_data_equations(path: FlightPath) -> Equations:
-    """Return airspeed, alpha, beta as residuals, with their derivatives by path and mean wind."""
-    velocity, R = path.air_velocity(), path.attitude.as_matrix()
-    gradient = air_data_slopes(velocity, MIN_AIRSPEED)
-    by_ned = gradient @ R.swapaxes(1, 2)
-    d_state = np.concatenate([by_ned, gradient @ cross_matrix(velocity), -by_ned], axis=2)
-    d_constants = np.zeros((len(R), 3, len(CONSTANTS)))
-    d_constants[:, :, [PLACE[name] for name in MEAN_WIND]] = -by_ned[:, :, :2]
-    return Equations(np.column_stack(air_data(velocity)), d_state, None, d_constants)
-
-
 def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equations:
     """Return predicted - measured specific force and angular rate between samples, and the change of the gust."""
     n, c = len(log.time) - 1, len(CONSTANTS)
@@ -307,10 +296,15 @@ def measurement_equations(path: FlightPath, log: Log) -> Equations:
     residual, d_state = np.zeros((n, 9)), np.zeros((n, 9, 9))
     d_constants = np.zeros((n, 9, len(CONSTANTS)))
 
-    air = air_data_equations(path)
-    residual[:, :3] = air.residual - log.air
-    residual[air.residual[:, 0] < MIN_AIRSPEED, 1:3] = np.nan
-    d_state[:, :3], d_constants[:, :3] = air.d_state, air.d_constants
+    velocity = path.air_velocity()
+    gradient = air_data_slopes(velocity, MIN_AIRSPEED)
+    by_ned = gradient @ path.attitude.as_matrix().swapaxes(1, 2)
+    airspeed, alpha, beta = air_data(velocity)
+    residual[:, :3] = np.column_stack([airspeed, alpha, beta]) - log.air
+    residual[airspeed < MIN_AIRSPEED, 1:3] = np.nan
+    turned = gradient @ cross_matrix(velocity)
+    d_state[:, :3] = np.concatenate([by_ned, turned, -by_ned], axis=2)
+    d_constants[:, :3, [PLACE[name] for name in MEAN_WIND]] = -by_ned[:, :, :2]
 
     later, offset = _lagged_rows(log, path.constant(*LAGS))
     residual[:, 3:6] = path.velocity - np.take_along_axis(log.velocity, later[:, :3], axis=0)

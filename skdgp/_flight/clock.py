@@ -22,8 +22,7 @@ def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[sl
     more than 2.5 times the median step of the flight. Raises ValueError if time is not finite, does
     not increase within a flight, or has no usual step; or a row names no flight.
     """
-    time, codes = check_clock(time, flight)
-    return _split(time, codes)
+    return _split(*check_clock(time, flight))
 
 
 def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:

@@ -88,12 +88,13 @@ def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
     """Return d (phi, theta, psi) / d (small body rotation), (..., 3, 3): of body rates it makes Euler angles' rates."""
     phi, theta = np.broadcast_arrays(np.asarray(phi, dtype=float), np.asarray(theta, dtype=float))
     sine, cosine = np.sin(phi), np.cos(phi)
-    matrix = np.zeros((*phi.shape, 3, 3))
-    matrix[..., 0, 0] = 1.0
-    matrix[..., 0, 1], matrix[..., 0, 2] = sine * np.tan(theta), cosine * np.tan(theta)
-    matrix[..., 1, 1], matrix[..., 1, 2] = cosine, -sine
-    matrix[..., 2, 1], matrix[..., 2, 2] = sine / np.cos(theta), cosine / np.cos(theta)
-    return matrix
+    zero = np.zeros(phi.shape)
+    rows = (
+        (zero + 1.0, sine * np.tan(theta), cosine * np.tan(theta)),
+        (zero, cosine, -sine),
+        (zero, sine / np.cos(theta), cosine / np.cos(theta)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def gravity_in_body_axes(

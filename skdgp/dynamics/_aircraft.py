@@ -512,7 +512,6 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
 
 def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
     """Return the sizes of an aircraft by values of its factors; moments of inertia if they have radii of gyration."""
-    m = values["mass"]
     b = values["span"]
     if "wing area" in values:
         S = values["wing area"]
@@ -521,13 +520,13 @@ def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
     else:
         S = b * values["chord"]
     c = values["chord"] if "chord" in values else values["mean aerodynamic chord"] * S / b
-    sizes = {"mass": m, "wing_area": S, "span": b, "chord": c}
+    sizes = {"mass": values["mass"], "wing_area": S, "span": b, "chord": c}
     if "length" in values:
         l = values["length"] * (1.0 if is_length_given else b)
         arms = (b, l, 0.5 * (b + l))
         for (name, moment), arm in zip(INERTIAS.items(), arms, strict=True):
             # Raymer, equations 16.52 to 16.54; the factor is the squared radius of gyration
-            sizes[moment] = m * (0.5 * arm) ** 2 * values[name]
+            sizes[moment] = values["mass"] * (0.5 * arm) ** 2 * values[name]
     return sizes
 
 

@@ -128,8 +128,8 @@ def aerodynamic_coefficients(
 def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     """Return the flight with NaN where a needed channel was not measured, and warn."""
     check_columns(check_table(flight), ["time", *NEEDED])
-    faults = find_faults(flight, {*ignore, *(name for name in POSSIBLE if name not in NEEDED)})
-    faults = [fault for fault in faults if fault.kind in NOT_MEASURED]
+    ignored = {*ignore, *(name for name in POSSIBLE if name not in NEEDED)}
+    faults = [fault for fault in find_faults(flight, ignored) if fault.kind in NOT_MEASURED]
     if faults:
         warn(
             faults_message(faults, "The coefficients are not known there (NaN)."),

@@ -129,17 +129,13 @@ def _mechanics(
         moved = {name: np.repeat(v[..., None], n + k + 6, axis=-1) for name, v in u.items()}
         for j, name in enumerate(inputs):
             moved[name] = moved[name] + moves[..., n + j]
-        now = frozen.at(_state(x[..., None, :] + moves[..., :n]), moved)
-        slopes = slopes + weight * _responses(now, x[..., None, :] + moves[..., :n], motion)
+        there = x[..., None, :] + moves[..., :n]
+        attitude = euler_to_quaternion(*np.moveaxis(there[..., 6:9], -1, 0))
+        states = np.concatenate([there[..., :6], attitude, there[..., 9:]], axis=-1)
+        slopes = slopes + weight * _responses(frozen.at(states, moved), there, motion)
     slopes = np.swapaxes(slopes / steps[..., None], -1, -2)
     d = len(motion.regressors)
     return slopes[..., :n, :], slopes[..., n : n + d, :], slopes[..., n + d :, :]
-
-
-def _state(x: Array) -> Array:
-    """Return states (..., 13) of states with Euler angles (..., 12)."""
-    attitude = euler_to_quaternion(*np.moveaxis(x[..., 6:9], -1, 0))
-    return np.concatenate([x[..., :6], attitude, x[..., 9:]], axis=-1)
 
 
 def _responses(instant: Instant, x: Array, motion: Motion) -> Array:

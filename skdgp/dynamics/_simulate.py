@@ -264,9 +264,11 @@ def _record(
 
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     """Return which trajectories cannot go on, by reason."""
-    fine = np.isfinite(now.derivative).all(axis=-1)
-    fine = fine & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
-    fine = fine & (np.abs(state[..., rigid_body.RATES]) < SPINNING).all(axis=-1)
+    fine = (
+        np.isfinite(now.derivative).all(axis=-1)
+        & (np.abs(state[..., VELOCITY]) < FASTEST).all(axis=-1)
+        & (np.abs(state[..., rigid_body.RATES]) < SPINNING).all(axis=-1)
+    )
     reasons: dict[str, Any] = {
         "airspeed": now.airspeed < SLOWEST,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),

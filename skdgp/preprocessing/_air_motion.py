@@ -322,10 +322,7 @@ def _records(table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: in
         sensed = np.column_stack([path.force(log), path.rate(log), vanes[rows]])
         known = interpolate_missing(log.time, given[rows])
         inputs = Inputs(known[:, :-7], known[:, -6:], known[:, -7])
-        for number in np.unique(log.segment):
-            at = np.flatnonzero(log.segment == number)
-            if len(at) < fewest:
-                continue
+        for at in (part for part in log.segments() if len(part) >= fewest):
             stride = max(1, int((len(at) - 1) / np.ptp(log.time[at]) / RATE + 1e-6))
             part = slice(at[0], at[-1] + 1, stride)
             records.append(
@@ -427,12 +424,10 @@ class _Fit:
             if converged and number > n_before:
                 break
             damping /= 4
-        return self._result(self._pass(), converged and self._is_plausible(), n_rows)
-
-    def _is_plausible(self) -> bool:
-        """Whether the estimated errors of the path are as small as attitude and GPS make them."""
+        # errors of the path are as small as attitude and GPS make them
         at = [k for k, name in enumerate(self.noises.names) if name.startswith("path_")]
-        return bool(np.all(np.exp(self.psi[at]) < LARGEST_PATH))
+        is_plausible = bool(np.all(np.exp(self.psi[at]) < LARGEST_PATH))
+        return self._result(self._pass(), converged and is_plausible, n_rows)
 
     def _step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the parameters that are not held, with a lag that stays at or above zero."""

@@ -274,21 +274,19 @@ class FlightPathReconstruction(TableTransformer):
         if motion is None:
             return self._path_of(table)
         air = motion.air
-        new: dict[str, Vector] = {}
+        names = [name for name in ALL_SURFACES if has_values(table, name)]
+        new = {name: np.empty(len(table)) for name in (*MADE, "gust", *names)}
         for k, (_, rows, log) in enumerate(flight_logs(table)):
             values = interpolate_missing(log.time, air.iloc[rows][list(_PATH)].to_numpy())
             part = dict(zip(_PATH, values.T, strict=True))
             dots = _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
             part |= dict(zip(("alpha_dot", "beta_dot"), dots.T, strict=True))
-            gust = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
-            part["gust"] = np.full(len(rows), gust)
-            names = [name for name in ALL_SURFACES if has_values(table, name)]
+            part["gust"] = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
             late = _late(log, numeric(table, names)[rows], self.servo_lag_)
             part |= dict(zip(names, late.T, strict=True))
             for name, column in part.items():
-                new.setdefault(name, np.empty(len(table)))[rows] = column
-        order = [*MADE, "gust", *ALL_SURFACES]
-        return {name: new[name] for name in order if name in new}
+                new[name][rows] = column
+        return new
 
     def _transform_table(self, table):
         if not self.used_:

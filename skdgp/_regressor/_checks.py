@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -62,18 +60,6 @@ def check_unmasked(X: Any) -> None:
             f"Got X with {int(np.ma.getmaskarray(X).sum())} masked values, but expected all "
             "regressors of every sample: leave these rows out, or fill them."
         )
-
-
-@contextmanager
-def unchanged_on_error(estimator: Any) -> Iterator[None]:
-    """Restore the attributes of an estimator if the body raises, so that a refused fit changes nothing."""
-    before = dict(vars(estimator))
-    try:
-        yield
-    except BaseException:
-        vars(estimator).clear()
-        vars(estimator).update(before)
-        raise
 
 
 def standardize(Y: np.ndarray, centered: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -272,9 +272,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If the search for hyperparameters was interrupted (the best ones so far are kept) or
             stopped at ``max_iter_`` before it converged.
         """
-        with _checks.unchanged_on_error(self):
+        before = dict(vars(self))
+        try:
             X, Y, clock = self._checked(X, y, time, flight)
             self._learn(X, Y, clock, slopes)
+        except BaseException:  # a refused fit changes nothing
+            self.__dict__ = before
+            raise
         return self
 
     def _checked(self, X, y, time, flight):

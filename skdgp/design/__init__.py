@@ -10,7 +10,7 @@ from skdgp._excitation import (
     three_two_one_one,
     wavetrain,
 )
-from skdgp.design._envelope import Envelope
+from skdgp.design._manoeuvres import Envelope
 from skdgp.design._planner import Plan, PlanCheck, plan
 from skdgp.design._write import ardupilot_script, surface_mixes, write_flight_card
 

@@ -23,27 +23,25 @@ from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp.design._envelope import (
+from skdgp.design._manoeuvres import (
     GROWTH,
+    LEAST,
     OPTIONS,
     QUANTITIES,
-    WHOLE_RANGE,
-    Envelope,
-    quantities,
-    regressors_of,
-    with_band,
-)
-from skdgp.design._manoeuvres import (
-    LEAST,
     RESPONSE,
     ROW_STEP,
+    WHOLE_RANGE,
     Checked,
+    Envelope,
     Inputs,
     Rehearsal,
     duration_of,
     input_bands,
     library,
+    quantities,
+    regressors_of,
     scaled,
+    with_band,
 )
 from skdgp.dynamics import (
     Aerodynamics,
@@ -566,8 +564,10 @@ class _Planner:
         scales: dict[str, float] = {}
         for factor in (1.0, 0.5, LEAST):
             remaining = {n: scaled(item, factor) for n, item in named.items() if n not in scales}
-            for name, flight in self._flights(remaining).items():
-                scales[name] = float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
+            scales |= {
+                name: float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
+                for name, flight in self._flights(remaining).items()
+            }
         inputs = {name: scaled(named[name], scale) for name, scale in scales.items()}
         return [
             _Manoeuvre(

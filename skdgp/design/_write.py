@@ -26,8 +26,7 @@ from skdgp._display.page import (
 from skdgp._display.style import display_unit
 from skdgp._excitation import ROUNDING, Signal, Steps, Wavetrain
 from skdgp._flight.checks import check_names, check_number
-from skdgp.design._envelope import QUANTITIES
-from skdgp.design._manoeuvres import REACTION, RESPONSE
+from skdgp.design._manoeuvres import QUANTITIES, REACTION, RESPONSE
 from skdgp.design._planner import Plan
 from skdgp.plotting import TimeHistoryDisplay
 

@@ -1,17 +1,17 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs."""
 
 from skdgp.export._c import write_c
-from skdgp.export._formats import (
+from skdgp.export._graphs import casadi_function, onnx_model
+from skdgp.export._jsbsim import write_jsbsim
+from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
+from skdgp.export._pipeline import (
     FORMATS,
     PortableFileError,
     export_model,
     load_portable,
+    portable_model,
     save_portable,
 )
-from skdgp.export._graphs import casadi_function, onnx_model
-from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
-from skdgp.export._pipeline import portable_model
 
 __all__ = [
     "FORMATS",

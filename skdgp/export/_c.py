@@ -54,10 +54,10 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
         "Makefile": {},
     }
     templates = Path(__file__).with_name("c")
-    writers = {}
-    for name, substitutes in values.items():
-        text = templates.joinpath(name).read_text(encoding="utf-8")
-        writers[name] = text_writer(Template(text).safe_substitute(substitutes))
+    texts = {name: Template((templates / name).read_text(encoding="utf-8")) for name in values}
+    writers = {
+        name: text_writer(text.safe_substitute(values[name])) for name, text in texts.items()
+    }
     write_together(Path(folder), writers)
     return [Path(folder, name) for name in values]
 

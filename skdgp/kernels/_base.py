@@ -371,15 +371,11 @@ class MultiOutputKernel(Kernel):
 
     def theta_gradient(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
         """Return d/dtheta from derivatives by the parameter entries (by their logarithms where ``log``)."""
-        parts = []
-        for f in self.free_parameters():
-            if f.n_elements:
-                free = f.index >= 0
-                parts.append(
-                    np.bincount(
-                        f.index[free], weights=gradients[f.name][free], minlength=f.n_elements
-                    )
-                )
+        masks = [(f, f.index >= 0) for f in self.free_parameters() if f.n_elements]
+        parts = [
+            np.bincount(f.index[free], weights=gradients[f.name][free], minlength=f.n_elements)
+            for f, free in masks
+        ]
         return np.concatenate([np.empty(0), *parts])
 
 

@@ -77,10 +77,10 @@ class FilterPair:
         """Return -1/2 (delta - mu)^T Sigma (delta - mu) of each latent."""
         middle = _middle(Xj)
         b = Xj - middle
-        exponents = []
-        for mu, F in zip(self.mu, self.F, strict=True):
-            exponents.append(Exponent.between((Xi - (mu + middle)) * F, b * F))
-        return exponents
+        return [
+            Exponent.between((Xi - (mu + middle)) * F, b * F)
+            for mu, F in zip(self.mu, self.F, strict=True)
+        ]
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, Self
 
@@ -21,7 +22,7 @@ LABEL_PLACE = 0.17
 BAND = 1.959964  # half the width of a 95 % interval, in standard deviations
 
 
-class Display:
+class Display(ABC):
     """Base of displays: ``keys`` name the panels, and ``draw`` draws a panel."""
 
     axes_: np.ndarray
@@ -30,22 +31,22 @@ class Display:
     by_column = False  # whether panels follow each other column by column
 
     @property
+    @abstractmethod
     def keys(self) -> Sequence:
         """The keys of all panels."""
-        raise NotImplementedError
 
     @property
     def n_columns(self) -> int:
         """Number of columns of panels."""
         return 1 if len(self.keys) <= 3 else 2
 
+    @abstractmethod
     def draw(self, ax: Any, key: Any) -> None:
         """Draw the panel of a key into an Axes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def words(self, key: Any) -> str:
         """Return what a panel shows, for who cannot see it."""
-        return str(key)
 
     def plot(self, ax: Any = None) -> Self:
         """Draw all panels; for ``ax`` see :mod:`skdgp.plotting`."""

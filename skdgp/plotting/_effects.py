@@ -325,11 +325,11 @@ class EffectsDisplay(Display):
     @property
     def keys(self) -> list[tuple[str, str | int]]:
         """Output and regressor, or output and number of an interaction."""
-        keys: list[tuple[str, str | int]] = []
-        for output in map(str, self.importance):
-            keys += [(output, name) for name in self._largest(output)]
-            keys += [(output, k) for k in range(len(self.interactions.get(output, ())))]
-        return keys
+        return [
+            (output, key)
+            for output in map(str, self.importance)
+            for key in (*self._largest(output), *range(len(self.interactions.get(output, ()))))
+        ]
 
     @property
     def n_columns(self) -> int:

@@ -638,10 +638,10 @@ def _deviations(
     lag = frame.errors(lag_of(motion, now, model.gradient(X), scatter).errors, apart=True)
     source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)
     parts = {"std_posterior": posterior, "std_merged": np.hypot(*lag), "merged": source}
-    if errors is None:
-        return parts
-    random, method = frame.errors(errors.random), frame.errors(errors.method)
-    return parts | {"std_random": random, "std_method": method}
+    if errors is not None:
+        parts["std_random"] = frame.errors(errors.random)
+        parts["std_method"] = frame.errors(errors.method)
+    return parts
 
 
 def _each_output(std: Array) -> Array:
@@ -683,7 +683,8 @@ class _Frame:
                 length = getattr(motion.aircraft, LENGTHS[name])
                 usual = rate_factor(name, length, now.airspeed)
                 self.scale[:, k] = motion.factor(k, now.airspeed) / usual
-        self.units = motion.aerodynamics.units
+        units = {name: channel.unit for name, channel in CHANNELS.items()}
+        self.units = units | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
 
     def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
@@ -718,7 +719,7 @@ class _Frame:
             table["lower"] = table["value"] - NORMAL_95 * table["std"]
             table["upper"] = table["value"] + NORMAL_95 * table["std"]
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
-        table["per"] = [self.units.get(name, _unit(name)) for _, name in pairs]
+        table["per"] = [self.units.get(name, "") for _, name in pairs]
         if "merged" in columns:
             lags = np.array(["", *LAGS])[columns.pop("merged").astype(int)]
             merged = [  # the derivative that a derivative may hold a share of
@@ -745,7 +746,3 @@ def _points(
     states = np.stack([state for state, _ in flights])
     names = flights[0][1]
     return states, {n: np.array([row[n] for _, row in flights]) for n in names}, is_single
-
-
-def _unit(name: str) -> str:
-    return "rad" if name in LENGTHS else CHANNELS[name].unit if name in CHANNELS else ""

@@ -218,11 +218,10 @@ class SteadyFlight:
         self.fixed = fixed
         _check_given(conditions, fixed)
         # training ranges by name of the regressors that are no scaled rates
-        self.flown: dict[str, tuple[float, float]] = {}
         model = motion.aerodynamics
-        if model.limits is not None:
-            pairs = zip(model.regressors, motion.regressors, model.limits.T.tolist(), strict=True)
-            self.flown = {name: (*ends,) for full, name, ends in pairs if HAT not in full}
+        limits = [] if model.limits is None else model.limits.T.tolist()
+        pairs = zip(model.regressors, motion.regressors, limits, strict=False)
+        self.flown = {name: (*ends,) for full, name, ends in pairs if HAT not in full}
         self.controls = self._controls()
         self.given = {name: value for name, value in conditions.items() if value is not None}
         has_turn = {"phi", "turn_rate"} <= self.given.keys()

@@ -509,8 +509,8 @@ class _Fit:
     def _pass(self, by_instruments: bool = True) -> _Sums:
         """Return score and information of the parameters, with those of the prior."""
         p = len(self.x)
-        information = np.diag(self.parameters.precision)
-        score = (self.x - self.parameters.mean) * self.parameters.precision
+        precision = self.parameters.std**-2.0
+        information, score = np.diag(precision), (self.x - self.parameters.mean) * precision
         blocks, passes, parts = [], [], []
         for record in self.records if self.known is None else ():
             self._add_mean_lift(record, information, score)
@@ -543,7 +543,7 @@ class _Fit:
 
     def _noise_step(self, parts: list[Linearisation]) -> float:
         """Move the logarithms of the noises by a step of Fisher scoring; return its squared length."""
-        precision, held = self.noises.precision, self.n_held_noises
+        precision, held = self.noises.std**-2.0, self.n_held_noises
         information, score = np.diag(precision), (self.psi - self.log_noises) * precision
         for record, linear in zip(self.records, parts, strict=True):
             at = self.noises.places[record.flight]

@@ -122,11 +122,6 @@ class Parameters(NamedTuple):
         local = np.moveaxis(x[..., self.places[flight]], -1, 0)
         return dict(zip(self.local_names, local, strict=True))
 
-    @property
-    def precision(self) -> Vector:
-        """The precision of the prior."""
-        return self.std**-2.0
-
 
 def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) -> Prior:
     """Return the priors of the derivatives of all terms but those of surfaces that are not there."""

@@ -191,9 +191,10 @@ class LagCorrector(TableTransformer):
             for name in GROUPS.get(group, (group,)):
                 if lag and name in table:
                     values, noisy = unwrapped(table, [name])[:, 0], name not in CONTROLS
-                    channel = time, values, lag, table.get("flight")
                     repeats = not any(name in GROUPS[each] for each in KINEMATIC)
-                    new[name] = _shifted(*channel, noisy=noisy, repeats=repeats)
+                    new[name] = _shifted(
+                        time, values, lag, table.get("flight"), noisy=noisy, repeats=repeats
+                    )
                     if name in WRAPPED:
                         new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)

@@ -565,7 +565,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
             raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
-        names = getattr(self, "feature_names_in_", None)
         return Paths(
             self.posterior_.paths(n_paths, random_state),
             n_paths,
@@ -573,7 +572,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             self.center_,
             self.scale_,
             self._single,
-            names,
+            getattr(self, "feature_names_in_", None),
         )
 
     def score(self, X: Matrix, y: Any) -> float:

@@ -17,13 +17,13 @@ from skdgp._display.page import (
     DASH,
     THIN,
     can_draw,
+    display_unit,
     number,
     percent,
     render_page,
     table,
     text,
 )
-from skdgp._display.style import display_unit
 from skdgp._excitation import ROUNDING, Signal, Steps, Wavetrain
 from skdgp._flight.checks import check_names, check_number
 from skdgp.design._manoeuvres import QUANTITIES, REACTION, RESPONSE

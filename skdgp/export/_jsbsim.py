@@ -240,8 +240,8 @@ def _controls(model: PortableModel, properties: Sequence[str]) -> Element:
     for name, (command, position) in SURFACES.items():
         if name in model.regressor_names:
             largest = float(np.abs(model.limits[:, model.regressor_names.index(name)]).max())
-            places = (command, TRIMS[name])  # JSBSim trims by the second
-            inputs = [element("input", place) for place in places]
+            # JSBSim trims by the second
+            inputs = [element("input", place) for place in (command, TRIMS[name])]
             servo = element(
                 "actuator",
                 element("input", f"fcs/{name}-sum"),

@@ -251,8 +251,7 @@ def as_aircraft(aircraft: Any) -> Aircraft:
 
 def _checked(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
     """Return the regressor, by default one of seed 0; raise TypeError if it is of another kind."""
-    if regressor is None:
-        return DependentGPRegressor(random_state=0)
+    regressor = DependentGPRegressor(random_state=0) if regressor is None else regressor
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
             f"Got {type(regressor).__name__} as the regressor, but expected a "

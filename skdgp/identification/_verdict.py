@@ -281,10 +281,9 @@ def flight_mechanics(
         )
         state_and_inputs: tuple = (results["trim"],)
     except ValueError:
-        where = f"{flown['airspeed']:.3g} m/s"
         results["note"] = (
-            f"No steady flight was found at {where}: derivatives are at the median state, without "
-            f"modes."
+            f"No steady flight was found at {flown['airspeed']:.3g} m/s: derivatives are at the "
+            f"median state, without modes."
         )
         state, alpha = np.zeros(13), float(flown.get("alpha", 0.0))  # wings level
         state[[3, 5, 6]] = flown["airspeed"] * np.cos(alpha), flown["airspeed"] * np.sin(alpha), 1.0
@@ -327,10 +326,8 @@ def reconstructed(pipeline: Pipeline, table: pd.DataFrame) -> pd.DataFrame:
 def _air(parts: Sequence[pd.DataFrame]) -> Air:
     """Return the density of parts of flights, and their estimated wind with its gusts, where it is known."""
     density = float(np.median(np.concatenate([part["density"] for part in parts])))
-    wind = None
-    if all({*WIND, "psi"} <= {*part} for part in parts):
-        wind = [part[["time", *WIND]] for part in parts]
-    return Air(wind, density=density)
+    known = all({*WIND, "psi"} <= {*part} for part in parts)
+    return Air([part[["time", *WIND]] for part in parts] if known else None, density=density)
 
 
 def _least_squares(pipeline: Pipeline, fitted: Mapping[str, Mapping[str, float]]) -> Aerodynamics:

@@ -12,8 +12,7 @@ import pandas as pd
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Indices, Vector
-from skdgp._display.page import MARGINS, WIDTH, picture, text
-from skdgp._display.style import legend_above, tidy
+from skdgp._display.page import MARGINS, WIDTH, legend_above, picture, text, tidy
 
 GAP = 5.0  # usual steps; no line is drawn across a longer one
 N_SLICES = 300  # of a long record, each drawn with its lowest and its highest sample

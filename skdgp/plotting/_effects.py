@@ -13,7 +13,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.style import (
+from skdgp._display.page import (
     PALETTE,
     ROLES,
     axis_label,

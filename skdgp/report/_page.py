@@ -15,14 +15,15 @@ from skdgp._display.page import (
     DASH,
     THIN,
     can_draw,
+    display_unit,
+    lowered,
     number,
     percent,
     render_page,
-    symbol,
     table,
     text,
+    units_shown,
 )
-from skdgp._display.style import display_unit, units_shown
 from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import (
@@ -77,7 +78,7 @@ def error_table(scores: pd.DataFrame, *, against: str) -> str:
     rows = []
     for group, members in GROUPS.items():
         rows.append([group])
-        values: dict[str, Any] = {symbol(name): scores.loc[name] for name in members}
+        values: dict[str, Any] = {lowered(name): scores.loc[name] for name in members}
         values["<em>mean</em>"] = scores.loc[list(members)].mean()
         for name, row in values.items():
             rows.append([name, *(show(row[key]) for key, (_, show) in columns.items())])

@@ -404,6 +404,11 @@ class Wavetrain:
         check_names([*self.inputs, *self.limits], AXES, "axes")
         for axis, limit in self.limits.items():
             check_number(f"limit of the {axis}", limit)
+        for axis, signals in self.inputs.items():
+            if not isinstance(signals, Mapping):
+                raise ValueError(
+                    f"Got {signals!r} as inputs of the {axis}, but expected {{start: signal}}."
+                )
         for axis, start, signal in self.events():
             check_number(f"start of an input of the {axis}", start, is_open=False, unit="s")
             self._check_peak(f"an input of the {axis}", axis, signal.peak)
@@ -500,6 +505,10 @@ def wavetrain(
     inputs: dict[str, dict[float, Signal]] = {}
     start = float(pause)
     for manoeuvre in manoeuvres:
+        if not (isinstance(manoeuvre, Mapping) and manoeuvre):
+            raise ValueError(
+                f"Got {manoeuvre!r} as a manoeuvre, but expected mappings {{axis: signal}}."
+            )
         for axis, signal in manoeuvre.items():
             inputs.setdefault(axis, {})[start] = signal
         start += max(signal.duration for signal in manoeuvre.values()) + pause

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:.* samples repeat another",
 )
 EXAMPLES = settings(max_examples=15)
+FEW = settings(max_examples=6)
 INFERENCE = st.sampled_from(["exact", "sparse"])
 
 
@@ -221,3 +222,20 @@ def test_covariances_are_right_however_far_points_are_from_each_other(
     K = kernel(X, Z).reshape(2, len(X), 2, len(Z))
     for i, j in np.ndindex(2, 2):
         np.testing.assert_allclose(K[i, :, j], (1 + i) * (1 + j) * expected, rtol=2e-6, atol=1e-9)
+
+
+@FEW
+@given(SEEDS, INFERENCE)
+def test_draws_are_of_what_is_predicted(seed, inference):
+    X, Y = problem(seed)
+    model = DependentGPRegressor(**options(seed) | {"inference": inference}).fit(X, Y)
+    at, n = X[:3], 600
+    mean, std = (each.reshape(3, -1) for each in model.predict(at, return_std=True))
+    values = np.moveaxis(model.sample_y(at, n, random_state=1), -1, 0).reshape(n, 3, -1)
+    paths = model.sample_paths(n, random_state=1)(at).reshape(n, 3, -1)
+    for draws in (
+        values,
+        paths,
+    ):  # a mean of 600 is known within 5 / sqrt(600) deviations, a deviation within 15 %
+        assert (np.abs(draws.mean(axis=0) - mean) < 0.21 * std).all()
+        np.testing.assert_allclose(draws.std(axis=0), std, rtol=0.15)

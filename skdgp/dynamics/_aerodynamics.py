@@ -157,6 +157,10 @@ class Aerodynamics:
             )
         self.regressors = tuple(map(str, self.regressors))
         self.limits = None if self.limits is None else np.asarray(self.limits, dtype=float)
+        if self.limits is not None and self.limits.shape != (2, len(self.regressors)):
+            raise ValueError(
+                f"Got limits of shape {self.limits.shape}, but expected (2, {len(self.regressors)})."
+            )
 
     def __repr__(self) -> str:
         paths = "" if self.n_paths is None else f", {self.n_paths} paths"

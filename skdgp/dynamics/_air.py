@@ -290,7 +290,7 @@ class Turbulence(NamedTuple):
 
     @classmethod
     def from_wind(
-        cls, winds: Sequence[pd.DataFrame], airspeeds: ArrayLike, span: float
+        cls, winds: pd.DataFrame | Sequence[pd.DataFrame], airspeeds: ArrayLike, span: float
     ) -> Turbulence:
         r"""Return the turbulence of winds that were met at some airspeeds.
 
@@ -307,10 +307,10 @@ class Turbulence(NamedTuple):
 
         Parameters
         ----------
-        winds : list of DataFrame
+        winds : DataFrame or list of DataFrame
             Each with time, wind_north, wind_east, wind_down, and perhaps the heading of the flight
             through the air. Winds of a few seconds show the rates of the gusts, not their lengths.
-        airspeeds : array-like (n_winds,)
+        airspeeds : float or array-like (n_winds,)
             [m/s].
         span : float
             Of the wing [m].
@@ -323,15 +323,23 @@ class Turbulence(NamedTuple):
         --------
         >>> from skdgp.dynamics import Turbulence, dryden_wind
         >>> wind = dryden_wind(600.0, airspeed=25.0, height=100.0, wind_at_6m=7.7, random_state=0)
-        >>> Turbulence.from_wind([wind], [25.0], span=2.0).intensity.round(1)
+        >>> Turbulence.from_wind(wind, 25.0, span=2.0).intensity.round(1)
         array([1. , 1. , 0.8])
         """
         check_number("span", span, unit="m")
-        pairs = zip(winds, np.asarray(airspeeds, dtype=float).tolist(), strict=True)
+        winds = [winds] if isinstance(winds, pd.DataFrame) else list(winds)
+        for table in winds:
+            check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
+        if np.shape(airspeeds) not in ((), (len(winds),)):
+            raise ValueError(
+                f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
+            )
+        speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), (len(winds),))
+        pairs = zip(winds, speeds.tolist(), strict=True)
         periodograms = [_periodogram(table, speed, span) for table, speed in pairs]
         spectra = [spectrum for spectrum in periodograms if spectrum is not None]
         if sum(len(spectrum.frequency) for spectrum in spectra) < FEWEST:
-            raise ValueError(
+            raise TooShort(
                 f"Got winds that are too short, or too rarely sampled, to show gusts, but expected "
                 f"a flight of {SHORTEST:g} s in the air, without gaps or missing values, or some "
                 f"seconds of a wind, with a row for each {LONGEST / SAMPLES:g} m: fly longer."
@@ -352,6 +360,10 @@ class Turbulence(NamedTuple):
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
         return self._replace(intensity=factor * np.asarray(self.intensity))
+
+
+class TooShort(ValueError):
+    """Winds show no gusts."""
 
 
 class _Spectra(NamedTuple):
@@ -523,6 +535,10 @@ class Air:
 
 def as_air(air: Any) -> Air:
     """Return an `Air` as it is, and the air of a wind."""
+    if isinstance(air, str | Turbulence):
+        raise ValueError(
+            f"Got {air!r} as the air, but expected Air(gusts=...) of a Turbulence, or of None for calm air."
+        )
     return air if isinstance(air, Air) else Air(wind=air)
 
 

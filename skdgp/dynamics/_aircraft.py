@@ -402,7 +402,11 @@ class ScaleFactor:
     added: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
-        check_number("std of a scale factor", self.std, is_open=False)
+        std = check_number("std of a scale factor", self.std, is_open=False)
+        object.__setattr__(self, "std", std)
+        for name in ("powers", "added"):
+            numbers = {str(key): float(value) for key, value in getattr(self, name).items()}
+            object.__setattr__(self, name, numbers)
 
 
 class Kind(NamedTuple):

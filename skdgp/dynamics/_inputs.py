@@ -50,6 +50,7 @@ from skdgp.dynamics._air import (
     Gusts,
     GustyAir,
     LocalAir,
+    TooShort,
     Turbulence,
     dryden_gusts,
     dryden_system,
@@ -132,7 +133,7 @@ def met_turbulence(
         return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
     if tables := tables_of(described.wind):
         speeds = airspeeds(states, air)
-        with suppress(ValueError):  # of winds too short to show gusts
+        with suppress(TooShort):
             found = Turbulence.from_wind(
                 [table[["time", *WIND]] for table in tables],
                 speeds if len(tables) > 1 else [speeds.mean()],
@@ -322,6 +323,10 @@ def initial_states(
         raise ValueError(
             f"Got a start whose {np.array(STATE_NAMES)[is_bad].tolist()} are NaN or infinite: "
             f"choose rows in which the state was measured."
+        )
+    if not (np.linalg.norm(states[:, ATTITUDE], axis=1) > 0).all():
+        raise ValueError(
+            "Got a start whose quaternion is zero, but expected q0, q1, q2, q3 of an attitude."
         )
     return states
 

@@ -346,6 +346,11 @@ def flight_point(
     motion: Motion, point: Any, controls: Mapping | None
 ) -> tuple[Array, dict[str, float]]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
+    if isinstance(point, Sequence) and any(hasattr(item, "state") for item in point):
+        raise TypeError(
+            f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in "
+            f"trims]."
+        )
     state = np.array(getattr(point, "state", point), dtype=float)
     controls = getattr(point, "controls", None) if controls is None else controls
     if state.shape != (13,) or not np.isfinite(state).all():

@@ -659,6 +659,8 @@ def trajectory_bands(
     >>> trajectory_bands(paths, level=1.0)[["airspeed", "airspeed_low", "airspeed_high"]].iloc[0].tolist()
     [21.0, 20.0, 22.0]
     """
+    if not 0 < level <= 1:
+        raise ValueError(f"Got level={level!r}, but expected a fraction above 0, at most 1.")
     check_columns(
         trajectories,
         ["start", "path", "time", "ended"],

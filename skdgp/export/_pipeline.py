@@ -293,6 +293,8 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     not a portable model, holds other numbers or names than were written, or is of another version.
     """
     path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"Got {path}, but there is no such file.")
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             head = json.loads(file[HEAD])

@@ -297,11 +297,12 @@ def _controls(topics, parameters) -> dict[str, Control]:
     single = {
         SURFACES[types[n]]: ((1.0, Servo(f"actuator_servos.control[{n}]", UP, DOWN)),)
         for n in sorted(types, reverse=True)  # the first output of a type counts
-        if types[n] in SURFACES and not (mixed and SURFACES[types[n]] in ELEVONS)
+        if types[n] in SURFACES
     }
     fixed = {
         key: ((1.0, Servo(f"{name}.control[{n}]", UP, throws)),)
         for name in [name for name in FIXED_MIXERS if "control[2]" in topics.get(name, ())][:1]
         for key, (n, throws) in CONTROLS.items()
     }
-    return (single or fixed) | mixed
+    unmixed = {k: v for k, v in (single or fixed).items() if not (mixed and k in ELEVONS)}
+    return unmixed | mixed

@@ -145,9 +145,18 @@ class TimeHistoryDisplay(Display):
         check_consistent_length(time, measured, mean, std, truth)
         n = len(check_array(time, ensure_2d=False))
 
-        def columns(values: ArrayLike) -> Matrix:
-            return np.asarray(values, dtype=float).reshape(n, -1)
+        shape = np.asarray(measured).reshape(n, -1).shape
 
+        def columns(values: ArrayLike) -> Matrix:
+            array = np.asarray(values, dtype=float).reshape(n, -1)
+            if array.shape != shape:
+                raise ValueError(f"Got values of shape {array.shape} of measured ones of {shape}.")
+            return array
+
+        if std is not None and np.nanmin(std) < 0:
+            raise ValueError(
+                f"Got a standard deviation of {np.nanmin(std):.3g}, but expected >= 0."
+            )
         center = columns(mean)
         half = None if std is None else BAND * columns(std)
         unnamed = (

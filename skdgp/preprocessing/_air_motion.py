@@ -133,7 +133,7 @@ class AirMotion:
         Surfaces of the model.
     converged : bool
         Whether the last steps were small. Otherwise the results are not to be used; ``std`` has the
-        prior's variance, and the square of the distance from its mean.
+        prior's variance and the distance from its mean.
     seconds : float
         Length of the records.
     """
@@ -270,7 +270,7 @@ def estimate_air_motion(
     """
     check_aircraft(aircraft)
     check_columns(check_table(table), ["time", *NEEDED, "density"])
-    check_radians(table, ("theta", "p", "q", "r", "alpha", "beta"))
+    check_radians(table, ("phi", "theta", *RATES, "alpha", "beta"))
     if {*ELEVONS} <= {*table} and not {*MIXED} & {*table}:
         left, right = table[ELEVONS[0]], table[ELEVONS[1]]
         table = table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)
@@ -565,19 +565,26 @@ class _Fit:
         return float(step @ information @ step)
 
     def _result(self, sums: _Sums, converged: bool, n_rows: int) -> AirMotion:
-        nd = len(self.layout.rows)
-        prior = np.diag(self.parameters.std**2 + (self.x - self.parameters.mean) ** 2)
-        covariance = _covariance(sums) if converged else prior
-        columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
-        if self.known is None:
+        nd, prior = len(self.layout.rows), self.parameters.std
+        off = self.x - self.parameters.mean
+        covariance = np.diag(prior**2) + np.outer(off, off)
+        if converged:
+            covariance = _covariance(sums)
+        if converged and self.known is None:
             covariance[:nd, :nd] += np.diag((MODEL_ERROR * self.x[:nd]) ** 2)
-            covariance[:nd, :nd] += np.diag((self._unmoved() * self.parameters.std[:nd]) ** 2)
             for vane in ("alpha", "beta"):
                 if not any(record.sampled[BIASES[f"{vane}_bias"]] for record in self.records):
                     is_slope = self.layout.columns == STATE_TERMS.index(vane)
                     scaled = ANGLE_ERROR * is_slope * self.x[:nd]
                     covariance[:nd, :nd] += np.outer(scaled, scaled)
-            columns["std"] = np.sqrt(np.diag(covariance))
+        air = self._air(sums, covariance, n_rows)
+        if converged and self.known is None:
+            share = np.zeros(len(prior))
+            share[:nd] = self._unmoved()
+            kept = np.sqrt(1 - share**2)
+            covariance = kept[:, None] * covariance * kept + np.diag((share * prior) ** 2)
+        columns = {"value": self.x, "std": np.sqrt(np.diag(covariance))}
+        if self.known is None:
             columns["std"][self.parameters.names.index("servo_lag")] += LAG_ERROR * float(
                 np.median(self.records[0].step)
             )
@@ -587,7 +594,6 @@ class _Fit:
         shown = pd.DataFrame(covariance[:nd, :nd], index=names, columns=names)
         noises = dict(zip(self.noises.names, np.exp(self.psi).tolist(), strict=True))
         seconds = float(sum(record.step.sum() for record in self.records))
-        air = self._air(sums, covariance, n_rows)
         found = estimates[:nd], shown, estimates[nd:], noises, air, self.surfaces
         return AirMotion(*found, converged, seconds)
 
@@ -605,6 +611,7 @@ class _Fit:
         error = np.full(len(variance), ERROR_SURFACE)
         error[: len(STATE_TERMS)] = 0.0, angle, 0.0, angle, rate * span, rate * chord, rate * span
         share = error**2 / np.maximum(error**2 + variance, TINY)
+        share[STATE_TERMS.index("alpha2")] = share[STATE_TERMS.index("alpha")]
         return share[self.layout.columns]
 
     def _air(self, sums: _Sums, covariance: Matrix, n_rows: int) -> pd.DataFrame:

@@ -20,6 +20,7 @@ from skdgp.dynamics import (
     quaternion_to_matrix,
     rigid_body_derivative,
     rk4,
+    standard_density,
 )
 
 G = 9.80665
@@ -201,4 +202,64 @@ class TestLoop:
         np.testing.assert_allclose(states[:, 2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
         assert np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max() == pytest.approx(
             np.pi / 2, abs=4e-3
+        )
+
+
+GLIDER = body(
+    [[1.1, -0.12, 0.21], [-0.12, 2.3, 0.09], [0.21, 0.09, 2.9]],
+    11.0,
+    wing_area=1.3,
+    span=2.6,
+    chord=0.55,
+)
+
+
+class TestWholeProblem:
+    """Verifies: all thirteen states coupled by a full inertia tensor, aerodynamics, wind and gravity: north is a
+    matter of words."""
+
+    WIND = np.array([3.0, -2.0, 0.7])
+
+    def flight(self, start, times, wind):
+        aircraft = GLIDER
+
+        def loads(t, state):
+            airspeed, alpha, beta = air_data(state[..., 3:6] - ned_to_body(state[..., 6:10], wind))
+            reduced = state[..., 10:] * aircraft.moment_lengths / (2 * airspeed[..., None])
+            p, q, r = np.moveaxis(reduced, -1, 0)
+            elevator, aileron = 0.05 * np.sin(3.0 * t), 0.06 * np.cos(2.0 * t)
+            coefficients = [
+                -0.03 + 0.3 * alpha**2, -0.5 * beta + 0.1 * p, -0.1 - 4.0 * alpha - 0.2 * elevator,
+                -0.03 * beta - 0.4 * p + 0.08 * r + 0.1 * aileron, 0.03 - 0.5 * alpha - 8.0 * q - 0.6 * elevator,
+                0.06 * beta - 0.03 * p - 0.15 * r,
+            ]  # fmt: skip
+            return aerodynamic_loads(
+                np.stack(coefficients, axis=-1),
+                airspeed,
+                standard_density(-state[..., 2]),
+                aircraft,
+            )
+
+        return flown(start, aircraft, times, loads)
+
+    def start(self, heading):
+        velocity = 24.0 * np.array([np.cos(heading), np.sin(heading), 0.05])
+        return state_of([5.0, -7.0, -400.0], velocity, (0.3, 0.1, heading), [0.4, 0.1, -0.2])
+
+    def test_turning_all_that_has_a_heading_turns_the_flight(self):
+        turn, times = 1.3, np.linspace(0, 6, 601)
+        about_down = np.array(
+            [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+        )
+        here = self.flight(self.start(2.0), times, self.WIND)
+        start = self.start(2.0 + turn)
+        start[:3] = about_down @ here[0, :3]
+        there = self.flight(start, times, about_down @ self.WIND)
+        np.testing.assert_allclose(there[:, :3], here[:, :3] @ about_down.T, atol=1e-9)
+        np.testing.assert_allclose(there[:, 3:6], here[:, 3:6], atol=1e-10)
+        np.testing.assert_allclose(there[:, 10:], here[:, 10:], atol=1e-10)
+        np.testing.assert_allclose(
+            quaternion_to_matrix(there[:, 6:10]),
+            about_down @ quaternion_to_matrix(here[:, 6:10]),
+            atol=1e-10,
         )

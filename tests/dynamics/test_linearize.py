@@ -300,3 +300,32 @@ class TestSpreadOfModes:
         assert row["time_constant"] == pytest.approx(200.0)
         assert np.isinf(row["time_constant_upper"])
         assert 0 < row["time_constant_lower"] < 60
+
+
+def test_outputs(linear, level):
+    V, alpha = 20.0, level.alpha
+    assert list(linear.C.index) == [*linear.A, "airspeed", "alpha", "beta", "ax", "ay", "az"]
+    assert linear.C.loc["airspeed", ["u", "w"]].tolist() == pytest.approx(
+        [np.cos(alpha), np.sin(alpha)]
+    )
+    assert linear.C.loc["alpha", ["u", "w"]].tolist() == pytest.approx(
+        [-np.sin(alpha) / V, np.cos(alpha) / V]
+    )
+    assert linear.C.loc["beta", "v"] == pytest.approx(1 / V)
+    assert linear.C.loc["az", "w"] == pytest.approx(linear.A.loc["w", "w"])
+    assert linear.D.loc["ax", "thrust"] == pytest.approx(linear.B.loc["u", "thrust"])
+
+
+class TestParts:
+    def test_split(self, linear, level, glider):
+        """Straight flight of a symmetric aircraft has no coupling: the parts have its modes."""
+        parts = [np.linalg.eigvals(linear.A.loc[part, part]) for part in (ALONG, ACROSS)]
+        both = np.linalg.eigvals(linear.A.loc[ALONG + ACROSS, ALONG + ACROSS])
+        assert np.sort_complex(np.concatenate(parts)) == pytest.approx(
+            np.sort_complex(both), rel=1e-6
+        )
+
+    def test_height_changes_the_density(self, glider, level):
+        high = linearize(MODEL, glider, level, air=Air(gravity=9.79))
+        assert high.A.loc["w", "down"] < 0
+        assert high.A.loc["down", "theta"] == pytest.approx(-20.0)

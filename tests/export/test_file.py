@@ -138,7 +138,7 @@ def test_another_content_is_refused(path, head, arrays, drop):
 
 
 def test_no_such_file_and_no_model(tmp_path, portable_of):
-    with pytest.raises(PortableFileError, match="No such file"):
+    with pytest.raises(FileNotFoundError, match="there is no such file"):
         load_portable(tmp_path / "model.npz")
     with pytest.raises(TypeError, match="Got dict to save, but expected a PortableModel"):
         save_portable(tmp_path / "model.npz", {})

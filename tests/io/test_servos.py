@@ -118,6 +118,13 @@ class TestFullThrow:
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
         assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
 
+    def test_elevons_of_px4_take_nothing_from_a_fixed_mixer(self, tmp_path, ulog):
+        log = ulog(**parameters_of({0: (5, -0.5, 0.5, 0), 1: (6, 0.5, 0.5, 0)}))
+        log.topic("actuator_servos", [0.1, 0.2], control=("float[2]", np.zeros((2, 2))))
+        log.topic("actuator_controls_0", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+        (tmp_path / "log.ulg").write_bytes(bytes(log))
+        assert {*read_log(tmp_path / "log.ulg").controls} == {"aileron", "elevator"}
+
     def test_any_mixing_of_px4(self, tmp_path, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
         types = {

@@ -467,9 +467,11 @@ class TestBadInput:
         with pytest.raises(ValueError, match="no value of v_east in flight 'one'"):
             FlightPathReconstruction().fit(flown(2.0).assign(v_east=np.nan))
 
-    def test_degrees(self):
+    @pytest.mark.parametrize("name", ["phi", "theta"])
+    def test_degrees(self, name):
+        table = flown(20.0)
         with pytest.raises(ValueError, match=r"numpy\.deg2rad"):
-            FlightPathReconstruction().fit(flown(20.0).assign(theta=lambda t: np.rad2deg(t.theta)))
+            FlightPathReconstruction().fit(table.assign(**{name: np.rad2deg(table[name] + 1.0)}))
 
     def test_wrong_sign_shows_in_the_noise(self):
         table, right, _ = reconstructed(seconds=30.0)

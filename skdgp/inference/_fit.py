@@ -65,13 +65,10 @@ def fit_exact(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
-    optimizer : "fmin_l_bfgs_b" or None
-        None keeps the starting values.
-    max_iter : int
-        Iterations on the joint likelihood.
-    random_state : int, RandomState or None
-    input_noise : bool
-        Whether a standard deviation of the noise of each regressor is learned.
+    **options
+        Of the search: ``optimizer`` ("fmin_l_bfgs_b", or None, which keeps the starting values),
+        ``max_iter`` on the joint likelihood, ``random_state``, and ``input_noise``, whether a
+        standard deviation of the noise of each regressor is learned.
 
     Returns
     -------
@@ -83,7 +80,20 @@ def fit_exact(
 
 
 def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data) -> Fit:
-    """Return the exact posterior of the data of these samples at a kernel that was learned, with its own noise."""
+    """Return the exact posterior of these samples at a kernel that was learned, with its own noise.
+
+    Parameters
+    ----------
+    learned : Hyperparameters
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+    data : Data
+        Of these samples.
+
+    Returns
+    -------
+    Fit
+    """
     kernel = learned.kernel
     noise = best_noise(kernel, X, Y, data)
     posterior: SinglePosterior
@@ -112,10 +122,11 @@ def fit_sparse(
         As for ``fit_exact``.
     n_inducing : int
         Inducing inputs of each latent process: the centres of k-means.
-    optimizer, max_iter, random_state, input_noise
-        As for ``fit_exact``.
+    random_state : int, RandomState or None
     ordered : bool
         Whether the rows are in the order of a log, whose neighbours have correlated errors.
+    **options
+        As for ``fit_exact``.
 
     Returns
     -------

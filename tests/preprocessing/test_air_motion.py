@@ -410,26 +410,18 @@ def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
     np.testing.assert_array_less(0.99 * std, flown.loc[names, "std"])
 
 
-def test_flight_without_inputs_has_wide_bands():
-    table, plane = simulated("calm", seconds=4.0, pulses=False)
+def test_calm_flight_without_inputs_has_wide_bands():
+    """Where the wind is known from one heading alone, errors of the path seem to be sideslip without moments."""
+    table, plane = simulated("calm", seconds=8.0, pulses=False, seed=5)
     found = estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane)).derivatives
     truth = benchmark().truth_of(plane, 0.0)
     known = [name for name in truth if name in found.index]
     value, std, prior = found.loc[known].to_numpy().T
     assert np.all(abs(value - [truth[name] for name in known]) < 3 * std)
     assert np.median(std / prior) > 0.3
-
-
-@pytest.mark.parametrize("seed", [3, 5])
-def test_calm_straight_flight_does_not_know_the_slopes_by_sideslip(seed):
-    """Where the wind is known from one heading alone, errors of beta seem to be sideslip without moments."""
-    table, plane = simulated("calm", seconds=8.0, pulses=False, seed=seed)
-    found = estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane)).derivatives
-    for name in ("CY_beta", "Cl_beta", "Cn_beta"):
-        truth = benchmark().truth_of(plane, 0.0)[name]
-        value, std, prior = found.loc[name]
-        assert abs(value - truth) < 2 * std
-        assert 0.9 * prior < std < 1.02 * prior
+    by_sideslip = [name.endswith("_beta") for name in known]
+    assert np.all(std[by_sideslip] > 0.9 * prior[by_sideslip])
+    assert np.all(std < 1.02 * prior)
 
 
 def test_table_that_is_too_short_is_refused():

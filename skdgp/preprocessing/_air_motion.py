@@ -105,7 +105,7 @@ LAG_ERROR = 0.1  # standard deviation by what a surface does between samples, in
 ERROR_VELOCITY, ERROR_RATE, ERROR_SURFACE = 0.02, 0.002, 0.001
 # Relative standard deviations of a derivative by what the model leaves out, and of the scale of alpha, and
 # of beta, by a wrong spectrum of gusts; chosen by leaving each of six aircraft out (docs/preprocessing.md)
-MODEL_ERROR, ANGLE_ERROR = 0.02, 0.02
+MODEL_ERROR, ANGLE_ERROR = 0.04, 0.02
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def estimate_air_motion(
     likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound what a flight does
     not tell. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
-    larger, and 2 % of each derivative are added for what a linear model leaves out. All slopes by
+    larger, and 4 % of each derivative are added for what a linear model leaves out. All slopes by
     alpha, and all by beta, share an error of 2 % of the scale of the angle. Where surfaces hardly move
     a term, so that errors of path and sensors make most of its motion, ``std`` is that of the prior.
 

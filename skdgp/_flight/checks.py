@@ -19,7 +19,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     TRUTH_SUFFIX,
 )
-from skdgp._flight.clock import flight_segments
+from skdgp._flight.clock import flight_codes, flight_segments
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
 
 LARGEST_ANGLE = {
@@ -29,7 +29,18 @@ LARGEST_ANGLE = {
     "theta": np.pi / 2,
     "psi": 2 * np.pi,
 }
-WRAPPED = ("phi", "psi")  # angles that jump by 2 pi
+GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
+# an angle that changes by so many times the integral of the gyros is in degrees
+CLEARLY_FASTER = 57.3**0.5
+NO_TURN = 0.1  # change in a second [rad] that needs no turn
+FASTEST_TURN = {
+    "phi": 2 * np.pi,
+    "psi": np.pi,
+}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
+# of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
+SLOW_TURN, MOST_TURNS = (1.0, 10.0)
+ENOUGH = 5  # least number of changes to judge an angle by
+WRAPPED = (*GYROS,)  # angles that jump by 2 pi
 ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
 FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
 # 99 % of the values of a flight are smaller [rad, rad/s]
@@ -212,12 +223,15 @@ def _lacking(needed: Iterable[str], names: list[str]) -> str:
 
 
 def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
-    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass."""
+    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass.
+
+    Roll and heading may be unwrapped: see `is_unwrapped`.
+    """
     for name in names:
         most = LARGEST_ANGLE[name] + ANGLE_NOISE if name in LARGEST_ANGLE else FASTEST_RATE
         values = np.abs(_values(table, name))
         top = np.max(values, initial=0.0, where=np.isfinite(values))
-        if top > most:
+        if top > most and not is_unwrapped(table, name):
             expected = f"{'rad/s' if name in RATES else 'radians'}, at most {most:.4g}"
             raise degrees_error(f"{name} up to {top:g}", expected, f"flight[{name!r}]", name)
 
@@ -228,7 +242,11 @@ def check_units(table: pd.DataFrame) -> None:
     A hundredth of the values may be faults. Warn of surfaces that are probably commands.
     """
     tops = {name: _quantile(np.abs(_values(table, name)), 0.99) for name in USUAL}
-    degrees = {name: round(top, 1) for name, top in tops.items() if top > USUAL[name]}
+    degrees = {
+        name: round(top, 1)
+        for name, top in tops.items()
+        if top > USUAL[name] and not is_unwrapped(table, name)
+    }
     middles = {name: _quantile(np.abs(_values(table, name)), 0.5) for name in degrees}
     shifted = {
         name: round(middle, 1)
@@ -267,6 +285,37 @@ def check_units(table: pd.DataFrame) -> None:
             f"header, as in 'time [ms]'."
         )
     _warn_of_commands(table)
+
+
+def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
+    """Return whether roll or heading beyond a turn is in radians without jumps, and not in degrees.
+
+    It does not jump by 360, and changes over a second by no more than the gyros turn; degrees
+    change 57 times as fast. Without gyros, it begins within a turn, as unwrapping leaves it, turns
+    slowly, and a few times only. A tenth of the seconds may be faster, so spikes do not count.
+    """
+    if name not in GYROS or "time" not in table:
+        return False
+    angle = _values(table, name)
+    sampled = np.isfinite(angle)
+    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table), int)
+    steps = np.abs(np.diff(angle[sampled]))[np.diff(codes[sampled]) == 0]
+    change = np.abs(_over_a_second(table, angle))
+    if np.isfinite(change).sum() < ENOUGH or ((steps > 300) & (steps < 361)).any():
+        return False
+    fastest = float(np.nanquantile(change, 0.9))
+    turned = np.hypot.reduce(
+        [_over_a_second(table, _values(table, rate), rate=True) for rate in GYROS[name]]
+    )
+    if np.isfinite(turned).any() and fastest > 0:
+        return fastest <= min(
+            max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name]
+        )
+    begins = np.abs(angle[sampled][np.r_[0, 1 + np.flatnonzero(np.diff(codes[sampled]))]])
+    turns = np.quantile(np.abs(angle[sampled]), 0.99) / (2 * np.pi)
+    return bool(
+        begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS
+    )
 
 
 def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
@@ -383,6 +432,22 @@ def _roll_rate(flight: pd.DataFrame) -> None:
             f"expected about 1: one of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad "
             f"on it, and on q and r as on p."
         )
+
+
+def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = False) -> np.ndarray:
+    """Return by how much values change over about a second of a flight, or of a rate its integral; NaN in gaps."""
+    time = _values(flight, "time")
+    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(time), int)
+    longest = int(np.bincount(codes).max())
+    if longest < 3:
+        return np.full(len(time), np.nan)
+    step = np.nanmedian(np.diff(time))
+    lag = min(max(round(1.0 / step), 1), longest // 2)
+    unbroken = (codes[lag:] == codes[:-lag]) & (
+        np.abs(time[lag:] - time[:-lag] - lag * step) < step
+    )
+    sums = np.convolve(values, np.ones(lag), mode="valid")[: len(time) - lag] * step
+    return np.where(unbroken, sums if rate else values[lag:] - values[:-lag], np.nan)
 
 
 def _accelerations(flight: pd.DataFrame) -> None:

@@ -269,7 +269,7 @@ def estimate_air_motion(
     """
     check_aircraft(aircraft)
     check_columns(check_table(table), ["time", *NEEDED, "density"])
-    check_radians(table, ("phi", "theta", *RATES, "alpha", "beta"))
+    check_radians(table, (*EULER, *RATES, "alpha", "beta"))
     if {*ELEVONS} <= {*table} and not {*MIXED} & {*table}:
         left, right = table[ELEVONS[0]], table[ELEVONS[1]]
         table = table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)

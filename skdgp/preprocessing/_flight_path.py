@@ -325,7 +325,7 @@ class FlightPathReconstruction(TableTransformer):
 
     def _check(self, table):
         check_columns(table, ["time", *NEEDED])
-        check_radians(table, ("phi", "theta", *RATES, "alpha", "beta"))
+        check_radians(table, (*EULER, *RATES, "alpha", "beta"))  # roll and heading may be unwrapped
 
     def _estimates(self, table: pd.DataFrame, *, learn: Mapping[str, float]) -> Flights:
         """Return (name, rows, log, estimate) of every flight, of each part of a long one."""

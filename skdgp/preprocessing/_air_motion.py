@@ -239,7 +239,7 @@ def estimate_air_motion(
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, and 4 % of each derivative are added for what a linear model leaves out. All slopes by
     alpha, and all by beta, share an error of 2 % of the scale of the angle. Where surfaces hardly move
-    a term, so that errors of path and sensors make most of its motion, ``std`` is that of the prior.
+    a term, so that errors of path and sensors make most of its motion, ``std`` approaches ``prior_std``.
 
     Parameters
     ----------
@@ -597,9 +597,9 @@ class _Fit:
         return AirMotion(*found, converged, seconds)
 
     def _unmoved(self) -> Vector:
-        """Return the share of errors of path and sensors in what moves each derivative's term (p,).
+        """Return the share (p,) of errors of path and sensors in the variance of each derivative's term.
 
-        One, where surfaces do not move it: what then seems to is an error.
+        One where surfaces do not move the term: an error then looks like motion.
         """
         pairs = zip(self.records, self.states, strict=True)
         moved = [self.linearised(record, states).response for record, states in pairs]

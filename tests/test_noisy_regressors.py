@@ -142,5 +142,5 @@ def test_an_interrupted_fit_counts_no_noise_twice():
     slopes = model.predict_gradient(X)[..., 0]
     carried = np.mean(slopes**2, axis=0) * model.input_covariance_[0, 0]
     seen = np.mean((Y - model.predict(X)) ** 2, axis=0)
-    assert (model.noise_variance_ + carried < 2 * seen).all()
+    np.testing.assert_allclose(model.noise_variance_ + carried, seen, rtol=0.2)
     assert (carried > 0.4 * seen).all()  # where a search starts, half of the noise

@@ -134,9 +134,12 @@ class TestPrediction:
     def test_one_output_with_a_given_kernel_is_scikit_learns(self, new):
         X, Y = make_data(25)
         kernel = ConvolvedGaussian(
-            0, amplitude=[[1.0]], length_scale=[[[1.2, 35.0]]], amplitude_bounds="fixed"
+            0,
+            amplitude=[[1.0]],
+            length_scale=[[[1.2, 35.0]]],
+            parameter_bounds={"amplitude": "fixed"},
         )
-        kernel.length_scale_bounds = "fixed"
+        kernel.parameter_bounds = {"amplitude": "fixed", "length_scale": "fixed"}
         model = DependentGPRegressor(kernel, trend="constant").fit(X, Y[:, 0])
         theirs = GaussianProcessRegressor(
             RBF([1.2, 35.0]),
@@ -209,7 +212,7 @@ def test_smallest_widths_reach_the_fit():
     X, Y = rng.normal(size=(200, 6)), rng.normal(size=(200, 2))
     found = {}
     for bounds in (None, "spacing", (0.7, 10.0)):
-        kernel = ConvolvedGaussian(0, length_scale_bounds=bounds)
+        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
         model = DependentGPRegressor(kernel, trend="constant", max_iter=30, random_state=0)
         own = np.einsum(
             "kkd->kd", model.fit(X, Y).kernel_.length_scale

@@ -68,9 +68,10 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
     *(({"kernel": ConvolvedGaussian(1, **words), "trend": "constant"}, lambda X, Y: (X, Y), said)
       for words, said in (
         ({"length_scale": np.ones((3, 2, 5))}, r"length_scale of shape \(3, 2, 5\)"),
-        ({"length_scale_bounds": "free"}, "length_scale_bounds='free'.*'fixed'"),
-        ({"length_scale_bounds": (2.0, 1.0)}, "length_scale_bounds"),
-        ({"length_scale_bounds": (-1.0, 1.0)}, "length_scale_bounds"))),
+        ({"parameter_bounds": {"length_scale": "free"}}, "bounds 'free' of length_scale.*'fixed'"),
+        ({"parameter_bounds": {"length_scale": (2.0, 1.0)}}, "of length_scale.*lower < upper"),
+        ({"parameter_bounds": {"length_scale": (-1.0, 1.0)}}, "of length_scale.*0 < lower"),
+        ({"parameter_bounds": {"lengthscale": "fixed"}}, "'lengthscale'.*did you mean length_scale"))),
 ]  # fmt: skip
 REFUSED_QUESTIONS = [
     *((quick(), lambda model, X, call=call: getattr(model, call)(np.zeros((4, 3))),

@@ -78,10 +78,10 @@ class TestMasks:
 def test_a_width_that_ends_at_a_given_bound_is_said():
     X, _ = waves()
     y = np.sin(4 * X[:, 0])
-    narrow = ConvolvedGaussian(1, length_scale_bounds=(5.0, 10.0))
-    with pytest.warns(ConvergenceWarning, match="end at a bound of length_scale_bounds"):
+    narrow = ConvolvedGaussian(1, parameter_bounds={"length_scale": (5.0, 10.0)})
+    with pytest.warns(ConvergenceWarning, match="end at a bound that the kernel gives"):
         DependentGPRegressor(narrow, structure="joint", random_state=0).fit(X, y)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        wide = ConvolvedGaussian(0, length_scale_bounds=(1e-3, 1e7))
+        wide = ConvolvedGaussian(0, parameter_bounds={"length_scale": (1e-3, 1e7)})
         DependentGPRegressor(wide, structure="joint", random_state=0).fit(X, y)

@@ -257,8 +257,9 @@ def _warn(message, category=UserWarning, stacklevel=6):
 def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -> None:
     """Warn of length scales that end at a bound which the user gave, the kernel ``given``."""
     terms = [] if given is None else given.summands()
-    bounds = [getattr(term, "length_scale_bounds", None) for term in terms]
-    if all(pair is None or isinstance(pair, str) for pair in bounds):
+    given_bounds = [getattr(term, "parameter_bounds", None) or {} for term in terms]
+    widths = [bounds.get("length_scale") for bounds in given_bounds]
+    if all(pair is None or isinstance(pair, str) for pair in widths):
         return
     free, theta = kernel.free_parameters(), kernel.theta
     names = np.repeat([f.name for f in free], [f.n_elements for f in free])
@@ -266,7 +267,7 @@ def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -
     ended = (names == "length_scale") & ((theta <= low + 0.001) | (theta >= high - 0.001))
     if ended.any():
         _warn(
-            "Got length scales that end at a bound of length_scale_bounds: "
+            "Got length scales that end at a bound that the kernel gives: "
             f"{np.exp(theta[ended][:5]).round(6).tolist()}. Widen the bounds, unless they are known to hold.",
             ConvergenceWarning,
         )

@@ -71,7 +71,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     ----------
     kernel : MultiOutputKernel or None
         Covariance of the processes. None: ``ConvolvedGaussian(n_latent)``, for a log with
-        ``length_scale_bounds="spacing"``. Missing values are estimated from the data.
+        ``parameter_bounds={"length_scale": "spacing"}``. Missing values are estimated from the data.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. None:
         two, or without ``time`` and with missing targets half as many as outputs, two to four.

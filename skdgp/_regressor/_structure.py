@@ -144,7 +144,7 @@ def _make_kernel(model, X, Z, log):
     averaged = model.structure == "average" and model.kernel is None and trend is not None
     if model.structure == "trend" or (averaged and d > n):  # a process would have no weight
         return trend
-    bounds = "spacing" if log else None
+    bounds = {"length_scale": "spacing"} if log else None
     kernel: MultiOutputKernel | None = model.kernel and clone(model.kernel)
     if kernel is None:
         n_latent = model.n_latent
@@ -154,8 +154,8 @@ def _make_kernel(model, X, Z, log):
                 if log or np.isfinite(Z).all()
                 else int(np.clip(Z.shape[1] // 2, *N_LATENT))
             )
-        kernel = ConvolvedGaussian(n_latent, length_scale_bounds=bounds)
+        kernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
         for k in range(d):
-            kernel = ConvolvedGaussian(0, regressors=[k], length_scale_bounds=bounds) + kernel
+            kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel
     return kernel if trend is None else trend + kernel

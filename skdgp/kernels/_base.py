@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from typing import Any
 
@@ -38,8 +39,8 @@ class FreeParameter:
         """Whether the parameter keeps its value."""
         if isinstance(self.bounds, str) and self.bounds != "fixed":
             raise ValueError(
-                f"Got {self.name}_bounds={self.bounds!r}, but expected a pair, an array of pairs, "
-                f"or 'fixed'."
+                f"Got bounds {self.bounds!r} of {self.name}, but expected a pair, an array of "
+                f"pairs, or 'fixed'."
             )
         return isinstance(self.bounds, str)
 
@@ -350,19 +351,12 @@ class MultiOutputKernel(Kernel):
         return {name: value for name, value in self.__dict__.items() if name != "_cache"}
 
     def __eq__(self, other):
-        if type(self) is not type(other):
-            return False
-        mine, theirs = self.get_params(), other.get_params()
-        return set(mine) == set(theirs) and all(np.array_equal(mine[k], theirs[k]) for k in mine)
+        return type(self) is type(other) and _equal(self.get_params(), other.get_params())
 
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self):
-        shown = {
-            k: v
-            for k, v in self.get_params(deep=False).items()
-            if v is not None and np.ndim(v) == 0
-        }
+        shown = _without_arrays(self.get_params(deep=False))
         return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in shown.items())})"
 
     def is_stationary(self) -> bool:
@@ -503,9 +497,8 @@ def _pairs(f: FreeParameter) -> np.ndarray:
         or (f.log and not (bounds > 0).all())
     ):
         raise ValueError(
-            f"Got {f.name}_bounds={f.bounds!r}, but expected {'0 < ' if f.log else ''}lower < "
-            f"upper: a pair, "
-            "or one for each entry."
+            f"Got bounds {f.bounds!r} of {f.name}, but expected {'0 < ' if f.log else ''}lower < "
+            f"upper: a pair, or one for each entry."
         )
     if bounds.shape == (2,):
         return np.tile(bounds, (f.n_elements, 1))
@@ -524,9 +517,34 @@ def as_shape(name: str, value: Any, shape) -> np.ndarray:
         ) from None
 
 
-def or_default(given, default):
-    """Return the default if the given value is None."""
-    return default if given is None else given
+def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the bounds of all parameters; a parameter that is not given, or None, has its default.
+
+    Raises TypeError if the given bounds are no mapping, ValueError for a name without a default.
+    """
+    if not (given is None or isinstance(given, Mapping)):
+        raise TypeError(
+            f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, such "
+            f"as {{{next(iter(defaults))!r}: (0.1, 10.0)}}."
+        )
+    for name in given or {}:
+        if name not in defaults:
+            near = get_close_matches(str(name), defaults, n=1) or [" or ".join(defaults)]
+            raise ValueError(f"Got {name!r} in parameter_bounds: did you mean {near[0]}?")
+    return dict(defaults) | {k: v for k, v in (given or {}).items() if v is not None}
+
+
+def _equal(mine, theirs):
+    """Return whether two parameters are equal: numbers, arrays, kernels or mappings of these."""
+    if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
+        return set(mine) == set(theirs) and all(_equal(mine[k], theirs[k]) for k in mine)
+    return np.array_equal(mine, theirs)
+
+
+def _without_arrays(params):
+    """Return the parameters, and entries of mappings among them, that have one value."""
+    short = {k: _without_arrays(v) if isinstance(v, Mapping) else v for k, v in params.items()}
+    return {k: v for k, v in short.items() if np.ndim(v) == 0 and v not in (None, {})}
 
 
 def renumber(index: Indices, free):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,13 @@ from skdgp._compute.linalg import (
     output_scale,
 )
 from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default, renumber
+from skdgp.kernels._base import (
+    FreeParameter,
+    MultiOutputKernel,
+    as_shape,
+    complete_bounds,
+    renumber,
+)
 from skdgp.kernels._gaussian_filters import FilterPair
 
 CONSTANT_LENGTH = 1e9  # length scale over the standard deviation of a regressor without effect:
@@ -25,7 +31,9 @@ ADDITIVE_AMPLITUDE = (
     0.3  # starting amplitude of a term of few regressors, over the amplitude of a kernel of all
 )
 PARAMETERS = ("amplitude", "length_scale", "shift")
-SPACING = "spacing"  # of length_scale_bounds
+# Bounds of a kernel that has values, and was not initialized from data
+DEFAULT_BOUNDS = {"amplitude": (-1e3, 1e3), "length_scale": (1e-3, 1e3), "shift": "fixed"}
+SPACING = "spacing"  # for length scales alone
 NOISE_AMPLITUDE = (
     0.1  # below this fraction of its starting amplitude an output was explained as noise
 )
@@ -84,11 +92,13 @@ class ConvolvedGaussian(MultiOutputKernel):
     shift : array (M, P, d) or float
         mu, in the units of the regressors. Only differences between outputs matter, so the first
         output has zero.
-    amplitude_bounds, length_scale_bounds, shift_bounds : pair, array or None
-        Bounds on the values, (..., 2) for an array, or "fixed". None: from the data, widths of .05
-        to 1000 standard deviations of the regressor. ``length_scale_bounds="spacing"``: widths of
-        at least n^(-1/d) standard deviations, for n samples, at most 400, in d regressors. In many
-        regressors, a process of smaller width is noise to the samples.
+    parameter_bounds : mapping or None
+        Bounds on the values by the names ``"amplitude"``, ``"length_scale"`` and ``"shift"``: a
+        pair, an array (..., 2), or "fixed". Without an entry shifts are fixed, and bounds come from
+        the data, on widths 0.05 to 1000 standard deviations of the regressor.
+        ``{"length_scale": "spacing"}``: widths of at least n^(-1/d) standard deviations, for n
+        samples, at most 400, in d regressors. In many regressors, a process of smaller width is
+        noise to the samples.
 
     Examples
     --------
@@ -110,9 +120,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         amplitude: Any = None,
         length_scale: Any = None,
         shift: Any = 0.0,
-        amplitude_bounds: Any = None,
-        length_scale_bounds: Any = None,
-        shift_bounds: Any = "fixed",
+        parameter_bounds: Mapping[str, Any] | None = None,
     ) -> None:
         self.n_latent = n_latent
         self.private_latents = private_latents
@@ -122,9 +130,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.amplitude = amplitude
         self.length_scale = length_scale
         self.shift = shift
-        self.amplitude_bounds = amplitude_bounds
-        self.length_scale_bounds = length_scale_bounds
-        self.shift_bounds = shift_bounds
+        self.parameter_bounds = parameter_bounds
 
     # -- shapes
     # ----------------------------------------------------------------------------------------
@@ -215,10 +221,17 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Number of regressors d."""
         return self.value("length_scale").shape[2]
 
-    def _widths_from_data(self):
-        """Return whether the bounds on the widths are to be found, not given."""
-        given = self.length_scale_bounds
-        return given is None or (isinstance(given, str) and given == SPACING)
+    def _bounds_of_widths(self):
+        """Return the bounds on the widths as given, and whether the data decide on them."""
+        given = complete_bounds(self.parameter_bounds, dict.fromkeys(PARAMETERS))["length_scale"]
+        return given, given is None or (isinstance(given, str) and given == SPACING)
+
+    def _bounds(self, defaults):
+        """Return the bounds of all parameters, the defaults where none were given."""
+        bounds = complete_bounds(self.parameter_bounds, defaults)
+        if self._bounds_of_widths()[1]:
+            bounds["length_scale"] = defaults["length_scale"]
+        return bounds
 
     def has_values(self) -> bool:
         return self.amplitude is not None and self.length_scale is not None
@@ -241,14 +254,15 @@ class ConvolvedGaussian(MultiOutputKernel):
         ):
             if params[name] is not None:
                 params[name] = as_shape(name, params[name], shape)
-        start = starting_values(feeds, X, Y, random_state, width_factor)
-        if params["length_scale_bounds"] is not None and self._widths_from_data():  # "spacing"
-            smallest = start["length_scale_bounds"][..., 0]
+        start, bounds = starting_values(feeds, X, Y, random_state, width_factor)
+        given, from_data = self._bounds_of_widths()
+        if given is not None and from_data:  # "spacing"
+            smallest = bounds["length_scale"][..., 0]
             np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
-            params["length_scale_bounds"] = None
+        params["parameter_bounds"] = self._bounds(bounds)
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
-            if self.length_scale_bounds is None:
+            if given is None:
                 widest = WIDEST_START * column_scale(X)
                 start["length_scale"] = np.minimum(start["length_scale"], widest)
         if coarse:
@@ -291,17 +305,18 @@ class ConvolvedGaussian(MultiOutputKernel):
         }
 
     def coarse(self) -> MultiOutputKernel:
-        if (
-            self.covariance_type == "diag"
-            and self.length_scale is None
-            and self._widths_from_data()
-        ):
-            return clone(self).set_params(covariance_type="tied", shift=0.0, shift_bounds="fixed")
+        _, from_data = self._bounds_of_widths()
+        if self.covariance_type == "diag" and self.length_scale is None and from_data:
+            bounds = dict(self.parameter_bounds or {}, shift="fixed")
+            return clone(self).set_params(
+                covariance_type="tied", shift=0.0, parameter_bounds=bounds
+            )
         return self
 
     def single_output(self) -> MultiOutputKernel:
-        bounds = self.length_scale_bounds if self._widths_from_data() else None
-        return ConvolvedGaussian(0, regressors=self.regressors, length_scale_bounds=bounds)
+        given, from_data = self._bounds_of_widths()
+        bounds = {"length_scale": given if from_data else None}
+        return ConvolvedGaussian(0, regressors=self.regressors, parameter_bounds=bounds)
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self.without_effect(self.n_features)).tolist())]
@@ -325,18 +340,13 @@ class ConvolvedGaussian(MultiOutputKernel):
         shifted = feeds & (
             output != feeds.argmax(axis=1)[:, None]
         )  # only differences between outputs matter
-        length_bounds = None if self._widths_from_data() else self.length_scale_bounds
+        bounds = self._bounds(DEFAULT_BOUNDS)
         lengths = renumber(width[..., None] * d + np.arange(d), feeds[..., None] & matters)
         shifts = renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters)
         return [
-            FreeParameter(
-                "amplitude",
-                renumber(filters, feeds),
-                False,
-                or_default(self.amplitude_bounds, (-1e3, 1e3)),
-            ),
-            FreeParameter("length_scale", lengths, True, or_default(length_bounds, (1e-3, 1e3))),
-            FreeParameter("shift", shifts, False, or_default(self.shift_bounds, (-1e2, 1e2))),
+            FreeParameter("amplitude", renumber(filters, feeds), False, bounds["amplitude"]),
+            FreeParameter("length_scale", lengths, True, bounds["length_scale"]),
+            FreeParameter("shift", shifts, False, bounds["shift"]),
         ]
 
     # -- parameters of the paper
@@ -440,7 +450,7 @@ def spacing(X, Y, matters):
 
 
 def starting_values(feeds, X, Y, random_state, width_factor=1.0):
-    """Return amplitude, length_scale and their bounds for samples X (n, d) and targets Y (n, P), NaN allowed.
+    """Return values and bounds by name for samples X (n, d) and targets Y (n, P), NaN allowed.
 
     ``feeds`` (M, P) is one where a latent contributes to an output. Shared latents start along the
     principal directions of the correlation matrix of the outputs, so correlated outputs share a
@@ -473,14 +483,16 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
         * x_scale
         * np.exp(apart)
     )
-    bounds = np.multiply.outer(x_scale, WIDTHS)
-    return {
+    values = {
         "amplitude": amplitude,
         "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),
-        "amplitude_bounds": np.stack(
-            np.broadcast_arrays(-30 * y_scale, 30 * y_scale * np.ones((M, 1))), axis=-1
-        ),
-        "length_scale_bounds": np.broadcast_to(bounds, (M, P, d, 2)).copy(),
+    }
+    amplitudes = np.broadcast_arrays(-30 * y_scale, 30 * y_scale * np.ones((M, 1)))
+    widths = np.broadcast_to(np.multiply.outer(x_scale, WIDTHS), (M, P, d, 2)).copy()
+    return values, {
+        "amplitude": np.stack(amplitudes, axis=-1),
+        "length_scale": widths,
+        "shift": DEFAULT_BOUNDS["shift"],
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from sklearn.linear_model import BayesianRidge
 
 from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, or_default
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, complete_bounds
 
 # Bounds on ``slope_scale``, over the deviation of the output for one of the column (trials)
 SLOPE_BOUNDS = 0.05, 1e2
@@ -37,8 +37,9 @@ class LinearTrend(MultiOutputKernel):
         deviations of the regressors, which keeps its value.
     center : array (d,) or None
         Point of the intercept. None: the mean of the data, or the origin without data.
-    intercept_scale_bounds, slope_scale_bounds : pair of float, array (..., 2), "fixed" or None
-        Bounds; None: from the data.
+    parameter_bounds : mapping or None
+        Bounds by the names ``"intercept_scale"`` and ``"slope_scale"``: a pair, an array (..., 2),
+        or "fixed". Others: from the data.
 
     Examples
     --------
@@ -54,14 +55,12 @@ class LinearTrend(MultiOutputKernel):
         slope_scale: Any = None,
         center: Any = None,
         *,
-        intercept_scale_bounds: Any = None,
-        slope_scale_bounds: Any = None,
+        parameter_bounds: Mapping[str, Any] | None = None,
     ) -> None:
         self.intercept_scale = intercept_scale
         self.slope_scale = slope_scale
         self.center = center
-        self.intercept_scale_bounds = intercept_scale_bounds
-        self.slope_scale_bounds = slope_scale_bounds
+        self.parameter_bounds = parameter_bounds
 
     @property
     def n_outputs(self) -> int:
@@ -117,15 +116,18 @@ class LinearTrend(MultiOutputKernel):
             "intercept_scale": intercept,
             "slope_scale": slope,
             "center": np.mean(X, axis=0),
-            "intercept_scale_bounds": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
-            "slope_scale_bounds": np.multiply.outer(unit, SLOPE_BOUNDS),
+        }
+        bounds: dict[str, Any] = {
+            "intercept_scale": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
+            "slope_scale": np.multiply.outer(unit, SLOPE_BOUNDS),
         }
         if d > len(X):  # too few rows for a scale of each slope: one for all, by ridge regression
             start["slope_scale"] = ridge_scale(X, Y)[:, None] / column_scale(X)
-            start["slope_scale_bounds"] = "fixed"
+            bounds["slope_scale"] = "fixed"
         params = {name: start[name] if given[name] is None else given[name] for name in start}
         for name, shape in (("intercept_scale", (P,)), ("slope_scale", (P, d)), ("center", (d,))):
             params[name] = as_shape(name, params[name], shape)
+        params["parameter_bounds"] = complete_bounds(self.parameter_bounds, bounds)
         return clone(self).set_params(**params)
 
     def basis(self, i: int, X: Matrix) -> Matrix:
@@ -181,17 +183,13 @@ class LinearTrend(MultiOutputKernel):
         return self._cached("free", self._free_parameters)
 
     def _free_parameters(self):
-        bounds = {
-            "intercept_scale": self.intercept_scale_bounds,
-            "slope_scale": self.slope_scale_bounds,
-        }
-        index = {
-            name: np.arange(self.value(name).size).reshape(self.value(name).shape)
-            for name in bounds
-        }
+        bounds = complete_bounds(
+            self.parameter_bounds, {"intercept_scale": (1e-5, 1e5), "slope_scale": (1e-5, 1e5)}
+        )
+        values = {name: self.value(name) for name in bounds}
         return [
-            FreeParameter(name, index[name], True, or_default(bounds[name], (1e-5, 1e5)))
-            for name in bounds
+            FreeParameter(name, np.arange(v.size).reshape(v.shape), True, bounds[name])
+            for name, v in values.items()
         ]
 
     def single_output(self) -> MultiOutputKernel:

@@ -48,7 +48,7 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
         shift=rng.normal(0, 0.3, (2 + P, P, d))
         * (np.arange(2 + P) < 2)[:, None, None]
         * (np.arange(P) > 0)[:, None],
-        shift_bounds=(-2.0, 2.0),
+        parameter_bounds={"shift": (-2.0, 2.0)},
     )
     if with_trend:
         kernel = (

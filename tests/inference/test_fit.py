@@ -85,13 +85,15 @@ class TestGivenKernel:
 
     def test_fixed_values_stay(self, fit, drawn):
         X, Y, *_ = drawn
-        kernel = ConvolvedGaussian(1, length_scale=self.lengths, length_scale_bounds="fixed")
+        kernel = ConvolvedGaussian(
+            1, length_scale=self.lengths, parameter_bounds={"length_scale": "fixed"}
+        )
         found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
         np.testing.assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
 
     def test_bounds_are_kept(self, fit, drawn):
         X, Y, *_ = drawn
-        kernel = ConvolvedGaussian(1, length_scale_bounds=(0.2, 0.5))
+        kernel = ConvolvedGaussian(1, parameter_bounds={"length_scale": (0.2, 0.5)})
         found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
         fed = np.array([[1, 1], [1, 0], [0, 1]], dtype=bool)
         assert (found.length_scale[fed] >= 0.2 - 1e-12).all()
@@ -112,8 +114,7 @@ class TestGivenKernel:
             [1.0, 2.0],
             [[0.5], [0.6]],
             [0.0],
-            intercept_scale_bounds="fixed",
-            slope_scale_bounds="fixed",
+            parameter_bounds={"intercept_scale": "fixed", "slope_scale": "fixed"},
         )
         found = fit(
             trend + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})

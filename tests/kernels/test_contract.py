@@ -40,7 +40,7 @@ def convolved(
         amplitude=rng.normal(0, 1.0, (M, P)) * feeds,
         length_scale=np.broadcast_to(rng.uniform(0.6, 1.8, widths), (M, P, d)),
         shift=mu,
-        **({"shift_bounds": (-3.0, 3.0)} if shift else {}),
+        **({"parameter_bounds": {"shift": (-3.0, 3.0)}} if shift else {}),
         **bounds,
     )
 
@@ -65,11 +65,13 @@ KERNELS = {
     ),
     "additive": trend()
     + (convolved(0, regressors=[0]) + (convolved(0, seed=3, regressors=[1]) + convolved(1))),
-    "everything fixed": convolved(amplitude_bounds="fixed", length_scale_bounds="fixed"),
+    "everything fixed": convolved(parameter_bounds={"amplitude": "fixed", "length_scale": "fixed"}),
     "bounds for each entry": convolved(
-        length_scale_bounds=np.stack(
-            [np.full((5, 3, 2), 0.1), np.arange(30.0).reshape(5, 3, 2) + 9], axis=-1
-        )
+        parameter_bounds={
+            "length_scale": np.stack(
+                [np.full((5, 3, 2), 0.1), np.arange(30.0).reshape(5, 3, 2) + 9], axis=-1
+            )
+        }
     ),
     "trend": trend(),
     "trend + dependent": trend() + convolved(1, private=False, covariance_type="tied", seed=5),

@@ -1,5 +1,7 @@
 """Kernels without values take them from the data; values that were given stay."""
 
+import pickle
+
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -9,7 +11,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 KINDS = ("diag", "tied")
 OPEN = {
     **{kind: ConvolvedGaussian(2, covariance_type=kind) for kind in KINDS},
-    "shifts free": ConvolvedGaussian(2, shift_bounds=None),
+    "shifts free": ConvolvedGaussian(2, parameter_bounds={"shift": (-1e2, 1e2)}),
     "shared alone": ConvolvedGaussian(2, private_latents=False),
     "more shared than outputs": ConvolvedGaussian(5, private_latents=False),
     "private alone": ConvolvedGaussian(0),
@@ -81,9 +83,9 @@ class TestGivenValues:
         found = ConvolvedGaussian(1, amplitude=amplitude).initialize(*data, 0)
         np.testing.assert_array_equal(found.amplitude, amplitude)
         lengths = np.full((4, 3, 3), 2.5)
-        found = ConvolvedGaussian(1, length_scale=lengths, length_scale_bounds="fixed").initialize(
-            *data, 0
-        )
+        found = ConvolvedGaussian(
+            1, length_scale=lengths, parameter_bounds={"length_scale": "fixed"}
+        ).initialize(*data, 0)
         np.testing.assert_array_equal(found.length_scale, lengths)
         found = LinearTrend(slope_scale=np.full((3, 3), 2.0), center=[1.0, 2.0, 3.0]).initialize(
             *data, 0
@@ -117,7 +119,7 @@ class TestGivenValues:
 def test_a_search_does_not_start_where_the_likelihood_is_flat(data):
     X, Y = data
     for bounds, widest in ((None, 10.0), ("spacing", 500.0)):
-        kernel = ConvolvedGaussian(0, length_scale_bounds=bounds)
+        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
         singles = [kernel.single_output().initialize(X, Y[:, [i]], 0) for i in range(3)]
         wide = [single.set_params(length_scale=500.0 * X.std(axis=0)) for single in singles]
         widths = kernel.initialize(X, Y, 0, wide).length_scale / X.std(axis=0)
@@ -125,15 +127,16 @@ def test_a_search_does_not_start_where_the_likelihood_is_flat(data):
 
 
 class TestSpacing:
-    """length_scale_bounds="spacing": no width below n^(-1/d) deviations, of the samples and regressors that count."""
+    """Bounds "spacing": no width below n^(-1/d) deviations, of the samples and regressors that count."""
 
     @staticmethod
     def smallest(X, Y, **parameters):
         """Return the smallest widths (M, P, d), over the deviations of the regressors."""
-        kernel = ConvolvedGaussian(0, length_scale_bounds="spacing", **parameters).initialize(
-            X, Y, 0
+        bounds = {"length_scale": "spacing"}
+        kernel = ConvolvedGaussian(0, parameter_bounds=bounds, **parameters).initialize(X, Y, 0)
+        return kernel.parameter_bounds["length_scale"][..., 0] / np.where(
+            X.std(axis=0) > 0, X.std(axis=0), 1.0
         )
-        return kernel.length_scale_bounds[..., 0] / np.where(X.std(axis=0) > 0, X.std(axis=0), 1.0)
 
     @pytest.mark.parametrize("kind", KINDS)
     def test_is_of_the_output_that_is_observed_most(self, data, kind):
@@ -152,8 +155,8 @@ class TestSpacing:
 
     def test_is_never_below_the_bound_of_other_kernels(self, data):
         X, Y = data
-        other = ConvolvedGaussian(0).initialize(X, Y, 0).length_scale_bounds[..., 0] / X.std(axis=0)
-        np.testing.assert_allclose(other, 0.05)
+        other = ConvolvedGaussian(0).initialize(X, Y, 0).parameter_bounds["length_scale"]
+        np.testing.assert_allclose(other[..., 0] / X.std(axis=0), 0.05)
         np.testing.assert_allclose(self.smallest(X, Y, regressors=[0])[..., 0], 0.05)
 
     def test_counts_at_most_400_samples(self):
@@ -217,6 +220,47 @@ class TestRefused:
         )
         with pytest.raises(ValueError, match=r"length scales that differ.*tied"):
             kernel(np.zeros((2, 2)))
+
+
+class TestBounds:
+    kernel = ConvolvedGaussian(
+        private_latents=False,
+        amplitude=[[1.0, 2.0]],
+        length_scale=1.0,
+        parameter_bounds={"amplitude": "fixed", "length_scale": np.array([0.5, 2.0])},
+    )
+
+    def test_are_of_the_parameters_that_they_name(self):
+        np.testing.assert_allclose(self.kernel.bounds, np.log([[0.5, 2.0]] * 2))
+        assert [h.name for h in self.kernel.hyperparameters if not h.fixed] == ["length_scale"]
+        fixed = clone(self.kernel).set_params(parameter_bounds={"length_scale": "fixed"})
+        assert [h.name for h in fixed.hyperparameters if not h.fixed] == ["amplitude"]
+
+    def test_survive_copies(self):
+        for copy in (clone(self.kernel), pickle.loads(pickle.dumps(self.kernel))):
+            assert copy == self.kernel
+            np.testing.assert_array_equal(copy.bounds, self.kernel.bounds)
+        changed = {"amplitude": "fixed", "length_scale": np.array([0.5, 3.0])}
+        assert clone(self.kernel).set_params(parameter_bounds=changed) != self.kernel
+        assert "parameter_bounds={'amplitude': 'fixed'}" in repr(self.kernel)
+
+    @pytest.mark.parametrize(
+        ("bounds", "error", "message"),
+        [
+            ({"amplitud": "fixed"}, ValueError, "'amplitud'.*did you mean amplitude"),
+            ({"x": "fixed"}, ValueError, "'x'.*did you mean amplitude or length_scale or shift"),
+            (
+                (0.1, 1.0),
+                TypeError,
+                r"parameter_bounds=\(0.1, 1.0\), but expected bounds by the name",
+            ),
+        ],
+    )
+    def test_of_what_is_no_parameter(self, bounds, error, message, data):
+        kernel = clone(self.kernel).set_params(parameter_bounds=bounds)
+        for use in (lambda: kernel.theta, lambda: kernel.initialize(data[0], data[1][:, :2], 0)):
+            with pytest.raises(error, match=message):
+                use()
 
 
 class TestSums:

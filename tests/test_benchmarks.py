@@ -33,8 +33,8 @@ def script(monkeypatch):
     ("name", "methods"),
     [
         ("likelihood", []),
-        ("comparison", ["--methods", "least squares", "skdgp pipeline"]),
-        ("published", ["--methods", "skdgp"]),
+        ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),
+        ("published", [".", "--methods", "skdgp, `impute`"]),
     ],
 )
 def test_writes_its_tables_and_says_on_which_machine(script, name, methods, tmp_path):

@@ -5,48 +5,42 @@ import contextlib
 import json
 import os
 import platform
+import signal
 import subprocess
+import sys
 import time
+from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
 
-PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "jsbsim")
+import pandas as pd
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpar", "jsbsim")
+LIMIT = 900  # s of processor time of a run
+OVER = f"over {LIMIT} s"
 
 
 def parser_of(description, *, data=False, smoke=False):
     """Return a parser of the command line of all benchmarks; ``data``, ``smoke``: of some."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="folder for the results, as NAME.json")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     if data:
-        parser.add_argument("data", type=Path, nargs="?", help="folder of the data")
+        parser.add_argument("data", type=Path, help="folder of the data")
     if smoke:
         parser.add_argument("--smoke", action="store_true", help="tiny sizes: does the script run?")
     return parser
 
 
-def parsed(parser, words):
-    """Return the options; the folder of the data may be missing with ``--smoke`` alone."""
-    options = parser.parse_args(words)
-    if options.data is None and not getattr(options, "smoke", False):
-        parser.error("the folder of the data is needed")
-    return options
+@cache
+def commit():
+    """Return the last commit of the package and of the benchmarks; pages may have later ones."""
 
+    def git(*words):
+        command = ("git", "-C", ROOT, *words, "--", "skdgp", "tests/benchmarks")
+        return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
-SLOW = 15.0  # s, after which a function has had turns enough
-PAUSE = 0.1  # s: idle threads of BLAS hold the cores for a while
-
-
-def interleaved(functions, repeats):
-    """Return the shortest time of each function, in turns: whatever slows the machine slows all of them."""
-    times = {name: [] for name in functions}
-    for _ in range(repeats):
-        for name, function in functions.items():
-            if sum(times[name]) < SLOW:
-                time.sleep(PAUSE)
-                start = time.perf_counter()
-                function()
-                times[name].append(time.perf_counter() - start)
-    return {name: min(taken) for name, taken in times.items()}
+    return git("log", "-1", "--format=%h") + "-dirty" * bool(git("status", "--porcelain"))
 
 
 def machine():
@@ -57,11 +51,9 @@ def machine():
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         processor = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
-    git = ("git", "-C", Path(__file__).parent, "describe", "--always", "--dirty")
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     installed = {one.name.lower(): one.version for one in distributions()}
     return {
-        "commit": commit,
+        "commit": commit(),
         "date": time.strftime("%Y-%m-%d"),
         "processor": processor,
         "cores": os.cpu_count(),
@@ -72,28 +64,67 @@ def machine():
 
 
 class Kept:
-    """Results of runs in a folder, or in memory alone where there is none."""
+    """Results of single runs, a line each in OUT/NAME.runs: what is there is not run again.
 
-    def __init__(self, folder, name):
-        self.folder = folder and folder / name
-        paths = sorted(self.folder.glob("*.json")) if self.folder else ()
-        self.memory = {path.stem: json.loads(path.read_text()) for path in paths}
+    A run that takes longer than `LIMIT` has no result but its seconds.
+    """
 
-    def __contains__(self, name):
-        return name in self.memory
+    def __init__(self, options, name):
+        options.out.mkdir(parents=True, exist_ok=True)
+        self.path, lines = options.out / f"{name}.runs", []
+        if self.path.exists():
+            lines = [json.loads(line) for line in self.path.read_text().splitlines()]
+        if any(run["commit"] != commit() for run in lines):
+            raise SystemExit(f"Got runs of another commit than {commit()}: remove {self.path}.")
+        self.memory = {run["name"]: run for run in lines}
 
-    def keep(self, name, result):
-        self.memory[name] = result
-        if self.folder:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            (self.folder / f"{name}.json").write_text(json.dumps(result, indent=1) + "\n")
+    def run(self, key, function, *arguments):
+        """Return key, seconds and result, a dict, of a function."""
+        name = ", ".join(map(str, key.values()))
+        if name not in self.memory:
+            start = time.process_time()
+            result = limited(function, *arguments) | {"seconds": time.process_time() - start}
+            self.memory[name] = {"name": name, "commit": commit(), **key, **result}
+            line = json.dumps(self.memory[name])
+            print(line[:300], file=sys.stderr, flush=True)
+            with self.path.open("a") as file:
+                file.write(f"{line}\n")
+        return self.memory[name]
+
+
+def limited(function, *arguments):
+    """Return the result of a function, or an empty one after `LIMIT`."""
+
+    def stop(*_):
+        raise TimeoutError
+
+    signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    try:
+        return function(*arguments)
+    except TimeoutError:
+        return {}
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
 
 
 def cell(value):
     """Return a number with three significant digits."""
-    if value is None:
+    if pd.isna(value):
         return "-"
     return f"{value:#.3g}".rstrip(".") if isinstance(value, float) else str(value)
+
+
+def winners(errors, notes=None, missing=OVER):
+    """Return a column of errors as cells, the smallest in bold, with notes in brackets."""
+    best, shown = cell(errors.min()), {}
+    for name, error in errors.items():
+        shown[name] = missing if pd.isna(error) else cell(float(error))
+        if shown[name] == best:
+            shown[name] = f"**{best}**"
+        if name in (notes or {}):
+            shown[name] += f" ({notes[name]})"
+    return shown
 
 
 def markdown(rows):
@@ -103,11 +134,10 @@ def markdown(rows):
 
 
 def finish(options, name, **tables):
-    """Print the tables and, with --out, keep them beside a description of the machine."""
-    tables = {title: rows for title, rows in tables.items() if rows}
+    """Print the tables and keep them beside a description of the machine, as NAME.json."""
     for title, rows in tables.items():
-        print(f"\n{title.replace('_', ' ')}\n{markdown(rows)}", flush=True)
-    if options.out:
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"machine": machine(), **tables}, indent=1)
-        (options.out / f"{name}.json").write_text(f"{text}\n")
+        if rows:
+            print(f"\n{title.replace('_', ' ')}\n{markdown(rows)}", flush=True)
+    text = json.dumps({"machine": machine(), **tables}, indent=1)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / f"{name}.json").write_text(f"{text}\n")

@@ -1,6 +1,6 @@
 """Methods of the field on the same samples: errors on an unseen flight, and what 95 % bands hold.
 
-    python tests/benchmarks/comparison.py ../shared/data --out OUT [--methods M] [--seeds S]
+    python tests/benchmarks/comparison.py ../shared/data --out OUT [--methods M]
 
 Each method learns the measured coefficients of one flight and predicts another. ``skdgp pipeline``
 is ``make_identification_pipeline`` with its own regressors, once for each seed; the others learn
@@ -9,19 +9,16 @@ of the test flight, against the truth where it is known. The fraction of values 
 every tenth sample: bands of the function against the truth, bands of measurements against measured
 coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 
-Each run is kept as OUT/comparison/FLIGHT-METHOD-SEED.json, and not run again while that file is
-there; the tables are of all runs that are there. Peers take some hours on one core.
+Other methods have one seed.
 """
 
-import sys
-import time
 from pathlib import Path
 from typing import NamedTuple
 
 import _peers as peers
 import numpy as np
 import pandas as pd
-from _common import Kept, finish, parsed, parser_of
+from _common import Kept, finish, parser_of, winners
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -41,11 +38,11 @@ from skdgp.preprocessing import (
 SAMPLES = 755
 BANDS_EVERY = 10
 FLIGHTS = {
-    "viggen_latlon": ("viggen_uav", "train_latlon", "test_twoalt"),
+    "viggen": ("viggen_uav", "train_latlon", "test_twoalt"),
     "c172p": ("c172p", "train_latlon", "test_calm"),
-    "viggen_lateral": ("viggen_uav", "train_lateral", "test_twoalt"),
-    "viggen_lateral_to_latlon": ("viggen_uav", "train_lateral", "train_latlon"),
-    "ampyx_ap2": None,
+    "viggen lateral": ("viggen_uav", "train_lateral", "test_twoalt"),
+    "lateral to latlon": ("viggen_uav", "train_lateral", "train_latlon"),
+    "AP2, real": None,
 }
 
 
@@ -64,7 +61,7 @@ class Task(NamedTuple):
 def task_of(name, folder):
     """Return the task of the shared data that has this name."""
     folder, loads = Path(folder), {}
-    if name == "ampyx_ap2":
+    if FLIGHTS[name] is None:
         aircraft, train, test, loads = ampyx_ap2(folder)
     else:
         craft, *parts = FLIGHTS[name]
@@ -152,12 +149,10 @@ METHODS = {
 
 def scored(task, method, seed):
     """Return the scores of one method."""
-    start = time.process_time()
     mean, bands = METHODS[method](task, seed)
-    seconds = time.process_time() - start
     asked = task.measured if task.truth is None else task.truth
     error = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
-    result = {"outputs": list(task.targets), "NRMSE": error, "seconds": seconds}
+    result = {"outputs": list(task.targets), "NRMSE": error}
     kinds = {"truth": task.truth, "measured": task.measured}
     for (kind, y), std in zip(kinds.items(), bands or (), strict=False):
         if y is not None:
@@ -166,57 +161,47 @@ def scored(task, method, seed):
     return result
 
 
-def errors(runs):
+def errors(table):
     """Return a row for each method: its errors on the flights, medians over seeds."""
-    rows = []
-    for method in METHODS:
-        row = {"method": method}
-        for flight in dict.fromkeys(run["flight"] for run in runs):
-            some = [run for run in runs if (run["flight"], run["method"]) == (flight, method)]
-            row[flight] = median([np.mean(run["NRMSE"]) for run in some])
-        held = [run["truth, %"] for run in runs if run["method"] == method and "truth, %" in run]
-        rows.append(row | {"in band of truth, %": median(held)})
-    return rows
+    table = table.assign(NRMSE=table["NRMSE"].map(np.mean))
+    medians = table.groupby(["flight", "method"])["NRMSE"].median()
+    cells = pd.DataFrame(
+        {flight: winners(medians[flight]) for flight in table["flight"].unique()},
+        index=table["method"].unique(),
+    )
+    cells["in band of truth, %"] = table.groupby("method")["truth, %"].median()
+    cells["CPU s"] = table.groupby("method")["seconds"].median()
+    return cells.reset_index(names="method").to_dict("records")
 
 
-def of_pipeline(runs):
+def of_pipeline(table):
     """Return a row for each flight: medians over the seeds of the pipeline, and their range."""
-    rows, runs = [], [run for run in runs if run["method"] == "skdgp pipeline"]
-    for flight in dict.fromkeys(run["flight"] for run in runs):
-        some = [run for run in runs if run["flight"] == flight]
-        each = np.array([run["NRMSE"] for run in some])
+    rows = []
+    for flight, some in table[table["method"] == "skdgp pipeline"].groupby("flight", sort=False):
+        each = np.stack(some["NRMSE"])
         of_seeds = each.mean(axis=1)
-        row = {"flight": flight, "NRMSE": median(of_seeds)}
+        row = {"flight": flight, "NRMSE": float(np.median(of_seeds))}
         row["range"] = f"{of_seeds.min():.3f} to {of_seeds.max():.3f}"
-        row |= dict(zip(some[0]["outputs"], map(median, each.T), strict=True))
-        for kind in ("truth", "measured"):
-            held = [run[f"{kind}, %"] for run in some if f"{kind}, %" in run]
-            row[f"in band of {kind}, %"] = median(held)
+        row |= dict(zip(some["outputs"].iloc[0], np.median(each, axis=0).tolist(), strict=True))
+        for kind in ("truth, %", "measured, %"):
+            row[f"in band of {kind}"] = some[kind].median()
         rows.append(row)
     return rows
-
-
-def median(values):
-    return float(np.median(values)) if len(values) else None
 
 
 def main(words=None):
     parser = parser_of(__doc__, data=True, smoke=True)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="of the pipeline")
-    options = parsed(parser, words)
-    kept = Kept(options.out, "comparison")
+    options = parser.parse_args(words)
+    kept = Kept(options, "comparison")
     for flight in ["toy"] if options.smoke else FLIGHTS:
         task = toy() if options.smoke else task_of(flight, options.data)
         for method in options.methods:
-            for seed in options.seeds if method == "skdgp pipeline" else [0]:
-                name = f"{flight}-{method}-{seed}"
-                if name not in kept:
-                    result = {"flight": flight, "method": method, **scored(task, method, seed)}
-                    kept.keep(name, result)
-                    print(f"{name}: {np.mean(result['NRMSE']):.3f}", file=sys.stderr, flush=True)
-    runs = list(kept.memory.values())
-    finish(options, "comparison", errors=errors(runs), pipeline=of_pipeline(runs))
+            for seed in range(3 if method == "skdgp pipeline" and not options.smoke else 1):
+                key = {"flight": flight, "method": method, "seed": seed}
+                kept.run(key, scored, task, method, seed)
+    table = pd.DataFrame([*kept.memory.values()])
+    finish(options, "comparison", errors=errors(table), pipeline=of_pipeline(table))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import warnings
 
 import numpy as np
 import pandas as pd
-from _common import finish, parser_of
+from _common import Kept, finish, parser_of
 from _jsbsim_flight import (
     COEFFICIENTS,
     FLOWN,
@@ -58,9 +58,9 @@ CONTROLS = ("elevator", "aileron", "rudder", "throttle")
 UNKNOWN = ["airspeed", "alpha", "beta", "u", "v", "w"]  # Columns of a start that hold a gust
 
 
-def learned(name):
+def learned(name, flight=TRAINING):
     """Return the model of an aircraft, its training flight, and the aircraft."""
-    log, aircraft = flight_of(name, *TRAINING)
+    log, aircraft = flight_of(name, *flight)
     log = sensed(log)
     model = make_identification_pipeline(aircraft)
     model[-1].set_params(random_state=0)
@@ -70,7 +70,7 @@ def learned(name):
 
 def model_row(name, model, log, aircraft, flown):
     """Return coverage of coefficients, function and derivatives, and errors of the function."""
-    row = {"aircraft": name}
+    row = {}
     for air, flight in flown.items():
         measured = aerodynamic_coefficients(sensed(flight), aircraft).to_numpy()[::EVERY]
         regressors, ratio = flight_regressors(model, sensed(flight))
@@ -122,9 +122,9 @@ def held(paths, stretches, horizon):
     return 100.0 * np.mean(inside)
 
 
-def flown_row(name, model, aircraft, flown):
+def flown_row(model, aircraft, flown):
     """Return coverage of free flight in each air, by what is said of the wind."""
-    row = {"aircraft": name}
+    row = {}
     for air, flight in flown.items():
         stretches = windows(flight)
         starts = pd.DataFrame([stretch.iloc[0] for stretch in stretches])
@@ -140,9 +140,17 @@ def flown_row(name, model, aircraft, flown):
     return row
 
 
-def summary(rows):
+def measured(name):
+    """Return the rows of an aircraft."""
+    model, log, aircraft = learned(name)
+    flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
+    models = model_row(name, model, log, aircraft, flown)
+    return {"models": models, "free_flight": flown_row(model, aircraft, flown)}
+
+
+def summary(runs, kind):
     """Return the median and the worst over aircraft: the lowest coverage, the largest error."""
-    table = pd.DataFrame(rows).set_index("aircraft")
+    table = pd.DataFrame([run[kind] for run in runs])
     errors = table.columns.isin(["NRMSE", "over least squares"])
     worst = table.min().where(~errors, table.max())
     return [{"of aircraft": "median", **table.median()}, {"of aircraft": "worst", **worst}]
@@ -152,16 +160,11 @@ def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--aircraft", nargs="+", default=[*KNOTS], choices=[*KNOTS])
     options = parser.parse_args(words)
-    models, flights = [], []
+    kept = Kept(options, "freeflight_air")
     for name in options.aircraft:
-        model, log, aircraft = learned(name)
-        flown = {air: flight_of(name, *flight)[0] for air, flight in FLOWN.items()}
-        models.append(model_row(name, model, log, aircraft, flown))
-        flights.append(flown_row(name, model, aircraft, flown))
-        print(pd.DataFrame([models[-1] | flights[-1]]).round(2).to_string(index=False), flush=True)
-    tables = {"models": summary(models), "free_flight": summary(flights)}
-    rows = [model | flight for model, flight in zip(models, flights, strict=True)]
-    finish(options, "freeflight_air", **tables, aircraft=rows)
+        kept.run({"aircraft": name}, measured, name)
+    models, flights = (summary(kept.memory.values(), kind) for kind in ("models", "free_flight"))
+    finish(options, "freeflight_air", models=models, free_flight=flights)
 
 
 if __name__ == "__main__":

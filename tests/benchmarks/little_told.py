@@ -14,7 +14,7 @@ told.
 import warnings
 
 import numpy as np
-from _common import finish, parsed, parser_of
+from _common import Kept, finish, parser_of
 from _jsbsim_flight import (
     FLOWN,
     STEADY,
@@ -46,17 +46,14 @@ SAMPLES = 755  # to learn from
 NORMAL_95 = 1.96
 
 
-def subjects(options):
-    """Yield name, kind, aircraft, training and test flight."""
-    for name, (*parts, kind) in FLIGHTS.items():
-        if name in options.aircraft:
-            folder = options.data / "flights"
-            flights = [read_flight(folder / f"{name}_{part}.parquet") for part in parts]
-            yield name, kind, Aircraft.from_file(folder / f"{name}.json"), *flights
-    for name, kind in JSBSIM.items():
-        if name in options.aircraft:
-            train, aircraft = flight_of(name, *TRAINING)
-            yield name, kind, aircraft, train, flight_of(name, *FLOWN["light"])[0]
+def subject(name, folder):
+    """Return kind, aircraft, training and test flight."""
+    if name in JSBSIM:
+        train, aircraft = flight_of(name, *TRAINING)
+        return JSBSIM[name], aircraft, train, flight_of(name, *FLOWN["light"])[0]
+    *parts, kind = FLIGHTS[name]
+    flights = [read_flight(folder / "flights" / f"{name}_{part}.parquet") for part in parts]
+    return kind, Aircraft.from_file(folder / "flights" / f"{name}.json"), *flights
 
 
 def withhold(thing, aircraft, kind, flight):
@@ -95,32 +92,36 @@ def compared(table, known):
     return table.assign(off=(table["value"] - true) / table["band"])
 
 
-def row_of(name, withheld, table, told):
-    """Return a row of the table of results."""
-    wrong = [one for one in SIGNS if table.loc[one, "value"] * table.loc[one, "true"] <= 0]
-    return {
-        "aircraft": name,
-        "withheld": withheld,
-        "inside, %": float(100 * (table["off"].abs() < NORMAL_95).mean()),
-        "width": float((table["band"] / told["band"]).median()),
-        "wrong signs": ", ".join(wrong) or "none",
+def measured(name, folder):
+    """Return for each thing withheld: percentage inside bands, width of bands, wrong signs."""
+    kind, aircraft, train, test = subject(name, folder)
+    at = exact_regressors(train, aircraft).mean(axis=0)
+    known = known_derivatives([train, test], aircraft, at)
+    airspeed, result = float(train["airspeed_true"].mean()), {}
+    tables = {
+        thing: compared(learned(thing, aircraft, kind, train, at, airspeed), known)
+        for thing in WITHHELD
     }
+    for withheld, table in tables.items():
+        inside = 100 * (table["off"].abs() < NORMAL_95).mean()
+        wrong = [one for one in SIGNS if table.loc[one, "value"] * table.loc[one, "true"] <= 0]
+        text = f"{inside:.0f} %, {(table['band'] / tables['nothing']['band']).median():.2f}"
+        result[withheld] = f"{text}, wrong {' '.join(wrong)}" if wrong else text
+    return result
 
 
 def main(words=None):
     parser = parser_of(__doc__, data=True)
     names = [*FLIGHTS, *JSBSIM]
     parser.add_argument("--aircraft", nargs="+", choices=names, default=names)
-    options, rows = parsed(parser, words), []
-    for name, kind, aircraft, train, test in subjects(options):
-        at = exact_regressors(train, aircraft).mean(axis=0)
-        known = known_derivatives([train, test], aircraft, at)
-        airspeed, told = float(train["airspeed_true"].mean()), None
-        for withheld in WITHHELD:
-            table = compared(learned(withheld, aircraft, kind, train, at, airspeed), known)
-            told = table if told is None else told
-            rows.append(row_of(name, withheld, table, told))
-            print(rows[-1], flush=True)
+    options = parser.parse_args(words)
+    kept = Kept(options, "little_told")
+    for name in options.aircraft:
+        kept.run({"aircraft": name}, measured, name, options.data)
+    rows = [
+        {"withheld": thing} | {run["aircraft"]: run[thing] for run in kept.memory.values()}
+        for thing in WITHHELD
+    ]
     finish(options, "little_told", bands=rows)
 
 

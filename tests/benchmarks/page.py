@@ -2,38 +2,52 @@
 
     python tests/benchmarks/page.py ../shared/data REPOSITORY PUBLISHED --out OUT
 
-REPOSITORY is what pairs.py needs, PUBLISHED what published.py and tabular.py need. Results are kept in OUT, and
-what is there is not measured again. Machine, versions, commit and tables are then written to
-docs/results.md, and to other pages with marked tables, between ``<!-- NAME:TABLE -->`` and ``<!--
-end -->``. It takes a day on two cores.
+REPOSITORY is what pairs.py needs, PUBLISHED what published.py and tabular.py need. Two scripts run
+at a time, on one thread each; the one that measures time comes last, alone. Stopped and started again, it
+goes on after the last run that was finished: OUT holds the runs. Machine, versions, commit and
+tables are then written to docs/results.md, and to other pages with marked tables, between
+``<!-- NAME:TABLE -->`` and ``<!-- end -->``. It takes some three hours of processor time.
 """
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
-from _common import machine, markdown
+from _common import ROOT, commit, machine, markdown
 
-HERE = Path(__file__).parent
-PAGES = HERE.parents[1] / "docs"
+TIMED = "likelihood"
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def commands(data, repository, published):
-    """Return the arguments of every script."""
-    return {
-        "comparison": [data, "--seeds", *range(6)],
-        "pairs": [repository, data, "--seeds", *range(3)],
-        "published": [published],
-        "tabular": [published],
-        "freeflight_air": [],
-        "little_told": [data],
-        "derivatives": [],
-        "likelihood": [],
-        "small_uav": [],
-    }
+def measured(script, out):
+    """Run a script, (name, arguments), if its results are not there; return them, None if it failed."""
+    name, arguments = script
+    path, start = out / f"{name}.json", time.monotonic()
+    threads = {} if name == TIMED else dict.fromkeys(THREADS, "1")
+    if not path.exists():
+        command = [sys.executable, ROOT / "tests" / "benchmarks" / f"{name}.py", *arguments]
+        with (out / f"{name}.txt").open("a") as log:
+            subprocess.run(
+                [*map(str, command), "--out", str(out)],
+                stdout=log,
+                stderr=log,
+                env=os.environ | threads | {"PYTHONPATH": str(ROOT)},
+                check=False,
+            )
+    seconds, results = time.monotonic() - start, None
+    if path.exists():
+        results = json.loads(path.read_text())
+    print(f"{name}: {'measured' if results else 'FAILED'} after {seconds:.0f} s", flush=True)
+    if results and results["machine"]["commit"] != commit():
+        raise SystemExit(f"Got {name} of another commit than {commit()}: empty {out}.")
+    return results
 
 
 def filled(page, results):
@@ -49,39 +63,36 @@ def filled(page, results):
     return re.sub(marked, replaced, page, flags=re.DOTALL)
 
 
-def described():
-    """Return machine, versions and commit as a table."""
-    words = machine()
-    words["versions"] = ", ".join(f"{name} {v}" for name, v in words["versions"].items())
-    return [words]
-
-
 def main(words=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     for name in ("data", "repository", "published"):
         parser.add_argument(name, type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
+    parser.add_argument("--jobs", type=int, default=2, help="scripts at a time")
     options = parser.parse_args(words)
-    results = {"page": {"machine": described()}}
     options.out.mkdir(parents=True, exist_ok=True)
-    for name, arguments in commands(options.data, options.repository, options.published).items():
-        path = options.out / f"{name}.json"
-        if not path.exists():
-            command = [sys.executable, HERE / f"{name}.py", *arguments, "--out", options.out]
-            with (options.out / f"{name}.txt").open("w") as log:
-                subprocess.run([*map(str, command)], stdout=log, check=True)
-        if path.exists():
-            results[name] = json.loads(path.read_text())
-    commit = results["page"]["machine"][0]["commit"]
-    old = [
-        name
-        for name, each in results.items()
-        if name != "page" and each["machine"]["commit"] != commit
-    ]
-    if old:
-        raise SystemExit(f"Got {old} of another commit than {commit}: empty {options.out}.")
-    for page in PAGES.glob("*.md"):
+    scripts = {  # the longest first
+        "published": [options.published],
+        "pairs": [options.repository, options.data],
+        "comparison": [options.data],
+        "freeflight_air": [],
+        "small_uav": [],
+        "little_told": [options.data],
+        "tabular": [options.published],
+        "derivatives": [],
+    }
+    run = partial(measured, out=options.out.absolute())
+    with ThreadPoolExecutor(options.jobs) as pool:
+        results = dict(zip(scripts, pool.map(run, scripts.items()), strict=True))
+    results = {name: each for name, each in (results | {TIMED: run((TIMED, []))}).items() if each}
+    failed = [name for name in (*scripts, TIMED) if name not in results]
+    words = machine() | {"threads": "1 of each script"}
+    words["versions"] = ", ".join(f"{name} {v}" for name, v in words["versions"].items())
+    results["page"] = {"machine": [words | {"not measured": ", ".join(failed) or None}]}
+    for page in (ROOT / "docs").glob("*.md"):
         page.write_text(filled(page.read_text(encoding="utf-8"), results), encoding="utf-8")
+    if failed:
+        raise SystemExit(f"Not measured: {failed}; see their .txt in {options.out}.")
 
 
 if __name__ == "__main__":

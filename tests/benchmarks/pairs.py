@@ -1,25 +1,22 @@
 """Pairs of flights of seven aircraft: the average of posteriors beside its members and least squares.
 
-    python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT [--seeds S]
+    python tests/benchmarks/pairs.py REPOSITORY ../shared/data --out OUT
 
 REPOSITORY is an unpacked copy of github.com/josemiguelbento/UAV-OAT-controlo, see _real_flights.py;
 the HFB-320 is ``hfb320_1_10.asc``. Each pipeline learns the measured coefficients of some flights
 and predicts those of others: NRMSE, mean over the coefficients, over that of least squares from the
 same regressors. Members are those of the same fit, each alone. Coverage is of measured
 coefficients at one row in ten.
-
-Each run is kept as OUT/pairs/PAIR-SEED.json, and not run again while that file is there.
 """
 
-import sys
 from functools import partial
 from pathlib import Path
 
 import _real_flights as real
 import numpy as np
 import pandas as pd
-from _common import finish, parser_of
-from comparison import BANDS_EVERY, SAMPLES, Kept, Task, ampyx_ap2, task_of
+from _common import Kept, finish, parser_of, winners
+from comparison import BANDS_EVERY, SAMPLES, Task, ampyx_ap2, task_of
 from scipy.io import loadmat
 from sklearn.linear_model import LinearRegression
 
@@ -105,20 +102,26 @@ def quarter(data, number):
     )
 
 
+HFB = "HFB-320, last quarter, longitudinal"
 REAL = {
-    "attas": real.attas,
-    "attas_back": partial(swapped, real.attas),
-    "stall": real.attas_stall,
-    "stall_back": partial(swapped, real.attas_stall),
-    "uav_a": partial(small_uav, split="a"),
-    "uav_b": partial(small_uav, split="b"),
-    "hfb": hfb_320,
+    "ATTAS, three manoeuvres to their repetitions": real.attas,
+    "the other way round": partial(swapped, real.attas),
+    "its stall, first to second": real.attas_stall,
+    "second to first": partial(swapped, real.attas_stall),
+    "UAV of 3.3 kg, one split": partial(small_uav, split="a"),
+    "another split": partial(small_uav, split="b"),
+    HFB: hfb_320,
 }
-QUARTERS = {f"ap2_{k}": k for k in (1, 3, 4)}
-SHARED = {"viggen": "viggen_latlon", "c172p": "c172p"}
+QUARTERS = {"Ampyx AP2, first quarter left out": 1, "third": 3, "fourth": 4}
+SHARED = {"viggen to test_twoalt": "viggen", "c172p to test_calm": "c172p"}
 PAIRS = [*REAL, *QUARTERS, *SHARED]
 LONGITUDINAL = ["CX", "CZ", "Cm"]
-KINDS = ("average", "joint", "additive", "trend")
+KINDS = {
+    "average": "average",
+    "joint": "all terms",
+    "additive": "trend and main effects",
+    "trend": "trend",
+}
 
 
 def task_of_pair(name, repository, data):
@@ -131,7 +134,7 @@ def task_of_pair(name, repository, data):
     targets, measured = (
         aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test)
     )
-    if name == "hfb":
+    if name == HFB:
         targets, measured = targets[LONGITUDINAL], measured[LONGITUDINAL]
     return Task(aircraft, train, test, targets, measured.to_numpy(), None, SAMPLES)
 
@@ -160,41 +163,31 @@ def result(task, seed):
 
 
 def of_pairs(runs):
-    """Return a row for each pair: medians over seeds, ratios to least squares."""
-    rows = []
-    for pair in dict.fromkeys(run["pair"] for run in runs):
-        some = [run for run in runs if run["pair"] == pair]
-        row = {"pair": pair, "least squares": some[0]["least squares"]}
-        for name in KINDS:
-            ratios = [run[name] / run["least squares"] for run in some if name in run]
-            row[name] = float(np.median(ratios)) if ratios else None
-        row["in the band, %"] = 100 * float(np.median([run["coverage"] for run in some]))
-        rows.append(row)
-    return rows
-
-
-def geometric_means(rows):
-    """Return the geometric means of the ratios that all pairs have."""
-    kinds = [kind for kind in KINDS if all(row[kind] for row in rows)]
-    return [{kind: float(np.exp(np.mean([np.log(row[kind]) for row in rows]))) for kind in kinds}]
+    """Return a row for each pair: medians over seeds, ratios to least squares; then geometric means."""
+    table = pd.DataFrame(runs).groupby("pair", sort=False).median(numeric_only=True)
+    ratios = table[[*KINDS]].div(table["least squares"], axis=0).rename(columns=KINDS)
+    means = f"geometric mean of the {len(table)}"
+    ratios.loc[means] = np.exp(np.log(ratios).mean(skipna=False))
+    table.loc[means, "least squares"] = 1.0
+    return [
+        {"pair": pair, "least squares": table.loc[pair, "least squares"]}
+        | winners(row, missing="-")
+        | {"in the band, %": 100 * table.loc[pair, "coverage"]}
+        for pair, row in ratios.iterrows()
+    ]
 
 
 def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("repository", type=Path, help="the unpacked copy of the repository")
     parser.add_argument("data", type=Path, help="folder of the shared data")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     options = parser.parse_args(words)
-    kept = Kept(options.out, "pairs")
+    kept = Kept(options, "pairs")
     for pair in PAIRS:
         task = task_of_pair(pair, options.repository, options.data)
-        for seed in options.seeds:
-            name = f"{pair}-{seed}"
-            if name not in kept:
-                kept.keep(name, {"pair": pair, **result(task, seed)})
-                print(f"{name}: {kept.memory[name]}", file=sys.stderr, flush=True)
-    rows = of_pairs(list(kept.memory.values()))
-    finish(options, "pairs", of_pairs=rows, geometric_means=geometric_means(rows))
+        for seed in range(3):
+            kept.run({"pair": pair, "seed": seed}, result, task, seed)
+    finish(options, "pairs", of_pairs=of_pairs([*kept.memory.values()]))
 
 
 if __name__ == "__main__":

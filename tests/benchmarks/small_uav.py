@@ -1,25 +1,21 @@
 """Known derivatives of small aircraft without vanes, flown in gusts: how many lie inside their bands?
 
-    python tests/benchmarks/small_uav.py [--aircraft NAME ...] [--air NAME ...] [--sensors ideal real]
+    python tests/benchmarks/small_uav.py [--aircraft NAME ...] [--air NAME ...] [--out OUT]
 
 Rigid bodies of 1 to 25 kg fly 3-2-1-1 inputs under a simple controller, in turbulence around a
 steady wind. Ideal sensors have white noise alone; real ones are late, biased and scaled, and log
-commands of late servos. Prints for each aircraft and air the known derivatives inside value +/-
-1.96 std, the median error, the median half band, the root mean square error of alpha with its mean
-removed, of the lag of the servos, and seconds of processor time.
+commands of late servos. The table has for each air the known derivatives inside value +/- 1.96 std,
+the median error and the median half band (medians over aircraft); then the worst aircraft, medians
+of the errors of alpha, with its mean removed, and of the lag of the servos, and how many flights
+did not converge.
 """
 
 import itertools
-import sys
-import time
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
-
-sys.path.insert(0, str(Path(__file__).parent))
-from _common import parser_of
+from _common import Kept, finish, parser_of
 
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import estimate_air_motion
@@ -102,6 +98,8 @@ AIRCRAFT = {
         Cn={"beta": 0.1, "p": -0.05, "r": -0.14, "aileron": -0.015, "rudder": -0.1},
     ),
 }  # fmt: skip
+SENSORS = {"ideal": "ideal sensors", "real": "real sensors, late commands"}
+NORMAL_95, SECONDS = 1.96, 120.0
 AIRS = {  # intensity [m/s], correlation time [s], spectrum
     "calm": (0.0, 1.0, "first order"),
     "0.5 m/s, 1 s": (0.5, 1.0, "first order"),
@@ -191,7 +189,7 @@ class Fleet:
         air = v - np.einsum("nji,nj->ni", R, wind)
         V = np.sqrt((air**2).sum(axis=1))
         alpha, beta = np.arctan2(air[:, 2], air[:, 0]), np.arcsin(air[:, 1] / V)
-        soft = np.where(self.stalls, softened(alpha), alpha)
+        soft = np.where(self.stalls, STALL * np.tanh(alpha / STALL), alpha)
         X = np.empty((len(V), 9))
         X[:, 0], X[:, 1], X[:, 2], X[:, 6:] = 1.0, soft, beta, surfaces
         X[:, 3:6] = w * self.lengths / (2 * V[:, None])
@@ -209,11 +207,6 @@ class Fleet:
         ground = np.einsum("nij,nj->ni", R, v)
         log = np.column_stack([f, dw, V, alpha, beta, thrust, throttle, ground])
         return np.concatenate([dv, dw, angles], axis=1), log
-
-
-def softened(alpha):
-    """Return an angle whose slope falls with its size."""
-    return STALL * np.tanh(alpha / STALL)
 
 
 def cross(a, b):
@@ -274,60 +267,71 @@ def truth_of(plane, alpha):
 
 
 def score(table, plane, lag):
-    """Return z, relative errors and half bands of the derivatives, then other figures, of one flight."""
+    """Return z, errors and half bands of the derivatives, then other figures, of one flight."""
     sizes = {name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
-    began, alpha = time.process_time(), table.pop("alpha_true")
+    alpha = table.pop("alpha_true")
     try:
         found = estimate_air_motion(table, Aircraft(**sizes))
     except ValueError:  # it says that it diverged
-        return np.empty((3, 0)), np.nan, np.nan, time.process_time() - began, False
-    seconds, truth = time.process_time() - began, truth_of(plane, alpha.mean())
+        return {"z": [], "error": [], "half": [], "converged": False}
+    truth = truth_of(plane, alpha.mean())
     known = [name for name in truth if name in found.derivatives.index]
     value, std = found.derivatives.loc[known, ["value", "std"]].to_numpy().T
     exact = np.array([truth[name] for name in known])
-    of_alpha = np.rad2deg(np.std(found.air["alpha"].to_numpy() - alpha.to_numpy()))
-    late = 1e3 * abs(found.constants.loc["servo_lag", "value"] - lag)
-    columns = (value - exact) / std, abs(value / exact - 1), 1.96 * std / abs(exact)
-    return np.array(columns), of_alpha, late, seconds, found.converged
+    return {
+        "z": ((value - exact) / std).tolist(),
+        "error": (100 * abs(value / exact - 1)).tolist(),
+        "half": (196 * std / abs(exact)).tolist(),
+        "alpha": float(np.rad2deg(np.std(found.air["alpha"].to_numpy() - alpha.to_numpy()))),
+        "lag": float(1e3 * abs(found.constants.loc["servo_lag", "value"] - lag)),
+        "converged": bool(found.converged),
+    }
 
 
-def line(title, scores):
-    """Return one line of the table, over flights."""
-    z, error, half = np.concatenate([each[0] for each in scores], axis=1)
-    of_alpha, late, seconds, converged = np.nanmean([each[1:] for each in scores], axis=0)
-    return (
-        f"{title:44s} {100 * np.mean(abs(z) < 1.96):4.0f} % of {len(z):3d} inside, rms z "
-        f"{np.sqrt(np.mean(z**2)):5.2f}, error {100 * np.median(error):5.1f} %, half band "
-        f"{100 * np.median(half):5.1f} %, alpha {of_alpha:4.2f} deg, lag {late:4.1f} ms, "
-        f"{seconds:4.0f} s, {100 * converged:3.0f} % converged"
-    )
+def column(runs):
+    """Return a column of the table: cells by air, then over all."""
+    flights = pd.DataFrame(runs)
+    table = flights.explode(["z", "error", "half"]).astype({"error": float, "half": float})
+    table["inside"] = 100.0 * (table["z"].abs() < NORMAL_95)
+    medians = table.groupby(["air", "aircraft"])[["error", "half"]].median().groupby("air").median()
+    held = table.groupby("air")["inside"].mean()
+    cells = {
+        air: f"{held[air]:.0f} %, {medians.loc[air, 'error']:.0f} %, {medians.loc[air, 'half']:.0f} %"
+        for air in flights["air"].unique()
+    }
+    worst = table.groupby("aircraft")["inside"].mean()
+    alpha, lag = flights[["alpha", "lag"]].median()
+    return cells | {
+        "worst aircraft": f"{worst.min():.0f} % ({worst.idxmin()})",
+        "error of alpha, of the lag": f"{alpha:.2f} deg, {lag:.1f} ms",
+        "not converged": f"{sum(~flights['converged'])} of {len(flights)}",
+    }
 
 
 def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--aircraft", nargs="+", choices=AIRCRAFT, default=list(AIRCRAFT))
     parser.add_argument("--air", nargs="+", choices=AIRS, default=list(AIRS))
-    parser.add_argument("--sensors", nargs="+", choices=("ideal", "real"), default=["ideal"])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1])
-    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[91])
     options = parser.parse_args(words)
-    cases = list(itertools.product(options.sensors, options.aircraft, options.air, options.seeds))
+    cases = list(itertools.product(SENSORS, options.aircraft, options.air, options.seeds))
     warnings.simplefilter("ignore")
     rngs = [np.random.default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
     lags = [rng.uniform(0.02, 0.08) for rng in rngs]
     planes = [AIRCRAFT[name] for _, name, _, _ in cases]
-    flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, options.seconds, lags).fly()
-    results = {}
-    for k, (case, plane) in enumerate(zip(cases, planes, strict=True)):
+    flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, SECONDS, lags).fly()
+    kept = Kept(options, "small_uav")
+    for k, case in enumerate(cases):
         real = case[0] == "real"
         table = logged(flown[:, k], rngs[k], real)
-        found = results.setdefault(case[:3], [])
-        found.append(score(table, plane, lags[k] if real else 0.0))
-        if len(found) == len(options.seeds):
-            print(line(", ".join(case[:3]), found), flush=True)
-    for sensors in options.sensors:
-        chosen = [each for key, part in results.items() if key[0] == sensors for each in part]
-        print(line(f"all, {sensors}", chosen))
+        key = dict(zip(("sensors", "aircraft", "air", "seed"), case, strict=True))
+        kept.run(key, score, table, planes[k], lags[k] if real else 0.0)
+    columns = {
+        SENSORS[kind]: column([run for run in kept.memory.values() if run["sensors"] == kind])
+        for kind in SENSORS
+    }
+    rows = pd.DataFrame(columns).reset_index(names="air").to_dict("records")
+    finish(options, "small_uav", derivatives=rows)
 
 
 if __name__ == "__main__":

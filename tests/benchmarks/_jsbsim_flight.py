@@ -201,15 +201,15 @@ def known_derivatives(tables, aircraft, at):
     return pd.DataFrame(slopes, COEFFICIENTS, NAMES)
 
 
-def learned_derivatives(model, aircraft, at, airspeed, names=STEADY, units=None, **options):
-    """Return the table of derivatives by some regressors at `NAMES`; units: of surfaces [rad], where not radians."""
+def learned_derivatives(model, aircraft, at, airspeed, names=STEADY):
+    """Return the table of derivatives by some regressors at `NAMES`."""
     at = dict(zip(NAMES, at, strict=True))
     rates = np.array([at[name] for name in "pqr"]) * 2 * airspeed / aircraft.moment_lengths
     velocity = air_velocity(airspeed, at["alpha"], at["beta"])
     attitude = [np.cos(at["alpha"] / 2), 0.0, np.sin(at["alpha"] / 2), 0.0]
     state = np.concatenate([[0.0, 0.0, -HEIGHT], velocity, attitude, rates])
-    controls = {name: at[name] / (units or {}).get(name, 1.0) for name in STEADY[5:]}
-    table = stability_derivatives(model, aircraft, state, controls, thrust=None, **options)
+    controls = {name: at[name] for name in STEADY[5:]}
+    table = stability_derivatives(model, aircraft, state, controls, thrust=None)
     if "std_merged" in table:  # the known ones are without alpha_dot and beta_dot
         table["std"] = np.hypot(table["std"], table["std_merged"])
     return table[table["coefficient"].isin(COEFFICIENTS) & table["regressor"].isin(names)].copy()

@@ -3,12 +3,11 @@
     python tests/benchmarks/little_told.py ../shared/data [--out OUT] [--aircraft A]
 
 `identify` learns the flights of five aircraft, and in turn one thing is withheld: inertia and area
-(`Aircraft.estimate` of mass, span and kind), the thrust, or the angles of the surfaces (in parts of
-their largest deflection). Two are of the shared data; three of JSBSim, of three kinds, fly as in
-freeflight_air.py, 200 s in light gusts. Derivatives at the mean of the flight are compared with the
-true ones, slopes of the polynomial of third order of the noise-free columns; their bands are value
-+- 1.96 sqrt(std^2 + std_aircraft^2). "width" is the median ratio of bands to those with everything
-told.
+(`Aircraft.estimate` of mass, span and kind) or the thrust. Two are of the shared data; three of
+JSBSim, of three kinds, fly as in freeflight_air.py, 200 s in light gusts. Derivatives at the mean
+of the flight are compared with the true ones, slopes of the polynomial of third order of the
+noise-free columns; their bands are value +- 1.96 sqrt(std^2 + std_aircraft^2). The table has the
+percentage inside, the median ratio of bands to those with everything told, and wrong signs.
 """
 
 import warnings
@@ -27,7 +26,7 @@ from _jsbsim_flight import (
 
 from skdgp.dynamics import Aircraft
 from skdgp.identification import identify
-from skdgp.io import FULL_THROW, read_flight
+from skdgp.io import read_flight
 
 FLIGHTS = {
     "viggen_uav": ("train_latlon", "test_twoalt", "delta"),
@@ -35,8 +34,7 @@ FLIGHTS = {
 }
 # Aircraft of JSBSim and their kinds
 JSBSIM = {"c182": "conventional", "DHC6": "twin", "A4": "delta"}
-WITHHELD = ("nothing", "sizes", "thrust", "angles")
-SURFACES = ("elevator", "aileron", "rudder")
+WITHHELD = ("nothing", "sizes", "thrust")
 REGRESSORS = STEADY[:-1]
 SIGNS = (
     *("CZ_alpha", "Cm_alpha", "Cm_q", "Cl_p"),
@@ -57,31 +55,23 @@ def subject(name, folder):
 
 
 def withhold(thing, aircraft, kind, flight):
-    """Return an aircraft and a flight without one thing, and the angle that is one unit of each surface [rad]."""
-    units, dropped = {}, ["elevon_left", "elevon_right"]
+    """Return an aircraft and a flight without one thing."""
+    dropped = ["elevon_left", "elevon_right"]
     if thing == "sizes":
         aircraft = Aircraft.estimate(aircraft.mass, aircraft.span, kind=kind, name=aircraft.name)
     if thing == "thrust":
         dropped += [name for name in flight if name.startswith(("thrust_", "propeller"))]
-    flight = flight.drop(columns=dropped, errors="ignore")
-    if thing == "angles":
-        units = flight[[*SURFACES]].abs().max().to_dict()
-        flight = flight.assign(**{name: flight[name] / unit for name, unit in units.items()})
-    return aircraft, flight, units
+    return aircraft, flight.drop(columns=dropped, errors="ignore")
 
 
 def learned(thing, aircraft, kind, train, at, airspeed):
-    """Return the table of derivatives by one radian."""
-    told, train, units = withhold(thing, aircraft, kind, train)
-    reading = {"servos": FULL_THROW if units else None}
+    """Return the table of derivatives."""
+    told, train = withhold(thing, aircraft, kind, train)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = identify(train, told, samples=SAMPLES, reading=reading)
-        told = found.aircraft  # with the deviation of thrust
-        table = learned_derivatives(found.pipeline, told, at, airspeed, REGRESSORS, units)
-    by = table["regressor"].map(units).fillna(1.0)
-    for column in ("value", "std", *(["std_aircraft"] if told.deviations else [])):
-        table[column] /= by
+        found = identify(train, told, samples=SAMPLES)
+        # its aircraft has the deviation of thrust
+        table = learned_derivatives(found.pipeline, found.aircraft, at, airspeed, REGRESSORS)
     return table.assign(std_aircraft=table.get("std_aircraft", 0.0))
 
 

@@ -26,12 +26,12 @@ TIMED = "likelihood"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def measured(script, out):
-    """Run a script, (name, arguments), if its results are not there; return them, None if it failed."""
+def measured(script, out, without):
+    """Run a script, (name, arguments), if its results are not there; return them, None if there are none."""
     name, arguments = script
     path, start = out / f"{name}.json", time.monotonic()
     threads = {} if name == TIMED else dict.fromkeys(THREADS, "1")
-    if not path.exists():
+    if not path.exists() and name not in without:
         command = [sys.executable, ROOT / "tests" / "benchmarks" / f"{name}.py", *arguments]
         with (out / f"{name}.txt").open("a") as log:
             subprocess.run(
@@ -44,7 +44,7 @@ def measured(script, out):
     seconds, results = time.monotonic() - start, None
     if path.exists():
         results = json.loads(path.read_text())
-    print(f"{name}: {'measured' if results else 'FAILED'} after {seconds:.0f} s", flush=True)
+    print(f"{name}: {'measured' if results else 'NOT MEASURED'} after {seconds:.0f} s", flush=True)
     if results and results["machine"]["commit"] != commit():
         raise SystemExit(f"Got {name} of another commit than {commit()}: empty {out}.")
     return results
@@ -69,19 +69,20 @@ def main(words=None):
         parser.add_argument(name, type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
     parser.add_argument("--jobs", type=int, default=2, help="scripts at a time")
+    parser.add_argument("--without", nargs="+", default=[], help="scripts that are not run")
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)
     scripts = {  # the longest first
         "published": [options.published],
-        "pairs": [options.repository, options.data],
         "comparison": [options.data],
+        "pairs": [options.repository, options.data],
         "freeflight_air": [],
         "small_uav": [],
         "little_told": [options.data],
         "tabular": [options.published],
         "derivatives": [],
     }
-    run = partial(measured, out=options.out.absolute())
+    run = partial(measured, out=options.out.absolute(), without=options.without)
     with ThreadPoolExecutor(options.jobs) as pool:
         results = dict(zip(scripts, pool.map(run, scripts.items()), strict=True))
     results = {name: each for name, each in (results | {TIMED: run((TIMED, []))}).items() if each}

@@ -87,6 +87,8 @@ MAX_PASSES = 45
 # the first diverges.
 ATTEMPTS = 0, 6
 DAMPING = 0.3  # of the first step, over the information
+# Share of a step that is taken: shortened where steps turn back, down to the least, else lengthened to one
+SHORTER, LEAST_SHARE, LONGER = 0.5, 0.25, 1.4
 LARGEST_PATH = 2.0  # m/s, of the air velocity that errors of the path may make
 TOLERANCE = 0.5  # squared length of the last two steps, in standard deviations of all parameters
 NOISE_TOLERANCE = 5.0  # that of the last step of the noises
@@ -414,7 +416,7 @@ class _Fit:
             if not np.isfinite(step).all():
                 raise np.linalg.LinAlgError
             turns_back = step @ damped @ last < 0  # two solutions could follow each other for ever
-            share = max(0.5 * share, 0.25) if turns_back else min(1.4 * share, 1.0)
+            share = max(SHORTER * share, LEAST_SHARE) if turns_back else min(LONGER * share, 1.0)
             self.x[free] += share * step
             last = step
             settled = self._noise_step(sums.parts) if number else np.inf

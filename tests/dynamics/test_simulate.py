@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
@@ -304,6 +305,30 @@ class TestControls:
         expected = simulate(linear(), aircraft, START, deflected, dt=0.02)
         np.testing.assert_allclose(flown[STATES], expected[STATES], atol=1e-3)
         assert np.abs(simulate(linear(), aircraft, START, table)["phi"] - flown["phi"]).max() > 0.02
+
+    @pytest.mark.parametrize("dt", [0.02, 0.01])
+    def test_surfaces_follow_a_feedback_law_with_the_lag_of_the_servos(self, aircraft, dt):
+        """Against an independent solution of T d(delta)/dt = law - delta along the flight: second order in dt."""
+
+        def law(t, state):
+            return commands(t) | {"aileron": -0.4 * state["phi"] - 0.1 * state["p"]}
+
+        late = linear(servo_lag=0.08)
+        flown = simulate(late, aircraft, START, law, dt=dt, duration=3.0)
+        time = flown["time"].to_numpy()
+        commanded = CubicSpline(time, -0.4 * flown["phi"] - 0.1 * flown["p"])
+
+        def slope(t, delta):
+            return (commanded(t) - delta) / 0.08
+
+        exact = {"t_eval": time, "rtol": 1e-9, "atol": 1e-12}
+        (aileron,) = solve_ivp(slope, (0, 3.0), [commanded(0.0)], **exact).y
+        np.testing.assert_allclose(flown["aileron"], aileron, atol=4e-4 * (dt / 0.02) ** 2)
+        deflected = pd.DataFrame({name: flown[name] for name in ["time", *commands(0.0)]})
+        expected = simulate(linear(), aircraft, START, deflected, dt=dt)
+        np.testing.assert_allclose(flown[STATES], expected[STATES], atol=4e-3 * (dt / 0.02) ** 2)
+        at_once = simulate(linear(), aircraft, START, law, dt=dt, duration=3.0)
+        assert np.abs(at_once["phi"] - flown["phi"]).max() > 0.01
 
     def test_a_model_has_the_servo_lag_of_its_pipeline(self):
         rng = np.random.default_rng(0)

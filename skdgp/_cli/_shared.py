@@ -71,7 +71,8 @@ axis_value = checked(
     lambda text: (text.partition("=")[0], float(text.partition("=")[2])),
 )
 renaming = checked(
-    "OLD=NEW, where NEW is a column of docs/notation.md",
+    "OLD=NEW, where NEW is a column of docs/notation.md without a unit (units stand in the header "
+    "of the file, such as 'de [deg]')",
     lambda text: tuple(text.split("=")),
     lambda names: len(names) == 2 and bool(names[0]) and names[1] in CHANNELS,
 )
@@ -106,7 +107,7 @@ LOG: dict[str, dict[str, Any]] = {
         "nargs": "+",
         "type": renaming,
         "default": [],
-        "help": "names of a flight table for columns of tables, such as de=elevator",
+        "help": "names of a flight table for columns of tables, such as de=elevator for 'de' or 'de [deg]'",
     },
     "--airborne": {
         "metavar": "V|all",

@@ -68,10 +68,11 @@ ALIASES = {
     "accx": "ax", "accy": "ay", "accz": "az",
 }  # fmt: skip
 WRAP = " Unwrapped roll and heading can be wrapped by numpy.angle(numpy.exp(1j * psi))."
-NO_AIRSPEED = (
-    " Airspeed comes from a pitot tube, or from ground velocity less an estimated wind: give a "
-    "column airspeed [m/s]."
-)
+REMEDIES = {
+    "airspeed": " Airspeed comes from a pitot tube, or from ground velocity less an estimated wind: "
+    "give a column airspeed [m/s].",
+    "density": " skdgp.dynamics.standard_density(altitude) is the density of the standard atmosphere.",
+}
 MOST_NAMES = 8  # unknown columns that a message names
 HEADING_UNIT = re.compile(r"[\[(].*")
 # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
@@ -152,8 +153,7 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
             f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns "
             f"{lacking}. "
             "Rename or compute them; docs/notation.md lists every name with its unit."
-            + NO_AIRSPEED
-            * ("'airspeed'" in lacking)
+            + "".join(text for name, text in REMEDIES.items() if f"'{name}'" in lacking)
         )
 
 

@@ -262,9 +262,9 @@ def warn_of_engine(flights: Flights, regressors) -> None:
 
 
 THRUST_IN_COEFFICIENTS = (
-    "Nothing gives the thrust, so it is part of the coefficients, with throttle and airspeed as "
-    "regressors: CX is "
-    "thrust less drag, which the model does not tell apart."
+    "Neither thrust_x, thrust_y, thrust_z nor a propeller and its speed give the thrust (a column "
+    "thrust is for simulations), so it is part of the coefficients, with throttle and airspeed as "
+    "regressors: CX is thrust less drag, which the model does not tell apart."
 )
 FULL_THROWS = "Surfaces are in parts of their full throw, as no servo file gives angles: effects are of a full throw."
 

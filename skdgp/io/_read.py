@@ -159,8 +159,8 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
     for old, new in rename.items():
         if base_name(new) not in CHANNELS:
             raise FlightReadError(
-                f"Got rename of {old!r} to {new!r}, but expected a name of a flight table: "
-                f"docs/notation.md lists them."
+                f"Got rename of {old!r} to {new!r}, but expected a name of a flight table "
+                f"(docs/notation.md) without a unit: units stand in the file's header, such as 'de [deg]'."
             )
         if old not in names and new not in names:
             near = get_close_matches(old, names, n=3, cutoff=0.5) or names[:12]
@@ -180,8 +180,8 @@ def _as_flight(table):
         warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=3)
     if "time" not in table:
         raise FlightReadError(
-            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
-            f"or compute it."
+            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename a "
+            f"column, as by --rename t=time, or compute it; its unit stands in the header ('t [ms]')."
         )
     try:
         check_table(table)

@@ -13,12 +13,13 @@ from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpar", "jsbsim")
 LIMIT = 900  # s of processor time of a run
-OVER = f"over {LIMIT} s"
+NONE = f"none in {LIMIT} s"
 
 
 def parser_of(description, *, data=False, smoke=False):
@@ -66,7 +67,7 @@ def machine():
 class Kept:
     """Results of single runs, a line each in OUT/NAME.runs: what is there is not run again.
 
-    A run that takes longer than `LIMIT` has no result but its seconds.
+    A run that takes longer than `LIMIT`, or ends by a numerical error, has no result but its seconds.
     """
 
     def __init__(self, options, name):
@@ -93,17 +94,17 @@ class Kept:
 
 
 def limited(function, *arguments):
-    """Return the result of a function, or an empty one after `LIMIT`."""
+    """Return the result of a function, or why there is none."""
 
     def stop(*_):
-        raise TimeoutError
+        raise TimeoutError(f"more than {LIMIT} s")
 
     signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
     try:
         return function(*arguments)
-    except TimeoutError:
-        return {}
+    except (TimeoutError, RuntimeError, np.linalg.LinAlgError) as error:
+        return {"failed": repr(error)}
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
@@ -115,7 +116,7 @@ def cell(value):
     return f"{value:#.3g}".rstrip(".") if isinstance(value, float) else str(value)
 
 
-def winners(errors, notes=None, missing=OVER):
+def winners(errors, notes=None, missing=NONE):
     """Return a column of errors as cells, the smallest in bold, with notes in brackets."""
     best, shown = cell(errors.min()), {}
     for name, error in errors.items():

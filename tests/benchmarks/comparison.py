@@ -197,7 +197,7 @@ def main(words=None):
     for flight in ["toy"] if options.smoke else FLIGHTS:
         task = toy() if options.smoke else task_of(flight, options.data)
         for method in options.methods:
-            for seed in range(2 if method == "skdgp pipeline" and not options.smoke else 1):
+            for seed in range(3 if method == "skdgp pipeline" and not options.smoke else 1):
                 key = {"flight": flight, "method": method, "seed": seed}
                 kept.run(key, scored, task, method, seed)
     table = pd.DataFrame([*kept.memory.values()])

@@ -18,7 +18,7 @@ import pandas as pd
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpar", "jsbsim")
-LIMIT = 900  # s of processor time of a run
+LIMIT = 1200  # s of processor time of a run
 NONE = f"none in {LIMIT} s"
 
 

@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from _common import Kept, finish, parser_of, winners
+from _common import Kept, cell, finish, parser_of, winners
 from scipy.io import loadmat
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -271,7 +271,7 @@ def tables(runs):
     cells = pd.DataFrame(cells)
     seconds = means.loc[[*cells], "seconds"].where(means["error"].notna()).groupby("method")
     low, high = seconds.min(), seconds.max()
-    cells["CPU s"] = [f"{low[name]:.1f} to {high[name]:.0f}" for name in cells.index]
+    cells["CPU s"] = [f"{cell(low[name])} to {cell(high[name])}" for name in cells.index]
     cells.loc["published figures"] = pd.Series(PUBLISHED)
     return {"errors": cells.reset_index(names="method").to_dict("records"), "complete": complete}
 

@@ -15,7 +15,7 @@ import warnings
 
 import numpy as np
 import pandas as pd
-from _common import Kept, finish, parser_of, winners
+from _common import Kept, cell, finish, parser_of, winners
 from _peers import IndependentProcesses, trees
 from scipy.io import arff
 from scipy.stats import norm
@@ -117,7 +117,7 @@ def errors(runs):
     low, high = seconds.min(), seconds.max()
     return [
         *rows,
-        {TITLE: "CPU s"} | {name: f"{low[name]:.1f} to {high[name]:.0f}" for name in low.index},
+        {TITLE: "CPU s"} | {name: f"{cell(low[name])} to {cell(high[name])}" for name in low.index},
     ]
 
 

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _learn
-from skdgp._regressor import _structure
+from skdgp._regressor import _estimator
 from skdgp.datasets import _example_flights
 from skdgp.design import _manoeuvres
 from skdgp.identification import _identification
@@ -178,7 +178,7 @@ def cut_short():
     @contextmanager
     def cut_short():
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_structure, "SEARCHES", 1)
+            patch.setattr(_estimator, "SEARCHES", 1)
             patch.setattr(_search, "SEARCH_VALUES", (300, 300))
             patch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
             patch.setattr(_search, "TRIAL_ITERATIONS", 2)

@@ -65,7 +65,7 @@ def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
         (s * (q1 * q2 + q0 * q3), 1.0 - s * (q1 * q1 + q3 * q3), s * (q2 * q3 - q0 * q1)),
         (s * (q1 * q3 - q0 * q2), s * (q2 * q3 + q0 * q1), 1.0 - s * (q1 * q1 + q2 * q2)),
     )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return _matrix(rows)
 
 
 def euler_to_matrix(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
@@ -94,7 +94,7 @@ def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
         (zero, cosine, -sine),
         (zero, sine / np.cos(theta), cosine / np.cos(theta)),
     )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return _matrix(rows)
 
 
 def gravity_in_body_axes(
@@ -134,20 +134,13 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
     u, v, w = _components(velocity)
     airspeed = np.maximum(np.sqrt(u * u + v * v + w * w), least_speed)
     across = np.maximum(np.hypot(u, w), least_speed)
-    slopes = np.zeros((*np.shape(u), 3, 3))
-    slopes[..., 0, 0], slopes[..., 0, 1], slopes[..., 0, 2] = (
-        u / airspeed,
-        v / airspeed,
-        w / airspeed,
-    )
-    slopes[..., 1, 0], slopes[..., 1, 2] = -w / across**2, u / across**2
     factor = v / (airspeed**2 * across)
-    slopes[..., 2, 0], slopes[..., 2, 1], slopes[..., 2, 2] = (
-        -u * factor,
-        1 / across - v * factor,
-        -w * factor,
+    rows = (
+        (u / airspeed, v / airspeed, w / airspeed),
+        (-w / across**2, np.zeros(np.shape(u)), u / across**2),
+        (-u * factor, 1 / across - v * factor, -w * factor),
     )
-    return slopes
+    return _matrix(rows)
 
 
 def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.ndarray:
@@ -178,6 +171,11 @@ def _vector(*components: ArrayLike) -> np.ndarray:
     for k, component in enumerate(components):
         vector[..., k] = component
     return vector
+
+
+def _matrix(rows: Any) -> np.ndarray:
+    """Return the matrices (..., 3, 3) of rows of entries."""
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:

@@ -134,24 +134,20 @@ def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[st
 
 def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
     """Return one run without gaps smoothed on a uniform grid: its values, or slopes, at the run's times."""
-    n = len(time)
-    if n == 1:
+    if len(time) == 1:
         return np.full_like(columns, np.nan) if derivative else columns
     grid, jittered = uniform_grid(time)
+    at = time if jittered else grid
     if cutoff is None or (kernel is None and isinstance(cutoff, str)):
-        return _slope(columns, time if jittered else grid) if derivative else columns
+        return interpolate.CubicSpline(at, columns)(at, 1) if derivative else columns
     on_grid = interpolate.CubicSpline(time, columns)(grid) if jittered else columns
     step = (grid[-1] - grid[0]) / (len(grid) - 1)
     smoothed = (
         _butterworth(on_grid, 1 / step, cutoff) if kernel is None else convolve(on_grid, kernel)
     )
-    if not jittered:
-        return _slope(smoothed, grid) if derivative else smoothed
-    return interpolate.CubicSpline(grid, smoothed)(time, int(derivative))
-
-
-def _slope(columns: np.ndarray, time: np.ndarray) -> np.ndarray:
-    return interpolate.CubicSpline(time, columns)(time, 1)
+    if not (jittered or derivative):
+        return smoothed
+    return interpolate.CubicSpline(grid, smoothed)(at, int(derivative))
 
 
 def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:

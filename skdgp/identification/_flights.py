@@ -346,10 +346,23 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
 
 
 def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> list[str]:
-    """Return the assumptions, in a line each."""
-    sizes = _uncertain_sizes(aircraft)
-    sources = {factor.source for factor in (aircraft.deviations or {}).values()} - {"given"}
-    rules = sorted({source.rpartition(", ")[2] for source in sources})
+    """Return the assumptions, in a line each; sizes are uncertain by errors of all causes together."""
+    factors = (aircraft.deviations or {}).values()
+    rules = sorted({f.source.rpartition(", ")[2] for f in factors if f.source != "given"})
+    values = {
+        **{name: getattr(aircraft, name) for name in QUANTITIES},
+        **dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)),
+    }
+    stds = {
+        name: float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))
+        for name in values
+    }
+    sizes = [
+        f"{name.replace('_', ' ')} {values[name]:.3g} {QUANTITIES.get(name, 'kg m^2')} ± "
+        f"{100 * std:.2g} %"
+        for name, std in stds.items()
+        if std
+    ]
     lines = {
         f"Of the aircraft: {', '.join(sizes)}; their part in errors of derivatives is std_aircraft.": sizes,
         f"Estimated by: {'; '.join(rules)}.": rules,
@@ -357,22 +370,3 @@ def assumptions(aircraft: Aircraft, *, servos: Any, thrust_unknown: bool) -> lis
         THRUST_IN_COEFFICIENTS: thrust_unknown,
     }
     return [line for line, applies in lines.items() if applies]
-
-
-def _uncertain_sizes(aircraft: Aircraft) -> list[str]:
-    """Return the sizes of an aircraft that are uncertain, by errors of all causes together."""
-    values = {
-        **{name: getattr(aircraft, name) for name in QUANTITIES},
-        **dict(zip(MOMENTS, aircraft.inertia.diagonal(), strict=True)),
-    }
-    factors = (aircraft.deviations or {}).values()
-    stds = {
-        name: float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))
-        for name in values
-    }
-    return [
-        f"{name.replace('_', ' ')} {values[name]:.3g} {QUANTITIES.get(name, 'kg m^2')} ± "
-        f"{100 * std:.2g} %"
-        for name, std in stds.items()
-        if std
-    ]

@@ -267,26 +267,26 @@ def _fit_outputs(kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop
 
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
     """
-    kernels, noises = [], []
+    fits = []
     for i, seed in enumerate(random_state.randint(2**31 - 1, size=Y.shape[1])):
         rows = stratified(
             np.flatnonzero(np.isfinite(Y[:, i])), SINGLE_VALUES, np.random.RandomState(seed)
         )
         own = slice(i, i + 1)
-        fitted = _fit_output(
-            kernel,
-            noise[own],
-            noise_bounds[own],
-            X[rows],
-            Y[rows, own],
-            max_iter=max_iter,
-            seed=seed,
-            stage=f"output {i + 1}",
-            stop=stop,
+        fits.append(
+            _fit_output(
+                kernel,
+                noise[own],
+                noise_bounds[own],
+                X[rows],
+                Y[rows, own],
+                max_iter=max_iter,
+                seed=seed,
+                stage=f"output {i + 1}",
+                stop=stop,
+            )
         )
-        kernels.append(fitted.kernel)
-        noises.append(fitted.noise)
-    return kernels, np.concatenate(noises)
+    return [fit.kernel for fit in fits], np.concatenate([fit.noise for fit in fits])
 
 
 def _fit_output(kernel, noise, noise_bounds, x, y, max_iter, seed, stage, stop):

@@ -71,22 +71,6 @@ class SparsePosterior(SinglePosterior):
         self.features = features
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
-        self._begin()
-
-    def __getstate__(self):
-        # A saved model holds the samples, and computes the sums again.
-        return {name: getattr(self, name) for name in ("kernel", "features", "noise", "data")}
-
-    def __setstate__(self, state):
-        self.__dict__.update(state)
-        self._begin()
-
-    @property
-    def size(self) -> int:
-        """Number of features K."""
-        return self.features.size
-
-    def _begin(self):
         with threads_for(self.size):
             self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         # Of independent noise at the unit, so that another noise needs no sample.
@@ -95,6 +79,15 @@ class SparsePosterior(SinglePosterior):
             self.kernel, self.features, unit, self.Lu, shares_of(self.data)
         )
         self._condition(self.noise / unit)
+
+    def __reduce__(self):
+        # A saved model holds the samples, and computes the sums again.
+        return SparsePosterior, (self.kernel, self.features, self.noise, self.data)
+
+    @property
+    def size(self) -> int:
+        """Number of features K."""
+        return self.features.size
 
     def _condition(self, factor):
         """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b.

@@ -12,7 +12,6 @@ import pandas as pd
 
 from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import Interval, StrOptions
-from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
     CHANNELS,
     ELEVONS,
@@ -333,7 +332,17 @@ class RegressorSelector(TableTransformer):
         _check_made(table, self.regressors_)
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
-        _check_finite(values, self.regressors_)
+        holes = ~(np.abs(values) < LARGEST)
+        if holes.any():
+            counts = zip(self.regressors_, holes.sum(axis=0).tolist(), strict=True)
+            raise ValueError(
+                f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN "
+                f"or infinite (by rows: { ({name: rows for name, rows in counts if rows}) }), but "
+                f"expected finite ones: drop these rows of the flight, as FlightCheck gives it, and "
+                f"of its targets, as skdgp identify does. Interpolate a slow sensor to the clock of "
+                f"the others, leave out an empty column, and isolated rows, which have no rate of "
+                f"change."
+            )
         return pd.DataFrame(values, columns=self.regressors_, index=table.index)
 
     def _columns_out(self, names):
@@ -366,21 +375,4 @@ def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
         )
     check_columns(
         table, [MAKERS[name][0] for name in lacking if name in MAKERS and name.endswith("_dot")]
-    )
-
-
-def _check_finite(values: Matrix, names: list[str]) -> None:
-    """Raise ValueError if a regressor is NaN or infinite."""
-    holes = ~(np.abs(values) < LARGEST)
-    if not holes.any():
-        return
-    missing = {
-        name: rows for name, rows in zip(names, holes.sum(axis=0).tolist(), strict=True) if rows
-    }
-    raise ValueError(
-        f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN or "
-        f"infinite (by rows: {missing}), but expected finite ones: drop these rows of the flight, "
-        f"as FlightCheck gives it, and of its targets, as skdgp identify does. Interpolate a slow "
-        f"sensor to the clock of the others, leave out an empty column, and isolated rows, which "
-        f"have no rate of change."
     )

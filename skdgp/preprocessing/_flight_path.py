@@ -331,7 +331,6 @@ class FlightPathReconstruction(TableTransformer):
         """Return (name, rows, log, estimate) of every flight, of each part of a long one."""
         estimates = []
         noise = self.noise_std_ | GUSTS
-        contradictory: dict[Any, None] = {}
         for name, rows, whole in flight_logs(table):
             for part, inner in _parts(len(rows), self.max_rows):
                 log = whole.part(part.start, part.stop)
@@ -339,8 +338,7 @@ class FlightPathReconstruction(TableTransformer):
                 path = each.path.part(inner.start, inner.stop)
                 kept = rows[part][inner], log.part(inner.start, inner.stop)
                 estimates.append((name, *kept, each._replace(path=path)))
-                contradictory |= {} if each.converged else {name: None}
-        for name in contradictory:
+        for name in dict.fromkeys(name for name, *_, each in estimates if not each.converged):
             warn(
                 f"The reconstruction of flight {name!r} did not converge: its sensors "
                 f"contradict one another. Look for wrong signs, units or clocks.",

@@ -212,12 +212,11 @@ def flight_logs(table: pd.DataFrame) -> list[tuple[object, Indices, Log]]:
 
 def missing_channels(table: pd.DataFrame) -> list[str]:
     """Return the needed channels that are absent, or have no value in some flight."""
-    absent = [name for name in ("time", *NEEDED) if name not in table]
     rows = flight_rows(table["flight"]).values() if "flight" in table else [slice(None)]
-    there = [name for name in NEEDED if name not in absent]
-    return absent + [
-        name for name in there if not all(has_values(table.iloc[part], name) for part in rows)
+    empty = [
+        name for name in NEEDED if not all(has_values(table.iloc[part], name) for part in rows)
     ]
+    return empty if "time" in table else ["time", *empty]
 
 
 def first_guess(log: Log, constants: Vector) -> FlightPath:
@@ -508,11 +507,10 @@ def _banded(diagonal: Array, coupling: Array) -> Matrix:
     """Return a block-tridiagonal matrix in the lower banded storage of LAPACK: row i - j, column j."""
     n, s, _ = diagonal.shape
     band = np.zeros((2 * s, n, s))
-    for j in range(s):
-        for i in range(j, s):
-            band[i - j, :, j] = diagonal[:, i, j]
-        for i in range(s):
-            band[s + i - j, :-1, j] = coupling[:, j, i]
+    i, j = np.tril_indices(s)
+    band[i - j, :, j] = diagonal[:, i, j].T
+    i, j = np.indices((s, s)).reshape(2, -1)
+    band[s + i - j, :-1, j] = coupling[:, j, i].T
     return band.reshape(2 * s, n * s)
 
 

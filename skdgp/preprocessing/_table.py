@@ -148,11 +148,8 @@ def has_values(table: pd.DataFrame, *names: str) -> bool:
 
 def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
     """Return columns (n, k) with linear interpolation of values that are not finite."""
-    values = values.copy()
-    for column in values.T:
-        known = np.isfinite(column)
-        column[~known] = np.interp(time[~known], time[known], column[known])
-    return values
+    table = pd.DataFrame(np.where(np.isfinite(values), values, np.nan), index=time)
+    return np.array(table.interpolate("index", limit_direction="both"), order="C")
 
 
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:

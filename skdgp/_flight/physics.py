@@ -260,8 +260,7 @@ def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
         for name, values in columns.items()
         if np.isfinite(values).any()
     }
-    lengths = [(run.stop - run.start) // size for run in runs]
-    segment = np.repeat(np.arange(len(runs)), lengths)
+    segment = np.repeat(np.arange(len(runs)), [(run.stop - run.start) // size for run in runs])
     airspeed = signals.get("airspeed", np.ones(len(segment)))
     flying = ~(airspeed < FLYING * np.nanmedian(airspeed)) if len(segment) else np.empty(0, bool)
     return Windows(segment, size * step, flying), signals

@@ -205,15 +205,21 @@ def _flight_spectrum(columns: np.ndarray, time: np.ndarray, runs: list[slice]) -
     waves = np.fft.rfft(signal.detrend(pieces, axis=-1) * taper, axis=-1).transpose(2, 1, 0)
     power = waves @ waves.conj().swapaxes(1, 2) * (2 * step / (len(pieces) * np.sum(taper**2)))
     rounding = 2 * step * (1e-9 * np.abs(pieces).max(axis=(0, 2))) ** 2
-    averages = 0.375 * len(pieces)  # each sample is in four windows
-    return Spectrum(np.fft.rfftfreq(size, step), power, averages, rounding)
+    return Spectrum(
+        frequency=np.fft.rfftfreq(size, step),
+        power=power,
+        averages=0.375 * len(pieces),  # each sample is in four windows
+        rounding=rounding,
+    )
 
 
 def white_noise(spectrum: Spectrum) -> np.ndarray:
     """Return the white noise power of each channel, (k,)."""
-    power = spectrum.channel_power
     floor = np.array(
-        [_noise_floor(spectrum.frequency, channel, spectrum.averages) for channel in power.T]
+        [
+            _noise_floor(spectrum.frequency, power, spectrum.averages)
+            for power in spectrum.channel_power.T
+        ]
     )
     return np.where(floor > spectrum.rounding, floor, 0.0)
 

@@ -257,8 +257,7 @@ def _warn(message, category=UserWarning, stacklevel=6):
 def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -> None:
     """Warn of length scales that end at a bound which the user gave, the kernel ``given``."""
     terms = [] if given is None else given.summands()
-    given_bounds = [getattr(term, "parameter_bounds", None) or {} for term in terms]
-    widths = [bounds.get("length_scale") for bounds in given_bounds]
+    widths = [(getattr(term, "parameter_bounds", None) or {}).get("length_scale") for term in terms]
     if all(pair is None or isinstance(pair, str) for pair in widths):
         return
     free, theta = kernel.free_parameters(), kernel.theta

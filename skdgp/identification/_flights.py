@@ -155,8 +155,8 @@ def check_controls(flights: Flights, regressors) -> None:
     Warn of a missing elevator, whose effect other regressors then take.
     """
     columns = {name: None for table in flights.values() for name in table.columns}
-    lacking = [name for name in SURFACES if name in _names(regressors) and name not in columns]
-    lacking = [name for name in lacking if not (name in MIXED and {*ELEVONS} & {*columns})]
+    given = {*columns, *(MIXED if {*ELEVONS} & {*columns} else ())}
+    lacking = [name for name in SURFACES if name in _names(regressors) and name not in given]
     near = suggestions([name for name in columns if name not in CHANNELS], columns)
     meant = {name: channel for name, channel in near.items() if channel in lacking}
     if meant:
@@ -199,8 +199,7 @@ def usable_flights(flights: Flights, regressors, columns: Sequence[str]) -> Flig
     """
     for table in flights.values():
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
-    check = FlightCheck()
-    checked = {name: check.fit_transform(table) for name, table in flights.items()}
+    checked = {name: FlightCheck().fit_transform(table) for name, table in flights.items()}
     for contradiction in find_contradictions(pd.concat(checked.values(), ignore_index=True)):
         warn(f"Contradiction in the flights: {contradiction}.", FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}

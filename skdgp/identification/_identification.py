@@ -148,14 +148,15 @@ class Identification:
     def summary(self) -> str:
         """Return the text of the command line: scores of all test flights together, and a line or table of each."""
         fit, tested, verdict = self.fit, self.evaluations, self.verdict
+        done = "interrupted" if fit["interrupted"] else "fitted"
+        record = (
+            f"{done} in {fit['seconds']:.1f} s on {fit['samples']} of {fit['samples_available']} "
+            f"samples, "
+            if "seconds" in fit
+            else ""
+        )
         likelihood = f"log likelihood {fit['log_marginal_likelihood']:.1f}"
-        lines = [f"{self.aircraft.name}: {likelihood}"]
-        if "seconds" in fit:
-            lines = [
-                f"{self.aircraft.name}: {'interrupted' if fit['interrupted'] else 'fitted'} in "
-                f"{fit['seconds']:.1f} s on {fit['samples']} of {fit['samples_available']} "
-                f"samples, {likelihood}"
-            ]
+        lines = [f"{self.aircraft.name}: {record}{likelihood}"]
         if not fit["converged"]:
             lines.append(f"not converged after {fit['iterations']} iterations: raise max_iter")
         together = f"{len(tested)} test flights together"
@@ -317,13 +318,8 @@ STD_ROWS = 3000
 def fit_facts(pipeline: Pipeline) -> dict:
     """Return what a fitted pipeline knows of its fit."""
     regressor, path = pipeline[-1], pipeline["flightpathreconstruction"]
-    how = None
-    if isinstance(path, FlightPathReconstruction):
-        smoothed, reconstructed = (
-            "not reconstructed, only smoothed",
-            "reconstructed from all sensors",
-        )
-        how = f"{reconstructed if path.used_ else smoothed}: {path.reason_}"
+    used = getattr(path, "used_", False)
+    how = "reconstructed from all sensors" if used else "not reconstructed, only smoothed"
     names = [str(name) for name in pipeline["regressorselector"].regressors_]
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     return {
@@ -337,14 +333,16 @@ def fit_facts(pipeline: Pipeline) -> dict:
         "interrupted": bool(regressor.interrupted_),
         "noise_std": _by_coefficient(regressor.noise_variance_**0.5),
         "input_noise_std": dict(zip(names, map(float, input_std), strict=True)),
-        "paths_reconstructed": getattr(path, "used_", False),
+        "paths_reconstructed": used,
         "paths_not_converged": [
             str(name)
             for name, converged in getattr(path, "converged_", {}).items()
             if not converged
         ],
         "gusts_unknown": getattr(path, "doubt_", ""),
-        "reconstruction": how,
+        "reconstruction": f"{how}: {path.reason_}"
+        if isinstance(path, FlightPathReconstruction)
+        else None,
         "lags": lags_of(pipeline),
     }
 

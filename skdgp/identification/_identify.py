@@ -283,8 +283,9 @@ def _pipeline_for(
             model.set_params(flightpathreconstruction__aircraft=None)
     if prepared.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
         model.set_params(regressorselector__extra=["airspeed"])
-    full_throws = ALL_SURFACES if prepared.has_full_throws else ()
-    model.control_units_ = dict.fromkeys(full_throws, FULL_THROW)
+    model.control_units_ = dict.fromkeys(
+        ALL_SURFACES if prepared.has_full_throws else (), FULL_THROW
+    )
     return model
 
 

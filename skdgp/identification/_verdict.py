@@ -79,7 +79,6 @@ def judge(
         if learned
         else "flights that are not part of this report"
     )
-    tested = _amount([flight.table for flight in evaluations])
     judged = {
         "predict coefficients": _prediction(table),
         "simulate": _simulation(mechanics, fit["regressors"]),
@@ -94,7 +93,7 @@ def judge(
     return Verdict(
         learned=f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
         f"{', '.join(fit['regressors'])}, "
-        f"learned from {source}; tested on {tested}.",
+        f"learned from {source}; tested on {_amount([flight.table for flight in evaluations])}.",
         error=float(table["normalized_rmse"].mean()),
         coverage=float(table["interval_coverage"].mean()),
         least_squares_error=None if linear is None else float(linear.mean()),
@@ -317,9 +316,9 @@ def reconstructed(pipeline: Pipeline, table: pd.DataFrame) -> pd.DataFrame:
     steps = getattr(pipeline, "named_steps", {})
     if not getattr(steps.get("flightpathreconstruction"), "used_", False):
         return table
-    last = list(steps).index("flightpathreconstruction")
+    first_steps = pipeline[: 1 + list(steps).index("flightpathreconstruction")]
     with without_warnings():  # the evaluation has shown them
-        motion = pipeline[: last + 1].transform(table)
+        motion = first_steps.transform(table)
     return table.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
 
 
@@ -393,8 +392,12 @@ def simulation_errors(
         np.add.reduceat(each, edges, axis=1) / counts for each in (squares.mean(axis=0), gusts)
     )
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
-    noises = [noise_level(unwrapped(table, STATES), table["time"]) for table in tables]
-    noise = pd.DataFrame(noises).median().fillna(0.0).to_numpy()  # of short flights not known
+    noise = (
+        pd.DataFrame([noise_level(unwrapped(table, STATES), table["time"]) for table in tables])
+        .median()
+        .fillna(0.0)  # of short flights not known
+        .to_numpy()
+    )
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
     ends = np.append(elapsed[edges], elapsed[-1])
 
@@ -440,9 +443,12 @@ def simulated_flight(
     mean = paths = _flown(*flight)
     if as_aerodynamics(pipeline).is_uncertain:
         paths = _flown(*flight, n_paths=SHOWN_PATHS)
-    columns = [name for name in SHOWN_STATES if name in parts[k]]
     return TimeHistoryDisplay.from_trajectories(
-        paths, parts[k], mean=mean, columns=columns, ax=False
+        paths,
+        parts[k],
+        mean=mean,
+        columns=[name for name in SHOWN_STATES if name in parts[k]],
+        ax=False,
     )
 
 

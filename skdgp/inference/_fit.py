@@ -262,8 +262,8 @@ def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:
         return fit.cut_short()
-    posterior = AveragePosterior(members, weights)
-    return Fit(posterior, fit.learned._replace(noise=np.sum(weights * noises, axis=0)))
+    noise = np.sum(weights * noises, axis=0)
+    return Fit(AveragePosterior(members, weights), fit.learned._replace(noise=noise))
 
 
 def mean_of(fits: Sequence[Fit]) -> Fit:

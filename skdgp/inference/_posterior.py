@@ -179,9 +179,8 @@ class ExactPosterior(SinglePosterior):
         self.kernel = kernel
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
-        square = self._white @ self._white
         self.log_marginal_likelihood = -0.5 * (
-            square + log_determinant(self.L) + data.n_values * np.log(2 * np.pi)
+            self._white @ self._white + log_determinant(self.L) + data.n_values * np.log(2 * np.pi)
         )
 
     @property

@@ -315,8 +315,11 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def single_output(self) -> MultiOutputKernel:
         given, from_data = self._bounds_of_widths()
-        bounds = {"length_scale": given if from_data else None}
-        return ConvolvedGaussian(0, regressors=self.regressors, parameter_bounds=bounds)
+        return ConvolvedGaussian(
+            0,
+            regressors=self.regressors,
+            parameter_bounds={"length_scale": given} if from_data else None,
+        )
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self.without_effect(self.n_features)).tolist())]
@@ -510,8 +513,7 @@ def _directions(Y, n_latent, rng):
         np.sqrt(np.arange(2, P + 2)) @ vectors
     )  # the sign of an eigenvector depends on LAPACK: choose one
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
-    principal = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1]
-    rows = principal[:n_latent]
+    rows = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1][:n_latent]  # principal ones
     if n_latent > P:
         rows = np.concatenate([rows, 0.5 * rng.normal(size=(n_latent - P, P))])
     # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of

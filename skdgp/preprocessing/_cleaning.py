@@ -122,7 +122,7 @@ class FlightCheck(TableTransformer):
         return super()._has_known_column(X) and "time" in X
 
     def _fit_table(self, table):
-        _inspect(table, self.ignore)
+        check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
@@ -160,17 +160,13 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Finding]:
 
 def _interpolated(time: Vector, values: Vector) -> Vector:
     """Return values with short gaps interpolated, if nearly every row has a sample."""
-    known = np.flatnonzero(np.isfinite(values))
-    if known.size < 2 or usual_spacing(values) > 1:
+    known = np.isfinite(values)
+    if known.sum() < 2 or usual_spacing(values) > 1:
         return values
+    sampled = pd.Series(np.where(known, time, np.nan))
+    gap = sampled.bfill() - sampled.ffill()  # NaN before the first sample and after the last
     filled = np.interp(time, time[known], values[known])
-    after = np.searchsorted(
-        known, np.arange(len(values))
-    )  # the next sample of each row, in ``known``
-    inside = (after > 0) & (after < len(known))
-    gap = np.diff(time[known])[after[inside] - 1]
-    values[inside] = np.where(gap <= LONGEST_BRIDGE + 1e-9, filled[inside], values[inside])
-    return values
+    return np.where(gap <= LONGEST_BRIDGE + 1e-9, filled, values)
 
 
 SMOOTHED = (

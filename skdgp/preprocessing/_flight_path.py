@@ -202,8 +202,10 @@ class FlightPathReconstruction(TableTransformer):
             return
         self.noise_std_ = dict(NOISE)
         estimates = self._estimates(table, learn=NOISE | GUSTS)
-        for name, _, _, each in estimates:
-            self.converged_[name] = self.converged_.get(name, True) and each.converged
+        self.converged_ = {
+            name: all(each.converged for flight, *_, each in estimates if flight == name)
+            for name, *_ in estimates
+        }
         samples = [len(log.time) for _, _, log, _ in estimates]
         self.noise_std_ = {
             name: float(
@@ -216,14 +218,13 @@ class FlightPathReconstruction(TableTransformer):
         self.gust_std_ = float(
             np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples))
         )
-        rows = [
+        self.calibration_ = pd.DataFrame(
             {"flight": flight, "constant": name, "estimate": value, "std": std}
             for flight, _, _, each in estimates
             for name, value, std in zip(
                 FREE, each.path.constant(*FREE), np.sqrt(np.diag(each.covariance)), strict=True
             )
-        ]
-        self.calibration_ = pd.DataFrame(rows)
+        )
         if contradictions := _contradictions(estimates, self.noise_std_):
             of_air = contradictions.keys() & {*AIR_DATA}
             alone = len(contradictions) == len(of_air) == 1  # probably filtered by the autopilot
@@ -320,8 +321,7 @@ class FlightPathReconstruction(TableTransformer):
         return new
 
     def _columns_out(self, names):
-        made = [*MADE, "gust"] if self.used_ else []
-        return names + [name for name in made if name not in names]
+        return names + [name for name in (*MADE, "gust") if self.used_ and name not in names]
 
     def _check(self, table):
         check_columns(table, ["time", *NEEDED])
@@ -330,11 +330,10 @@ class FlightPathReconstruction(TableTransformer):
     def _estimates(self, table: pd.DataFrame, *, learn: Mapping[str, float]) -> Flights:
         """Return (name, rows, log, estimate) of every flight, of each part of a long one."""
         estimates = []
-        noise = self.noise_std_ | GUSTS
         for name, rows, whole in flight_logs(table):
             for part, inner in _parts(len(rows), self.max_rows):
                 log = whole.part(part.start, part.stop)
-                each = estimate(log, noise, learn=learn, free=FREE)
+                each = estimate(log, self.noise_std_ | GUSTS, learn=learn, free=FREE)
                 path = each.path.part(inner.start, inner.stop)
                 kept = rows[part][inner], log.part(inner.start, inner.stop)
                 estimates.append((name, *kept, each._replace(path=path)))

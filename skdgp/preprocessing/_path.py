@@ -239,8 +239,16 @@ def _log(table: pd.DataFrame, time: Vector, segment: Indices) -> Log:
     attitude = Rotation.from_euler("ZYX", interpolate_missing(time, angles)[:, ::-1])
     inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
     air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
-    velocity = numeric(table, EARTH_VELOCITY)
-    return Log(time, segment, inertial[:, :3], inertial[:, 3:], air, velocity, attitude, sampled)
+    return Log(
+        time,
+        segment,
+        force=inertial[:, :3],
+        rate=inertial[:, 3:],
+        air=air,
+        velocity=numeric(table, EARTH_VELOCITY),
+        attitude=attitude,
+        attitude_sampled=sampled,
+    )
 
 
 def process_equations(path: FlightPath, log: Log, correlation: Vector) -> Equations:
@@ -492,8 +500,13 @@ def _normal_equations(
     small[:, :c] += np.diag(prior.constants)
     small[:, c] += prior.constants * prior.constants_offset
     flat = right.reshape(n * s, c + 1)
-    band = _banded(diagonal, linked[:, this, after])
-    return band, flat[:, :c], small[:, :c], flat[:, c], small[:, c]
+    return (
+        _banded(diagonal, linked[:, this, after]),
+        flat[:, :c],
+        small[:, :c],
+        flat[:, c],
+        small[:, c],
+    )
 
 
 def _gram(rows: Equations) -> Array:
@@ -541,8 +554,12 @@ def _prior(path: FlightPath, log: Log, noise: Mapping[str, float], places: list[
     precision = first * np.concatenate([START_PRECISION, gusts**-2])
     states_offset = np.zeros_like(precision)
     states_offset[:, GUST] = path.gust
-    stiffness = np.array(list(CONSTANTS.values()))[places] ** -2
-    return Prior(precision, states_offset, stiffness, path.constants[places])
+    return Prior(
+        states=precision,
+        states_offset=states_offset,
+        constants=np.array(list(CONSTANTS.values()))[places] ** -2,
+        constants_offset=path.constants[places],
+    )
 
 
 def _residual_sums(

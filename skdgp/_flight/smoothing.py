@@ -158,8 +158,9 @@ def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
             f"sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
     sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
-    padding = min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
-    return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
+    return signal.sosfiltfilt(
+        sections, columns, axis=0, padlen=min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
+    )
 
 
 def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

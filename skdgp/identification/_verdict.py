@@ -392,12 +392,8 @@ def simulation_errors(
         np.add.reduceat(each, edges, axis=1) / counts for each in (squares.mean(axis=0), gusts)
     )
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
-    noise = (
-        pd.DataFrame([noise_level(unwrapped(table, STATES), table["time"]) for table in tables])
-        .median()
-        .fillna(0.0)  # of short flights not known
-        .to_numpy()
-    )
+    levels = [noise_level(unwrapped(table, STATES), table["time"]) for table in tables]
+    noise = np.nan_to_num(pd.DataFrame(levels).median())  # of short flights not known
     limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
     ends = np.append(elapsed[edges], elapsed[-1])
 

@@ -140,8 +140,9 @@ class SinglePosterior(Posterior):
     @few_threads
     def gradient(self, Xs: Matrix) -> Array:
         """Return d mean / d x at Xs, (n, P, d)."""
-        d = np.shape(Xs)[1]
-        return self._in_batches(lambda X: [self.mean_function.slopes(X[None])[0]], Xs, d)[0]
+        return self._in_batches(
+            lambda X: [self.mean_function.slopes(X[None])[0]], Xs, np.shape(Xs)[1]
+        )[0]
 
     def _moments(self, X):
         """Return mean and variance, (n, P) each."""

@@ -461,8 +461,7 @@ class LatentFeatures(ValueFeatures):
     ) -> tuple[PathBundle, Matrix]:
         paths, u = super().prior_paths(n_paths, n_frequencies, random_state)
         waves = cast(Waves, paths)
-        weights = waves.weights[..., : self.kernel.n_outputs]
-        return Waves(waves.omega, waves.phase, weights), u
+        return Waves(waves.omega, waves.phase, waves.weights[..., : self.kernel.n_outputs]), u
 
 
 class TrendFeatures(Features):

@@ -81,8 +81,9 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
     check_columns(check_table(flight), ["time"])
-    findings = _inspect(flight, ignore)
-    rows = [(*finding[:5], len(finding.rows), finding.message) for finding in findings]
+    rows = [
+        (*finding[:5], len(finding.rows), finding.message) for finding in _inspect(flight, ignore)
+    ]
     return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
 
 

@@ -19,7 +19,6 @@ import pandas as pd
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpar", "jsbsim")
 LIMIT = 1200  # s of processor time of a run
-NONE = f"none in {LIMIT} s"
 
 
 def parser_of(description, *, data=False, smoke=False):
@@ -67,10 +66,11 @@ def machine():
 class Kept:
     """Results of single runs, a line each in OUT/NAME.runs: what is there is not run again.
 
-    A run that takes longer than `LIMIT`, or ends by a numerical error, has no result but its seconds.
+    A run that takes longer than the limit [s], or ends by a numerical error, has no result but its seconds.
     """
 
-    def __init__(self, options, name):
+    def __init__(self, options, name, limit=LIMIT):
+        self.limit = limit
         options.out.mkdir(parents=True, exist_ok=True)
         self.path, lines = options.out / f"{name}.runs", []
         if self.path.exists():
@@ -84,7 +84,9 @@ class Kept:
         name = ", ".join(map(str, key.values()))
         if name not in self.memory:
             start = time.process_time()
-            result = limited(function, *arguments) | {"seconds": time.process_time() - start}
+            result = limited(self.limit, function, *arguments) | {
+                "seconds": time.process_time() - start
+            }
             self.memory[name] = {"name": name, "commit": commit(), **key, **result}
             line = json.dumps(self.memory[name])
             print(line[:300], file=sys.stderr, flush=True)
@@ -93,14 +95,14 @@ class Kept:
         return self.memory[name]
 
 
-def limited(function, *arguments):
+def limited(limit, function, *arguments):
     """Return the result of a function, or why there is none."""
 
     def stop(*_):
-        raise TimeoutError(f"more than {LIMIT} s")
+        raise TimeoutError(f"more than {limit} s")
 
     signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    signal.setitimer(signal.ITIMER_PROF, limit)
     try:
         return function(*arguments)
     except (TimeoutError, RuntimeError, np.linalg.LinAlgError) as error:
@@ -116,7 +118,7 @@ def cell(value):
     return f"{value:#.3g}".rstrip(".") if isinstance(value, float) else str(value)
 
 
-def winners(errors, notes=None, missing=NONE):
+def winners(errors, notes=None, missing=f"none in {LIMIT} s"):
     """Return a column of errors as cells, the smallest in bold, with notes in brackets."""
     best, shown = cell(errors.min()), {}
     for name, error in errors.items():

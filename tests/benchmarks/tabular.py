@@ -31,6 +31,7 @@ from skdgp import DependentGPRegressor
 MULAN = {"andro": 6, "slump": 3, "edm": 2, "jura": 3, "enb": 2, "scpf": 3, "atp1d": 6}  # outputs
 UCI = ("yacht", "bostonHousing", "concrete", "energy", "wine-quality-red", "kin8nm", "power-plant")
 TITLE = "set: rows, regressors, outputs"
+LIMIT = 400  # s of a run
 LARGE = ("scpf", "atp1d", "wine-quality-red", "kin8nm", "power-plant")
 
 
@@ -112,7 +113,9 @@ def errors(runs):
         size = table.loc[table["set"] == name, "size"].dropna().iloc[0]
         probable = some.dropna().itertuples()
         notes = {row.Index: f"{row.held:.0f} %, {row.density:.2f}" for row in probable}
-        rows.append({TITLE: f"{name}: {size}"} | winners(some["error"], notes))
+        rows.append(
+            {TITLE: f"{name}: {size}"} | winners(some["error"], notes, f"none in {LIMIT} s")
+        )
     seconds = means["seconds"].groupby("method", sort=False)
     low, high = seconds.min(), seconds.max()
     return [
@@ -123,7 +126,7 @@ def errors(runs):
 
 def main(words=None):
     options = parser_of(__doc__, data=True).parse_args(words)
-    kept = Kept(options, "tabular")
+    kept = Kept(options, "tabular", LIMIT)
     for name in [*MULAN, *UCI]:
         for split in range(1 if name in LARGE else 3):
             data = loaded(options.data, name, split)

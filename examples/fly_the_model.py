@@ -69,8 +69,11 @@ def main(arguments=None):
 
     steady = trim(model, aircraft, airspeed=35.0, altitude=200.0)
     print(steady)
-    print(linearize(model, aircraft, steady).modes().round(3))
-    print(stability_derivatives(model, aircraft, steady).round(3).head(12))
+    modes = linearize(model, aircraft, steady).modes()
+    print(modes[["eigenvalue", "frequency", "damping", "time_constant"]].round(3))
+    table = stability_derivatives(model, aircraft, steady)
+    rows = ["CL_alpha", "CD_alpha", "CY_beta", "Cl_p", "Cl_aileron", "Cm_alpha", "Cm_q", "Cn_beta"]
+    print(table.loc[rows, ["value", "std", "lower", "upper"]].round(3))
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ Choose settings by grid search over the whole pipeline, with one flight held out
 
 The search takes raw flight tables, so smoothing is chosen too, and no information of the held-out
 flight leaks into the fit. Targets that are NaN are neither learned nor scored. The scorers use the
-predicted standard deviations, so narrow bands around a wrong mean score worst. Needs matplotlib:
-pip install "skdgp[plot]".
+predicted standard deviations, so narrow bands around a wrong mean score worst. It takes five to
+ten minutes. Needs matplotlib: pip install "skdgp[plot]".
 """
 
 import argparse

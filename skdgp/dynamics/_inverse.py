@@ -116,6 +116,7 @@ def aerodynamic_coefficients(
     rates = measured[list(RATES)].to_numpy(float)
     total_force = aircraft.mass * measured[list(SPECIFIC_FORCE)].to_numpy(float)
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
+    # Equations 3 to 8: force, moment, coefficients.
     F_A = total_force - thrust_force - other_force
     M_A = total_moment - thrust_moment - other_moment
     qbar = dynamic_pressure(measured["airspeed"], measured["density"])[:, None]

@@ -268,7 +268,8 @@ def log_likelihood(
             only = next(i for i, values in enumerate(data.y) if len(values))
             at_pairs, by_pairs = kernel.at_pairs(only, data.pairs)
         L = jittered_cholesky(lambda: covariance(kernel, noise, data, at_pairs))
-        white = triangular_solve(L, y)  # equation 20, where y^T K^-1 y = white^T white
+        white = triangular_solve(L, y)  # y^T K^-1 y = white^T white
+        # Equation 20.
         value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
         if not eval_gradient:
             return value

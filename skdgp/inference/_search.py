@@ -135,7 +135,7 @@ def search(
     if optimizer is None:
         return Hyperparameters(start, noise)
     stop, singles = Event(), None
-    if not kernel.has_values():  # stage 1
+    if not kernel.has_values() and kernel.single_output() is not None:  # stage 1
         singles, noise = _fit_outputs(
             kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop
         )

@@ -172,12 +172,9 @@ class MultiOutputKernel(Kernel):
         """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
         return self
 
-    def single_output(self) -> MultiOutputKernel:
-        """Return a kernel without values for a separate fit of one output."""
-        raise NotImplementedError(
-            f"{type(self).__name__} does not define single_output, the kernel of a separate fit "
-            f"of one output."
-        )
+    def single_output(self) -> MultiOutputKernel | None:
+        """Return a kernel without values for a separate fit of one output; None: outputs are fitted jointly alone."""
+        return None
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         """Return the residuals (n, P) that initialize the other terms of a sum, by default Y."""
@@ -466,8 +463,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         return Sum(self.k1.term(regressors), self.k2.term(regressors))
 
-    def single_output(self) -> MultiOutputKernel:
-        return Sum(self.k1.single_output(), self.k2.single_output())
+    def single_output(self) -> MultiOutputKernel | None:
+        first, second = self.k1.single_output(), self.k2.single_output()
+        return None if first is None or second is None else Sum(first, second)
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))

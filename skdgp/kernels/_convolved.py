@@ -352,7 +352,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             FreeParameter("shift", shifts, False, bounds["shift"]),
         ]
 
-    # -- parameters of the paper
+    # -- parameters of the paper's filters, equation 15
     # -----------------------------------------------------------------------
 
     @property

@@ -17,7 +17,7 @@ from skdgp.io import AUTOPILOTS, FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
 # Per kind of damage; longer runs go through the same code
-ROUNDS = {".ulg": 4, ".bin": 4, ".csv": 8, ".parquet": 8}
+ROUNDS = {".ulg": 4, ".bin": 4, ".tlog": 2, ".csv": 8, ".parquet": 8}
 # A small file is read within so many seconds, in so many bytes and so many times its own
 SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
 
@@ -104,7 +104,7 @@ def survives(path, n_bytes):
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory, px4, ardupilot):
+def logs(tmp_path_factory, px4, ardupilot, tlog):
     """Return the bytes of a small log of each format."""
     folder = tmp_path_factory.mktemp("logs")
     t = np.arange(300) * 0.02
@@ -115,14 +115,14 @@ def logs(tmp_path_factory, px4, ardupilot):
         {"time": t, "alpha": 0.1 * np.sin(t), "flight": "a", "note": np.tile(["x", None, "z"], 100)}
     )
     columns.to_parquet(folder / "log.parquet")
-    raw = {".ulg": px4, ".bin": ardupilot, ".csv": table.encode()}
+    raw = {".ulg": px4, ".bin": ardupilot, ".tlog": b"".join(tlog), ".csv": table.encode()}
     raw[".parquet"] = (folder / "log.parquet").read_bytes()
     return {suffix: np.frombuffer(content, np.uint8)[:30_000] for suffix, content in raw.items()}
 
 
 @pytest.mark.parametrize("suffix", ROUNDS)
 def test_damaged_logs(logs, tmp_path, suffix):
-    """Of every format some are read and some refused; a damaged log of an autopilot is mostly a good one."""
+    """Some are read and some refused; a damaged log of an autopilot is mostly a good one, telemetry always."""
     path, outcomes = tmp_path / f"log{suffix}", []
     for kind, damage in enumerate(DAMAGES):
         rng = np.random.default_rng([len(suffix), kind])
@@ -132,7 +132,7 @@ def test_damaged_logs(logs, tmp_path, suffix):
             began = time.process_time()
             outcomes.append(survives(path, len(content)))
             assert time.process_time() - began < 2 * SECONDS
-    assert set(outcomes) == {"read", "refused"}
+    assert set(outcomes) == {"read"} | (set() if suffix == ".tlog" else {"refused"})
     assert suffix not in AUTOPILOTS or outcomes.count("read") > 0.7 * len(outcomes)
 
 
@@ -146,6 +146,7 @@ HEADS = {
     ".parquet": [b"PAR1"],
     ".ulg": [b"ULog\x01\x12\x35\x01" + bytes(8)],
     ".bin": [b"\xa3\x95\x80\x80\x59"],
+    ".tlog": [struct.pack(">Q", 1_700_000_000_000_000) + b"\xfd\x09"],
 }
 LETTERS = [*b"time flight alpha [deg] , ; 0 1 . # \xff".split(), b"\t", b'"', b"\n", b"\r\n"]
 WORDS = st.one_of(

@@ -9,65 +9,6 @@ import pytest
 
 from skdgp.io import FlightReadError, read_flight
 
-OFFSET = 1.7e9  # Arrival less the clock of the vehicle [s]
-
-
-@pytest.fixture(scope="module")
-def tlog(flight):
-    """Telemetry of a plane with ArduPilot: arrival late by up to .2 s, and a ground station that sends too."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane, station = (
-        mavlink.MAVLink(None, srcSystem=1, srcComponent=1),
-        mavlink.MAVLink(None, srcSystem=255),
-    )
-    rng, sent = np.random.default_rng(0), []
-
-    def send(time, message, by=plane):
-        sent.append((time, message.pack(by)))
-
-    for name, value in (
-        ("AIRSPEED_MIN", 12.0),
-        ("SERVO2_FUNCTION", 19.0),
-        ("SERVO4_FUNCTION", 21.0),
-    ):
-        send(flight.BEGIN, mavlink.MAVLink_param_value_message(name.encode(), value, 9, 3, 0))
-    for t in flight.time(1):
-        send(t, mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 0, 3))
-        send(t, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3), station)
-    for t in flight.time(10):
-        ms, at = round(t * 1e3), {name: float(flight[name](t)) for name in flight.SIZES}
-        angles, rates = (at["phi"], at["theta"], at["psi"]), (at["p"], at["q"], at["r"])
-        send(t, mavlink.MAVLink_attitude_message(ms, *angles, *rates))
-        speed = [round(100 * at[name]) for name in ("v_north", "v_east", "v_down")]
-        send(
-            t,
-            mavlink.MAVLink_global_position_int_message(
-                ms, 0, 0, round(1e3 * at["altitude"]), 0, *speed, 0
-            ),
-        )
-        force = [round(1e3 * at[name] / 9.80665) for name in ("ax", "ay", "az")]
-        gyro = [round(1e3 * rate) for rate in rates]
-        send(t, mavlink.MAVLink_raw_imu_message(round(t * 1e6), *force, *gyro, 0, 0, 0))
-        equivalent = at["airspeed"] * np.sqrt(at["density"] / 1.225)
-        send(
-            t, mavlink.MAVLink_vfr_hud_message(equivalent, 0, 0, round(100 * at["throttle"]), 0, 0)
-        )
-        pressure = 1013.25 * (at["density"] / 1.225) ** (1 / (1 - 1 / 5.25588))
-        send(t, mavlink.MAVLink_scaled_pressure_message(ms, pressure, 0, 0))
-        pulses = [
-            1500,
-            round(1500 - 1000 * at["elevator"]),
-            1100,
-            round(1500 - 1000 * at["rudder"]),
-        ]
-        send(t, mavlink.MAVLink_servo_output_raw_message(round(t * 1e6), 0, *pulses, *[1500] * 4))
-    sent.sort(key=lambda each: each[0])
-    arrivals = np.maximum.accumulate([OFFSET + time + rng.uniform(0, 0.2) for time, _ in sent])
-    return [
-        struct.pack(">Q", round(1e6 * at)) + message
-        for at, (_, message) in zip(arrivals, sent, strict=True)
-    ]
-
 
 class TestTelemetry:
     def test_what_was_sent_is_read(self, tlog, tmp_path, flight):

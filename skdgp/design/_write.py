@@ -89,7 +89,7 @@ def write_flight_card(
     body += [_manoeuvre(plan, list(rows), full or {}, draw) for _, rows in kinds]
     body.append(_promise(plan))
     meta = (
-        f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds"
+        f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kind{'s' * (len(kinds) > 1)}"
         f" · planned {datetime.now().astimezone():%d %B %Y, %H:%M}"
     )
     colophon = "Made by skdgp. Angles in degrees; elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."

@@ -335,13 +335,13 @@ class RegressorSelector(TableTransformer):
         holes = ~(np.abs(values) < LARGEST)
         if holes.any():
             counts = zip(self.regressors_, holes.sum(axis=0).tolist(), strict=True)
+            missing = {name: rows for name, rows in counts if rows}
             raise ValueError(
                 f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN "
-                f"or infinite (by rows: { ({name: rows for name, rows in counts if rows}) }), but "
-                f"expected finite ones: drop these rows of the flight, as FlightCheck gives it, and "
-                f"of its targets, as skdgp identify does. Interpolate a slow sensor to the clock of "
-                f"the others, leave out an empty column, and isolated rows, which have no rate of "
-                f"change."
+                f"or infinite (by rows: {missing}), but expected finite ones: drop these rows of "
+                f"the flight, as FlightCheck gives it, and of its targets, as skdgp identify does. "
+                f"Interpolate a slow sensor to the clock of the others, leave out an empty column, "
+                f"and isolated rows, which have no rate of change."
             )
         return pd.DataFrame(values, columns=self.regressors_, index=table.index)
 

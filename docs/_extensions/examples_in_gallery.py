@@ -14,7 +14,7 @@ SMALLER = {
         "--days",
         "1",
         "--samples",
-        "120",
+        "200",
         "--max-iter",
         "10",
         "--n-jobs",

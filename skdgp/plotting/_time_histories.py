@@ -118,7 +118,8 @@ class TimeHistoryDisplay(Display):
                 alone = _isolated(points[1])
                 marker = {"marker": "." if alone else None, "markersize": 3, "markevery": alone}
                 ax.plot(*points, label=label, **marker, **style)
-        _fit_to_lines(ax)
+        if self.measured is not None:  # else the band is what the figure shows
+            _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
             marks = np.where(self.beyond > 0, 1.0, np.nan)
             style = {"color": PALETTE["orange"], "linewidth": 4, "clip_on": False}

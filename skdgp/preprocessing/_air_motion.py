@@ -32,6 +32,7 @@ from skdgp._flight.checks import check_columns, check_radians, check_table, nume
 from skdgp._flight.frames import air_data, air_data_slopes, cross, cross_matrix
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.preprocessing._air_motion_equations import (
+    AIRSPEED,
     ARM,
     BIASES,
     FAST,
@@ -57,6 +58,7 @@ from skdgp.preprocessing._air_motion_filter import (
 from skdgp.preprocessing._air_motion_model import (
     OWN,
     OWN_NOISES,
+    SENSOR_CONSTANTS,
     SHARED,
     SHARED_NOISES,
     STATE_TERMS,
@@ -89,6 +91,9 @@ ATTEMPTS = 0, 6
 DAMPING = 0.3  # of the first step, over the information
 # Share of a step that is taken: shortened where steps turn back, down to the least, else lengthened to one
 SHORTER, LEAST_SHARE, LONGER = 0.5, 0.25, 1.4
+PITOT = ("airspeed_scale", *WINDS[:2])
+GUST_WINDOW = 20.0  # s, longer than gusts last
+PITOT_NOISE = 10.0  # m/s, of the mean airspeed of a flight times the root of its samples; typical
 LARGEST_PATH = 2.0  # m/s, of the air velocity that errors of the path may make
 TOLERANCE = 0.5  # squared length of the last two steps, in standard deviations of all parameters
 NOISE_TOLERANCE = 5.0  # that of the last step of the noises
@@ -137,6 +142,9 @@ class AirMotion:
         prior's variance and the distance from its mean.
     seconds : float
         Length of the records.
+    misfit : float
+        Root mean square of the sensors' constants over their prior standard deviations, at least
+        one. ``std`` contains it, as what a model lacks moves these constants (Birge 1932).
     """
 
     derivatives: pd.DataFrame
@@ -147,6 +155,7 @@ class AirMotion:
     surfaces: list[str]
     converged: bool
     seconds: float
+    misfit: float = 1.0
 
     @property
     def summary(self) -> str:
@@ -165,6 +174,10 @@ class AirMotion:
         ]
         if not self.converged:
             parts.append("not converged: do not use")
+        elif self.misfit > 1:
+            parts.append(
+                f"sensors' constants are improbable: bands {self.misfit:.1f} times as wide"
+            )
         return "; ".join(parts)
 
     @property
@@ -239,7 +252,8 @@ def estimate_air_motion(
     likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound what a flight does
     not tell. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
-    larger, and 4 % of each derivative are added for what a linear model leaves out. All slopes by
+    larger, times the square of `AirMotion.misfit`, and 4 % of each derivative are added for what a
+    linear model leaves out. All slopes by
     alpha, and all by beta, share an error of 2 % of the scale of the angle. Where surfaces hardly move
     a term, so that errors of path and sensors make most of its motion, ``std`` approaches ``prior_std``.
 
@@ -454,10 +468,13 @@ class _Fit:
 
     def _start(self) -> None:
         """Set the wind by the airspeed, and derivatives that are not held by least squares."""
+        self.gust_power = []
         for flight, places in enumerate(self.parameters.places):
-            wind = _steady_wind([r for r in self.records if r.flight == flight])
-            at = [self.parameters.local_names.index(name) for name in WINDS[:2]]
-            self.x[places[at]] = wind
+            own = [record for record in self.records if record.flight == flight]
+            at = places[[self.parameters.local_names.index(name) for name in PITOT]]
+            pitot, power = _steady_wind(own)
+            self.gust_power.append(power)
+            self.x[at[1:]] = pitot[1:]
         if self.known is None:
             self._start_derivatives()
 
@@ -507,6 +524,18 @@ class _Fit:
         information[np.ix_(lift, lift)] += np.outer(row, row) / slope**2
         score[lift] += row * (row @ self.x[lift] - C[:, 2].mean()) / slope**2
 
+    def _add_airspeed(self, record: Record, information: Matrix, score: Vector) -> None:
+        """Add that airspeed is the speed over the ground less a steady wind, but for gusts and the pitot's scale.
+
+        Turns tell wind and scale, without coefficients or attitudes, and instruments hardly show them.
+        """
+        names = self.parameters.local_names
+        at = self.parameters.places[record.flight][[names.index(name) for name in PITOT]]
+        slopes, excess = _airspeed_error(record, self.x[at])
+        weight = np.median(record.step) / self.gust_power[record.flight]
+        information[np.ix_(at, at)] += weight * slopes.T @ slopes
+        score[at] += weight * slopes.T @ excess
+
     def _pass(self, by_instruments: bool = True) -> _Sums:
         """Return score and information of the parameters, with those of the prior."""
         p = len(self.x)
@@ -515,6 +544,7 @@ class _Fit:
         blocks, passes, parts = [], [], []
         for record in self.records if self.known is None else ():
             self._add_mean_lift(record, information, score)
+            self._add_airspeed(record, information, score)
         scatter = information.copy()
         for j, (record, before) in enumerate(zip(self.records, self.states, strict=True)):
             at = self.parameters.places[record.flight]
@@ -569,9 +599,13 @@ class _Fit:
         nd, prior = len(self.layout.rows), self.parameters.std
         off = self.x - self.parameters.mean
         covariance = np.diag(prior**2) + np.outer(off, off)
+        misfit = 1.0
         if converged:
             covariance = _covariance(sums)
         if converged and self.known is None:
+            improbable = [name.split()[0] in SENSOR_CONSTANTS for name in self.parameters.names]
+            misfit = max(1.0, float(np.sqrt(np.mean((off / prior)[improbable] ** 2))))
+            covariance *= misfit**2
             covariance[:nd, :nd] += np.diag((MODEL_ERROR * self.x[:nd]) ** 2)
             for vane in ("alpha", "beta"):
                 if not any(record.sampled[BIASES[f"{vane}_bias"]] for record in self.records):
@@ -596,7 +630,7 @@ class _Fit:
         noises = dict(zip(self.noises.names, np.exp(self.psi).tolist(), strict=True))
         seconds = float(sum(record.step.sum() for record in self.records))
         found = estimates[:nd], shown, estimates[nd:], noises, air, self.surfaces
-        return AirMotion(*found, converged, seconds)
+        return AirMotion(*found, converged, seconds, misfit)
 
     def _unmoved(self) -> Vector:
         """Return the share (p,) of errors of path and sensors in the variance of each derivative's term.
@@ -636,7 +670,7 @@ class _Fit:
             out[record.rows, 9:18] = np.sqrt(variance)
             earth = np.swapaxes(record.attitude, 1, 2)
             angles = Rotation.from_matrix(earth).as_euler("ZYX")[:, ::-1]
-            ground = (earth @ record.velocity[..., None])[..., 0]
+            ground = record.earth_velocity()
             force = record.measured[:, :3].copy()
             if not record.sampled[0]:
                 force[:, 0] = record.inputs.thrust[:, 0] / self.aircraft.mass
@@ -665,20 +699,31 @@ def _white_noise(records: list[Record], sensors: slice) -> float:
     return float(max(np.sqrt(np.nanmin(np.mean(differences**2, axis=0)) / 20), LEAST_NOISE))
 
 
-def _steady_wind(records: list[Record]) -> Vector:
-    """Return the wind north and east with which the ground velocity explains the airspeed best."""
-    ground = np.concatenate(
-        [(np.swapaxes(r.attitude, 1, 2) @ r.velocity[..., None])[..., 0] for r in records]
-    )
-    airspeed = np.concatenate([r.measured[:, 6] for r in records])
-    ground, airspeed = ground[np.isfinite(airspeed)], airspeed[np.isfinite(airspeed)]
-    wind = np.zeros(2)
+def _airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
+    """Return the excess of airspeed in a steady wind over the measured one, and its derivatives by `PITOT`."""
+    sampled = np.isfinite(record.measured[:, AIRSPEED])
+    air = record.earth_velocity()[sampled] - [*pitot[1:], 0.0]
+    speed = np.linalg.norm(air, axis=1)
+    slopes = np.column_stack([speed, -(1 + pitot[0]) * air[:, :2] / speed[:, None]])
+    return slopes, (1 + pitot[0]) * speed - record.measured[sampled, AIRSPEED]
+
+
+def _steady_wind(records: list[Record]) -> tuple[Vector, float]:
+    """Return `PITOT` of a flight by least squares of its airspeed, and the power of what is left at low frequency.
+
+    The latter, in m^2/s, is the variance of means over `GUST_WINDOW` times its length: gusts.
+    """
+    pitot = np.zeros(3)
+    prior = np.diag([PITOT_NOISE / SHARED["airspeed_scale"][1], 0.1, 0.1])
     for _ in range(5):
-        air = ground - np.append(wind, 0.0)
-        speed = np.linalg.norm(air, axis=1)
-        rows = np.vstack([-air[:, :2] / speed[:, None], 0.1 * np.eye(2)])
-        wind = wind + np.linalg.lstsq(rows, np.append(airspeed - speed, -0.1 * wind), rcond=None)[0]
-    return wind
+        pairs = [_airspeed_error(record, pitot) for record in records]
+        slopes, excess = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        rows, rest = np.vstack([slopes, prior]), np.concatenate([excess, prior @ pitot])
+        pitot = pitot - np.linalg.lstsq(rows, rest, rcond=None)[0]
+    step = float(np.median(np.concatenate([record.step for record in records])))
+    width = max(1, int(min(GUST_WINDOW / step, len(excess) / 4)))
+    means = uniform_filter1d(excess, width, mode="nearest")
+    return pitot, step * float(max(width * means.var(), excess.var()))
 
 
 def _middle(linear: Linearisation, n_samples: int) -> Linearisation:

@@ -94,6 +94,10 @@ class Record(NamedTuple):
             answers[:, k] = columns @ np.linalg.lstsq(X, y, rcond=None)[0]
         return self._replace(answers=answers)
 
+    def earth_velocity(self) -> Matrix:
+        """Return the velocity over the ground north, east, down (n, 3)."""
+        return (np.swapaxes(self.attitude, 1, 2) @ self.velocity[..., None])[..., 0]
+
     @property
     def sampled(self) -> Mask:
         """Whether a sensor has any sample, (9,)."""

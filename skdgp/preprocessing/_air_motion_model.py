@@ -69,6 +69,8 @@ OWN: Prior = {
     "r_bias": (0.0, 0.003),
 }
 """Constants of a flight."""
+SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", "p_bias", "q_bias", "r_bias")
+"""Constants whose priors hold for any flight, with a mean of zero."""
 SHARED_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),

@@ -264,13 +264,13 @@ def test_lag_of_a_ramp_is_the_lag():
     np.testing.assert_allclose(lagged(ramp, 0.0, 0.02), ramp, atol=0.01)
 
 
-def simulated(case, seconds, *, pulses=True, seed=3, deflections=False):
+def simulated(case, seconds, *, pulses=True, seed=3, deflections=False, bank=0.0):
     """Return table and plane of a flight of the trainer, with commands of servos 50 ms late, or deflections."""
     module = benchmark()
     rng = np.random.default_rng(seed)
     plane = module.AIRCRAFT["trainer"]
     fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
-    fleet.legs = [(0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
+    fleet.legs = [(bank + 0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
     fleet.pulses[:] = 0.0
     time = module.STEP * np.arange(len(fleet.pulses))
     starts = np.arange(0.5, seconds - 2, 2.0) if pulses else np.zeros(0)
@@ -333,6 +333,32 @@ def test_lag_wind_and_gusts_are_found():
         assert std[name] < 1.5
     assert 0.3 < found.gusts[0] < 0.8
     assert "servos" in found.summary
+
+
+def test_turns_tell_wind_and_scale_of_the_pitot():
+    """And derivatives are right although the airspeed is not: a scale of 4 % makes forces wrong by 8 %."""
+    table, plane = simulated("0.5 m/s, 1 s", seconds=30.0, bank=0.5)
+    table["airspeed"] *= 1.04
+    found = estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane))
+    value, std = found.constants["value"], found.constants["std"]
+    known = {"airspeed_scale": 0.04, "wind_north 0": 3.0, "wind_east 0": -2.0}
+    for name, truth in known.items():
+        assert abs(value[name] - truth) < 3 * std[name]
+    assert std["airspeed_scale"] < 0.015  # half of what is known of any pitot
+    assert found.converged
+    assert found.misfit < 1.2
+
+
+def test_improbable_constants_of_sensors_widen_all_bands():
+    """A thrust of half the true size is five standard deviations from what a bench tells."""
+    right, table, plane = found_in_gusts()
+    wrong = table.drop(columns="alpha_true").assign(thrust_x=lambda t: t["thrust_x"] / 2)
+    found = estimate_air_motion(wrong, as_aircraft(plane))
+    assert right.misfit == 1.0
+    assert found.misfit > 1.5
+    assert "improbable" in found.summary
+    wider = found.derivatives["std"] / right.derivatives["std"]
+    assert wider.median() > 0.8 * found.misfit
 
 
 def test_logged_deflections_are_not_late():

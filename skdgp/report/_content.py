@@ -134,9 +134,8 @@ class FlightMechanics:
             found["trim"]["beyond"] = {
                 name: list(values) for name, values in self.trim.beyond.items()
             }
-        names_kept = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
-        columns = [name for name in names_kept if name in self.derivatives]
-        found["derivatives"] = self.derivatives[columns].to_dict("index")
+        columns = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
+        found["derivatives"] = self.derivatives.filter(columns).to_dict("index")
         modes = None if self.modes is None else self.modes.drop(columns="eigenvalue")
         tables = {
             "least_squares": self.least_squares,

@@ -32,7 +32,6 @@ from skdgp.report._content import (
     Evaluation,
     FlightMechanics,
     ReportContent,
-    Verdict,
 )
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
@@ -137,6 +136,8 @@ HOW_TO_READ = (
     "<p>Coefficients are in body axes: <i>x</i> forward, <i>y</i> right, <i>z</i> down. A right "
     "click, or a long press, saves a figure as an SVG file.</p></div>"
 )
+# Shown in print, too: the page to sign
+SIGN = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
 N_WARNINGS = 3
 MOST_NAMED = 4  # weak derivatives that are named for each input
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
@@ -177,26 +178,24 @@ def render_report(content: ReportContent) -> str:
 
 
 def _sections(content: ReportContent) -> list[str]:
+    """Return all sections in their order; those without content are empty."""
     draw = can_draw()
-    parts = [_verdict(content), _next_flight(content), *content.sections]
-    further = _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
-    parts += [
-        _section("Further warnings", further),
+    effects = content.effects.html(EFFECTS) if draw and content.effects is not None else ""
+    return [
+        _verdict(content),
+        _next_flight(content),
+        *content.sections,
+        _section("Further warnings", _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")),
         _section("What was assumed", _list(content.assumed)),
-    ]
-    if not draw:
-        parts.append(_note('No figures: they need matplotlib, pip install "skdgp[plot]".'))
-    parts += [
+        _note("" if draw else 'No figures: they need matplotlib, pip install "skdgp[plot]".'),
         _mechanics(content.mechanics),
         _simulation(content.mechanics, draw),
         *_flights(content, draw),
-    ]
-    if draw:
-        effects = "" if content.effects is None else content.effects.html(EFFECTS)
-        parts += [_section("Effects", effects), _flown(content)]
-    return [
-        *parts,
-        _what_was_done(content),
+        _section("Effects", effects),
+        _flown(content) if draw else "",
+        _section(
+            "What was done", facts([*content.facts.items(), ("Command", content.command)]), SIGN
+        ),
         _section("How to read", HOW_TO_READ),
     ]
 
@@ -230,9 +229,14 @@ def _verdict(content: ReportContent) -> str:
     air = f" Air: {text(content.air)}." if content.air else " The air was not estimated."
     uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
     head = ["good enough to", "", "because"]
+    linear = verdict.least_squares_error
+    beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
     parts = [
         f"<p>{text(verdict.learned)}{air}</p>",
-        _tiles(verdict),
+        f'<div class="head"><div><b>{number(verdict.error, ".3f")}</b><span>error over spread '
+        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(verdict.coverage)}"
+        "<small>%</small></b><span>of measured values inside the 95 % band</span>"
+        "<span>95 is right</span></div></div>",
         table(head, uses, caption="What the model is good for.", classes="words"),
         f"<p>{text(verdict.compared())}</p>",
         _list(verdict.warnings[:N_WARNINGS], "ol", "alerts") or _note("No warning arose."),
@@ -304,17 +308,6 @@ def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
         return ""
     unit = number(0.5 * np.pi / excited.min(), ".2g")
     return f":<br>3-2-1-1 with a unit of {unit}{THIN}s"
-
-
-def _tiles(verdict: Verdict) -> str:
-    linear = verdict.least_squares_error
-    beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
-    return (
-        f'<div class="head"><div><b>{number(verdict.error, ".3f")}</b><span>error over spread '
-        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(verdict.coverage)}"
-        "<small>%</small></b><span>of measured values inside the 95 % band</span>"
-        "<span>95 is right</span></div></div>"
-    )
 
 
 def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
@@ -534,11 +527,3 @@ def _flown(content: ReportContent) -> str:
         for name, table in flights.items()
     ]
     return _section("What was flown", *parts)
-
-
-def _what_was_done(content: ReportContent) -> str:
-    """Return samples, regressors, time and versions, and where to sign."""
-    # Shown in print, too: the page to sign.
-    sign = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
-    pairs = [*content.facts.items(), ("Command", content.command)]
-    return _section("What was done", facts(pairs), sign)

@@ -77,8 +77,9 @@ def table(
 
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> str:
     """Return the document; title and kind are text, the rest is HTML."""
-    fields = {"kind": text(kind), "title": text(title), "meta": meta, "body": body}
-    return PAGE.substitute(fields, colophon=colophon, style=STYLE)
+    return PAGE.substitute(
+        kind=text(kind), title=text(title), meta=meta, body=body, colophon=colophon, style=STYLE
+    )
 
 
 def can_draw() -> bool:
@@ -105,8 +106,7 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float]) -> str:
         figure.subplots_adjust(left / width, below / height, 1 - right / width, 1 - above / height)
         draw(figure)
         file = StringIO()
-        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-        canvas.print_svg(file, metadata=nothing)
+        canvas.print_svg(file, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     svg = file.getvalue()
     svg = re.sub(r"<!.*?>|<\?.*?>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", svg)
@@ -208,16 +208,18 @@ def draw_curve(
 ) -> None:
     """Draw a line with its 95 % band."""
     half = 1.96 * std
-    style = {"color": band, "alpha": 0.35, "linewidth": 0}
-    ax.fill_between(x, mean - half, mean + half, label="95 % band", **style)
+    ax.fill_between(
+        x, mean - half, mean + half, label="95 % band", color=band, alpha=0.35, linewidth=0
+    )
     ax.plot(x, mean, color=color, label=label)
 
 
 def legend_above(ax: Any) -> None:
     """Draw the legend above the axes, where it covers no data."""
     if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
-        style = {"borderaxespad": 0.2, "handlelength": 1.6, "columnspacing": 1.4}
-        place = {"loc": "lower left", "bbox_to_anchor": (0, 1)}
-        ax.legend(ncols=4, frameon=False, fontsize="small", **place, **style)
+        ax.legend(
+            loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, fontsize="small",
+            borderaxespad=0.2, handlelength=1.6, columnspacing=1.4,
+        )  # fmt: skip
         ax.get_legend().set_in_layout(False)  # it may be wider than its panel
         ax.set_title(" ")  # room for it

@@ -365,9 +365,10 @@ class EffectsDisplay(Display):
         factor = display_unit(name)[0]
         draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], "effect")
         quantiles = factor * self.samples[name].quantile(np.linspace(0.02, 0.98, 25))
-        style = {"color": ROLES["measured"], "markersize": 4, "markeredgewidth": 0.5}
-        style["transform"] = ax.get_xaxis_transform()
-        ax.plot(quantiles, np.full(len(quantiles), 0.03), "|", label="samples", **style)
+        ax.plot(
+            quantiles, np.full(len(quantiles), 0.03), "|", label="samples", color=ROLES["measured"],
+            markersize=4, markeredgewidth=0.5, transform=ax.get_xaxis_transform(),
+        )  # fmt: skip
         shown = [self.curves[each] for each in self._largest(output)]
         top = max(np.abs(each.mean[:, k]).max() + BAND * each.std[:, k].min() for each in shown)
         ax.set_ylim(-1.08 * top, 1.08 * top)

@@ -102,8 +102,9 @@ class TimeHistoryDisplay(Display):
         if self.lower is not None and self.upper is not None:
             lower = factor * self.lower[:, k]
             band = band_points(self.time, lower, factor * self.upper[:, k], starts)
-            style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.6, "zorder": 2.2}
-            ax.fill_between(*band, label="95 % band", **style)
+            ax.fill_between(
+                *band, label="95 % band", color=ROLES["band"], alpha=0.35, linewidth=0.6, zorder=2.2
+            )
         lines = {
             "measured": (self.measured, {"color": ROLES["measured"], "linewidth": 1.4}),
             "truth": (self.truth, {"color": ROLES["truth"], "linewidth": 0.9, "linestyle": "--"}),
@@ -115,16 +116,19 @@ class TimeHistoryDisplay(Display):
         for label, (values, style) in lines.items():
             if values is not None:
                 points = line_points(self.time, factor * values[:, k], starts)
-                alone = _isolated(points[1])
+                finite = np.pad(np.isfinite(points[1]), 1)
+                # samples between gaps, which a line alone does not show
+                alone = np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
                 marker = {"marker": "." if alone else None, "markersize": 3, "markevery": alone}
                 ax.plot(*points, label=label, **marker, **style)
         if self.measured is not None:  # else the band is what the figure shows
             _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
             marks = np.where(self.beyond > 0, 1.0, np.nan)
-            style = {"color": PALETTE["orange"], "linewidth": 4, "clip_on": False}
-            style["transform"] = ax.get_xaxis_transform()
-            ax.plot(self.time, marks, label="outside the training data", **style)
+            ax.plot(
+                self.time, marks, label="outside the training data", color=PALETTE["orange"],
+                linewidth=4, clip_on=False, transform=ax.get_xaxis_transform(),
+            )  # fmt: skip
         ax.set(xlabel="time [s]", ylabel=axis_label(key) + self.suffix)
 
     @classmethod
@@ -272,12 +276,6 @@ def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Ve
         turns = np.round((first - column[0]) / (2 * np.pi)) if name in EULER else 0.0
         columns.append(column + 2 * np.pi * turns)
     return np.stack(columns, axis=-1)
-
-
-def _isolated(values: Vector) -> list[int]:
-    """Return the indices of finite values without a finite neighbour, which a line alone does not show."""
-    is_finite = np.concatenate([[False], np.isfinite(values), [False]])
-    return np.flatnonzero(is_finite[1:-1] & ~is_finite[:-2] & ~is_finite[2:]).tolist()
 
 
 def _fit_to_lines(ax: Any) -> None:

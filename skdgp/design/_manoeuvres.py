@@ -400,15 +400,16 @@ class Rehearsal:
         )
         return [self._cut(part, train) for part, train in zip(parts, trains, strict=True)]
 
-    def drawn(self, inputs: Inputs, n_paths: int, gusts: Any = None) -> pd.DataFrame:
+    def drawn(self, inputs: Inputs) -> pd.DataFrame:
         """Return flights of a manoeuvre by aircraft and entries that are drawn, or by the mean without a posterior."""
-        if not (n_paths and self.aerodynamics.is_uncertain):
+        if not (self.envelope.n_paths and self.aerodynamics.is_uncertain):
             return self.flown([inputs])[0]
         (train,), tables = self._tables([inputs])
         rng, time = np.random.default_rng(self.seed), tables[0].pop("time").to_numpy()
         spreads = {axis: ENTRY_CONTROLS * limit for axis, limit in self.limits.items()}
         beside = {
-            axis: spread * rng.standard_normal((n_paths, 1)) for axis, spread in spreads.items()
+            axis: spread * rng.standard_normal((self.envelope.n_paths, 1))
+            for axis, spread in spreads.items()
         }
         columns = {str(name): values.to_numpy() for name, values in tables[0].items()}
 
@@ -419,8 +420,11 @@ class Rehearsal:
             }
 
         entry = UncertainStart([self.point], ENTRY | {"u": ENTRY_SPEED * self.point.airspeed})
-        options = {"n_paths": n_paths, "random_state": self.seed, "air": Air(gusts=gusts)}
-        return self._cut(self._simulated(entry, controls, time[-1], **options), train)
+        flown = self._simulated(
+            entry, controls, time[-1], n_paths=self.envelope.n_paths, random_state=self.seed,
+            air=Air(gusts=self.envelope.gusts),
+        )  # fmt: skip
+        return self._cut(flown, train)
 
     def _tables(self, several: Sequence[Inputs]) -> tuple[list[Wavetrain], list[pd.DataFrame]]:
         """Return manoeuvres, and the controls of their flights."""
@@ -447,7 +451,7 @@ class Rehearsal:
     @cached_property
     def hold(self) -> Hold:
         """Trimmed flight and the room around it; raise ValueError if gusts alone leave the envelope."""
-        paths = self.drawn(self._nothing, self.envelope.n_paths, self.envelope.gusts)
+        paths = self.drawn(self._nothing)
         risk, causes = self.risk(paths[paths["time"] <= self.response + 1e-6])
         if risk > self.envelope.risk:
             raise ValueError(
@@ -488,8 +492,7 @@ class Rehearsal:
     def checked(self, inputs: Inputs) -> Checked:
         """Return the risk of a manoeuvre and its flights, and how much larger it may be."""
         flight = self.flown([inputs])[0]
-        n_paths, gusts = self.envelope.n_paths, self.envelope.gusts
-        paths = self.drawn(inputs, n_paths, gusts) if self.aerodynamics.is_uncertain else flight
+        paths = self.drawn(inputs) if self.aerodynamics.is_uncertain else flight
         margin = self.hold.margin * self.hold.response(self.channels(self._unattended(flight)))
         counted = self._unattended(paths)
         flown = self.channels(counted).reshape(-1, *margin.shape)

@@ -80,14 +80,14 @@ def write_flight_card(
     folder of ``path`` does not exist.
     """
     draw = can_draw()
-    body = [_fields(CREW), _go(plan), _entry(plan), _limits(plan), _order(plan)]
-    if not draw:
-        body.append(
-            '<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>'
-        )
+    note = '<p class="note">No pictures: they need matplotlib, pip install "skdgp[plot]".</p>'
     kinds = plan.manoeuvres.reset_index().groupby(["name", "scale"], sort=False)["index"]
-    body += [_manoeuvre(plan, list(rows), full or {}, draw) for _, rows in kinds]
-    body.append(_promise(plan))
+    body = [
+        *(_fields(CREW), _go(plan), _entry(plan), _limits(plan), _order(plan)),
+        *([] if draw else [note]),
+        *(_manoeuvre(plan, list(rows), full or {}, draw) for _, rows in kinds),
+        _promise(plan),
+    ]
     meta = (
         f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kind{'s' * (len(kinds) > 1)}"
         f" · planned {datetime.now().astimezone():%d %B %Y, %H:%M}"
@@ -180,9 +180,11 @@ def _limits(plan: Plan) -> str:
         span = f"{shown(name, expected[name]['low'])} … {shown(name, expected[name]['high'])}"
         rows.append([_words(name), _unit(name), low, high, source, span])
     head = ["", "unit", "abort<br>below", "abort<br>above", "limit is", "expected"]
+    is_drawn = "alpha_low" in plan.flight
+    of = "95 % of the aircraft and gusts drawn" if is_drawn else "the mean of the model"
     caption = (
         f"Limits: asked for, or flown before with the growth that this plan allows. Expected of "
-        f"{_drawn(plan)}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held; the "
+        f"{of}, up to {RESPONSE:g}{THIN}s after the inputs with the controls held; the "
         f"risk counts only {REACTION:g}{THIN}s, in which nobody acts."
     )
     if plan.servo_lag > 0:
@@ -284,11 +286,6 @@ def _pictures(plan: Plan, k: int, inputs: Mapping[str, Signal]) -> str:
 
 def _section(title: str, body: str, kind: str = "") -> str:
     return f'<section class="{kind}"><h2>{title}</h2>{body}</section>'
-
-
-def _drawn(plan: Plan) -> str:
-    is_drawn = "alpha_low" in plan.flight
-    return "95 % of the aircraft and gusts drawn" if is_drawn else "the mean of the model"
 
 
 def _label(name: str) -> tuple[str, float, str]:

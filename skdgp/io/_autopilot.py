@@ -155,7 +155,7 @@ def on_one_clock(path: Path, *, servos=None, airborne=True) -> FlightLog:
             useless += unused
             clock, chosen = follow(sources)
             table, origins = to_table(sources, clock, chosen)
-            if not set(SPECIFIC_FORCE) & set(table):
+            if {*EARTH_VELOCITY, *EULER} <= {*table} and not {*SPECIFIC_FORCE} & {*table}:
                 table, origins = with_specific_force(table, origins)
             origin |= origins
             parts.append(Part(part, table, find_segments(table, log, part, speed)))
@@ -193,18 +193,17 @@ def flight_table(flown: FlightLog, name: str, *, airborne) -> pd.DataFrame:
 def with_specific_force(
     table: pd.DataFrame, origin: dict[str, Origin]
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
-    """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g), where it has both.
+    """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g).
 
     It is for logs without an accelerometer, and has the bandwidth of the velocity: little above
     a fifth of its rate.
     """
-    if not {*EARTH_VELOCITY, *EULER} <= set(table.columns):
-        return table, origin
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     try:
         with without_warnings():  # rows that stand alone have no rate of change
-            cutoff = RATE_CUTOFF * rate
-            change = differentiate(table[list(EARTH_VELOCITY)], table["time"], cutoff=cutoff)
+            change = differentiate(
+                table[list(EARTH_VELOCITY)], table["time"], cutoff=RATE_CUTOFF * rate
+            )
     except (
         ValueError
     ):  # the clock of the log is not sound, which coefficients refuse in their own words
@@ -305,7 +304,7 @@ def find_sources(
     """Return the source of each group of columns, and remarks on sources that are of no use."""
     part = replace(log, topics=topics)
     candidates: dict[tuple[str, ...], list[Source]] = {}
-    useless: dict[str, None] = {}
+    useless: list[str] = []
     for rule in log.rules:
         source = _source(part, rule)
         if source is None:
@@ -313,26 +312,25 @@ def find_sources(
         low, high = np.transpose([POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns])
         wrong = ((source.values < low) | (source.values > high)).any(axis=1)
         if len(source.time) < 2:
-            remark = f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})"
-            useless[remark] = None
+            useless.append(f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})")
         elif wrong.mean() > RARE:  # fewer are faults of a sensor
             columns = ", ".join(rule.columns)
-            remark = f"{source.name} cannot be {columns}: {100 * wrong.mean():.0f} % is impossible"
-            useless[remark] = None
+            share = f"{100 * wrong.mean():.0f} % is impossible"
+            useless.append(f"{source.name} cannot be {columns}: {share}")
         else:
             candidates.setdefault(rule.columns, []).append(source)
     surfaces = [_surface(part, name, parts) for name, parts in servos.items()]
-    useless |= {
-        f"{surface.name} sends no pulse, so there is no {surface.columns[0]}": None
+    useless += [
+        f"{surface.name} sends no pulse, so there is no {surface.columns[0]}"
         for surface in surfaces
         if len(surface.time) < 2
-    }
+    ]
     chosen = [
         next((source for source in sources if source.rate >= LEAST_RATE), sources[0])
         for columns, sources in candidates.items()
         if not servos.keys() & set(columns)
     ]
-    return chosen + [surface for surface in surfaces if len(surface.time) > 1], list(useless)
+    return chosen + [surface for surface in surfaces if len(surface.time) > 1], useless
 
 
 def follow(sources: list[Source]) -> tuple[Vector, float]:
@@ -374,9 +372,11 @@ def to_table(
     if EQUIVALENT in columns:
         density = columns.get("density", DENSITY)
         columns["airspeed"] = columns.pop(EQUIVALENT) * np.sqrt(DENSITY / density)
-        note = "equivalent; true by density"
-        if "density" not in columns:
-            note = "equivalent, taken for true: density unknown"
+        note = (
+            "equivalent; true by density"
+            if "density" in columns
+            else "equivalent, taken for true: density unknown"
+        )
         pitot, its_rate = origin.pop(EQUIVALENT)
         origin["airspeed"] = Origin(f"{pitot} ({note})", its_rate)
     table = pd.DataFrame({name: columns[name] for name in CHANNELS if name in columns})

@@ -349,8 +349,7 @@ def inspect_log(
 def names_servos(path: PathLike) -> bool:
     """Return whether the parameters of a log of an autopilot name servos; raise FlightReadError if it is none."""
     with reading(path):
-        log = read_log(Path(path))
-    return bool(log.controls)
+        return bool(read_log(Path(path)).controls)
 
 
 def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:

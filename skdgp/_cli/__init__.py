@@ -12,7 +12,7 @@ from pathlib import Path
 
 from skdgp._cli import _learn, _use
 from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Console, Run, check_folder
+from skdgp._cli._shared import Console, Run
 
 __all__ = ["main"]
 
@@ -64,21 +64,17 @@ def _folder(options: argparse.Namespace) -> Path | None:
         return None
     output = Path(options.output)
     folder = output.parent if options.command == "predict" else output
-    check_folder(folder)
+    nearest = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        raise OSError(
+            f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder "
+            f"that can be written to: name another one after -o."
+        )
     return folder
 
 
 def parse(argv: list[str]) -> argparse.Namespace:
     """Return the options of a command line; SystemExit, as of argparse, ends wrong usage."""
-    options = make_parser().parse_args(argv)
-    strange = [word for word in argv if word != word.encode(errors="replace").decode()]
-    if strange:  # no record of the run could hold it
-        options.parser.error(f"got {strange[0]!a}, but expected a name in UTF-8: rename it")
-    return options
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands."""
     parser = argparse.ArgumentParser(
         prog="skdgp",
         description=DESCRIPTION,
@@ -91,7 +87,11 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for run, options in COMMANDS.items():
         opt.add_command(commands, run, options)
-    return parser
+    parsed = parser.parse_args(argv)
+    strange = [word for word in argv if word != word.encode(errors="replace").decode()]
+    if strange:  # no record of the run could hold it
+        parsed.parser.error(f"got {strange[0]!a}, but expected a name in UTF-8: rename it")
+    return parsed
 
 
 def _open_streams() -> None:

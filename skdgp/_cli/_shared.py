@@ -292,16 +292,6 @@ def _discard(stream) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def check_folder(folder: Path) -> None:
-    """Raise OSError if outputs cannot be written into a folder, which need not exist."""
-    nearest = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
-    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        raise OSError(
-            f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder "
-            f"that can be written to: name another one after -o."
-        )
-
-
 @dataclass(frozen=True)
 class Run:
     """A running command; ``folder`` is None where nothing is to be written."""

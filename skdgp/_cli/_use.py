@@ -280,22 +280,16 @@ def plan(run: Run) -> None:
             random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
-    files = run.write(_plan_writers(options, planned), "plan.json", numbers, r"plan\.lua")
-    run.print(_text(planned, options, files), numbers)
-
-
-def _plan_writers(options, planned: Plan) -> dict[str, Writer]:
-    files: dict[str, Writer] = {"plan.csv": csv_writer(planned.train.table(RATE))}
-    full = dict(options.full)
+    writers: dict[str, Writer] = {"plan.csv": csv_writer(planned.train.table(RATE))}
     if full:
         try:
-            files["plan.lua"] = text_writer(ardupilot_script(planned.train, RATE, full))
+            writers["plan.lua"] = text_writer(ardupilot_script(planned.train, RATE, full))
         except ValueError as error:  # the plan is kept
             warn(f"No script for ArduPilot: {error}", stacklevel=2)
-    return files | {
-        "card.html": partial(write_flight_card, plan=planned, full=full),
-        "expected.csv": csv_writer(planned.flight),
-    }
+    writers["card.html"] = partial(write_flight_card, plan=planned, full=full)
+    writers["expected.csv"] = csv_writer(planned.flight)
+    files = run.write(writers, "plan.json", numbers, r"plan\.lua")
+    run.print(_text(planned, options, files), numbers)
 
 
 def _text(planned: Plan, options, files: list) -> str:

@@ -135,13 +135,13 @@ def _regressor(name: str, model: Aerodynamics, aircraft: Aircraft, columns: set[
         power = 2 if rate in ACCELERATION_LENGTHS else 1
         return Regressor(name, "", (rate,), (1.0,), float(length), power)
     unit = model.units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
-    if model.mixing is None or name not in model.mixing.controls:
-        return Regressor(name, unit, (name,))
-    row = model.mixing.matrix[model.mixing.controls.index(name)]
-    used = {s: float(c) for s, c in zip(model.mixing.surfaces, row, strict=True) if c}
-    if not used or not columns.issuperset(model.mixing.surfaces):
-        return Regressor(name, unit, (name,))
-    return Regressor(name, unit, tuple(used), tuple(used.values()))
+    mixing = model.mixing
+    factors = {}
+    if mixing and name in mixing.controls and columns.issuperset(mixing.surfaces):
+        row = mixing.matrix[mixing.controls.index(name)]
+        factors = {s: float(c) for s, c in zip(mixing.surfaces, row, strict=True) if c}
+    factors = factors or {name: 1.0}
+    return Regressor(name, unit, tuple(factors), tuple(factors.values()))
 
 
 def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:

@@ -493,8 +493,12 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
     thrust = propeller_loads(
         BRUMBY, record.controls["propeller_speed"], motion["airspeed"], truth.density
     )
-    logged = {"altitude": motion["altitude"], "density": truth.density, **record.controls}
-    logged["time"] = np.broadcast_to(record.time[:, None], truth.density.shape)
+    logged = {
+        "time": np.broadcast_to(record.time[:, None], truth.density.shape),
+        "altitude": motion["altitude"],
+        "density": truth.density,
+        **record.controls,
+    }
     true = motion | {
         "gravity": np.full(truth.density.shape, STANDARD_GRAVITY),
         "psi": motion["psi"] % (2.0 * np.pi),

@@ -473,7 +473,6 @@ def _values(roots: np.ndarray) -> tuple[float, float, float]:
 
 def _row(roots: np.ndarray) -> dict[str, Any]:
     frequency, damping, decay = _values(roots)
-    period = 2.0 * np.pi / abs(roots[0].imag) if roots[0].imag else np.inf
     return {
         "eigenvalue": roots[0],
         "frequency": frequency,
@@ -481,7 +480,7 @@ def _row(roots: np.ndarray) -> dict[str, Any]:
         "time_constant": 1.0 / decay if decay else np.inf,
         "time_to_half": np.log(2.0) / decay if decay > 0 else np.inf,
         "time_to_double": -np.log(2.0) / decay if decay < 0 else np.inf,
-        "period": period,
+        "period": 2.0 * np.pi / abs(roots[0].imag) if roots[0].imag else np.inf,
     }
 
 
@@ -627,18 +626,17 @@ def _deviations(
     X, model = now.regressors, motion.aerodynamics
     drawn, regressors = model.sample(n_paths, random_state), np.broadcast_to(X, (n_paths, *X.shape))
     posterior = frame(drawn(regressors), drawn.gradient(regressors)).std(axis=0, ddof=1)
-    slope_errors = model.slope_errors
-    errors = None if slope_errors is None else slope_errors(X)
-    if slope_errors is not None and errors is not None and added is not None:
+    if model.slope_errors is None:
+        return {"std_posterior": posterior}
+    errors = model.slope_errors(X)
+    if errors is not None and added is not None:
         # A posterior narrows as least squares does; with too few rows no promise is made.
-        then = slope_errors(X, np.asarray(added, dtype=float))
+        then = model.slope_errors(X, np.asarray(added, dtype=float))
         white = frame.errors(_each_output(errors.white))
         ratio = np.ones_like(white)
         np.divide(frame.errors(_each_output(then.white)), white, out=ratio, where=white > 0)
         posterior = posterior * ratio
         errors = then
-    if slope_errors is None:
-        return {"std_posterior": posterior}
     scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)
     lag = frame.errors(lag_of(motion, now, model.gradient(X), scatter).errors, apart=True)
     source = np.where(lag.any(axis=0), 1 + lag.argmax(axis=0), 0)

@@ -56,6 +56,10 @@ CASES = {
         ["time [ms],alpha [deg]\n0,1\n20,2\n", "time (ms);alpha (°)\n0;1\n20;2\n"],
         {"time": [0, 0.02], "alpha": [DEGREE, 2 * DEGREE]},
     ),
+    "unit of another quantity or system, such as lbf": (
+        ["time,thrust_x [lbf]\n0,1\n0.02,2\n", "time,alpha [m/s]\n0,1\n0.02,2\n"],
+        r"Got unit '(lbf|m/s)' for column '\w+', but expected one of",
+    ),
     "units under the header": (
         ["time,alpha\nms,deg\n0,1\n20,2\n", "time [ms],alpha\ns,deg\n0,1\n20,2\n"],
         "in column 'time' at row 0 .* are not numbers",

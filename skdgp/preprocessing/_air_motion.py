@@ -94,6 +94,7 @@ SHORTER, LEAST_SHARE, LONGER = 0.5, 0.25, 1.4
 PITOT = ("airspeed_scale", *WINDS[:2])
 GUST_WINDOW = 20.0  # s, longer than gusts last
 PITOT_NOISE = 10.0  # m/s, of the mean airspeed of a flight times the root of its samples; typical
+PITOT_STD = 0.1  # m/s, least error of a sample of the airspeed
 LARGEST_PATH = 2.0  # m/s, of the air velocity that errors of the path may make
 TOLERANCE = 0.5  # squared length of the last two steps, in standard deviations of all parameters
 NOISE_TOLERANCE = 5.0  # that of the last step of the noises
@@ -144,7 +145,8 @@ class AirMotion:
         Length of the records.
     misfit : float
         Root mean square of the sensors' constants over their prior standard deviations, at least
-        one. ``std`` contains it, as what a model lacks moves these constants (Birge 1932).
+        one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge
+        1932).
     """
 
     derivatives: pd.DataFrame
@@ -468,12 +470,12 @@ class _Fit:
 
     def _start(self) -> None:
         """Set the wind by the airspeed, and derivatives that are not held by least squares."""
-        self.gust_power = []
+        self.gust_variances = []
         for flight, places in enumerate(self.parameters.places):
             own = [record for record in self.records if record.flight == flight]
             at = places[[self.parameters.local_names.index(name) for name in PITOT]]
-            pitot, power = _steady_wind(own)
-            self.gust_power.append(power)
+            pitot, variance = _steady_wind(own)
+            self.gust_variances.append(variance)
             self.x[at[1:]] = pitot[1:]
         if self.known is None:
             self._start_derivatives()
@@ -532,9 +534,9 @@ class _Fit:
         names = self.parameters.local_names
         at = self.parameters.places[record.flight][[names.index(name) for name in PITOT]]
         slopes, excess = _airspeed_error(record, self.x[at])
-        weight = np.median(record.step) / self.gust_power[record.flight]
-        information[np.ix_(at, at)] += weight * slopes.T @ slopes
-        score[at] += weight * slopes.T @ excess
+        variance = self.gust_variances[record.flight]
+        information[np.ix_(at, at)] += slopes.T @ slopes / variance
+        score[at] += slopes.T @ excess / variance
 
     def _pass(self, by_instruments: bool = True) -> _Sums:
         """Return score and information of the parameters, with those of the prior."""
@@ -709,9 +711,10 @@ def _airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
 
 
 def _steady_wind(records: list[Record]) -> tuple[Vector, float]:
-    """Return `PITOT` of a flight by least squares of its airspeed, and the power of what is left at low frequency.
+    """Return `PITOT` of a flight by least squares of its airspeed, and the variance of a sample [m^2/s^2].
 
-    The latter, in m^2/s, is the variance of means over `GUST_WINDOW` times its length: gusts.
+    Gusts correlate over seconds: a sample has the variance of a mean over `GUST_WINDOW`, times the
+    samples of the mean, so that n samples tell as much as they do.
     """
     pitot = np.zeros(3)
     prior = np.diag([PITOT_NOISE / SHARED["airspeed_scale"][1], 0.1, 0.1])
@@ -720,10 +723,12 @@ def _steady_wind(records: list[Record]) -> tuple[Vector, float]:
         slopes, excess = (np.concatenate(part) for part in zip(*pairs, strict=True))
         rows, rest = np.vstack([slopes, prior]), np.concatenate([excess, prior @ pitot])
         pitot = pitot - np.linalg.lstsq(rows, rest, rcond=None)[0]
-    step = float(np.median(np.concatenate([record.step for record in records])))
-    width = max(1, int(min(GUST_WINDOW / step, len(excess) / 4)))
+    if not len(excess):
+        return pitot, PITOT_STD**2
+    seconds = sum(float(record.step.sum()) for record in records)
+    width = max(1, int(len(excess) * min(GUST_WINDOW / seconds, 0.25)))
     means = uniform_filter1d(excess, width, mode="nearest")
-    return pitot, step * float(max(width * means.var(), excess.var()))
+    return pitot, max(width * float(means.var()), float(excess.var()), PITOT_STD**2)
 
 
 def _middle(linear: Linearisation, n_samples: int) -> Linearisation:

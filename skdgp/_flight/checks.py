@@ -74,7 +74,9 @@ REMEDIES = {
     "density": " skdgp.dynamics.standard_density(altitude) is the density of the standard atmosphere.",
 }
 MOST_NAMES = 8  # unknown columns that a message names
-HEADING_UNIT = re.compile(r"[\[(].*")
+HEADING_UNIT = re.compile(
+    r"[\[(].*|_(deg|rad|dps|(deg|rad)_?s|mps|m_s|ms|kmh|knots|kt|g|m|s)$", re.IGNORECASE
+)
 # [rad], 40 degrees: beyond may be commands from -1 to 1; the largest of seven logs is 0.31
 LARGEST_DEFLECTION = 0.7
 

@@ -202,11 +202,22 @@ def _promise(plan: Plan) -> str:
         ]
         for name, row in plan.errors.iterrows()
     ]
+    left = plan.errors["promised"] / plan.errors["before"]
     caption = (
         f"Standard deviations of derivatives at the trim, as <code>derivatives</code> states "
         f"them: before the flight, and promised of a model learned from this flight too. Geometric "
         f"mean of what is left: {percent(plan.remaining, '.0f')}{THIN}%."
     )
+    if np.isclose(left.fillna(1.0), 1.0).all():
+        caption += (
+            " Nothing is promised: the model has no posterior, does not hold its rows, or has fewer "
+            "than ten for each slope."
+        )
+    elif (left > 1.0).any():
+        caption += (
+            " Over 100: errors that more rows do not lower, such as of alpha_dot, are larger in the "
+            "planned ones."
+        )
     shown_errors = table(
         ["derivative", "before", "promised", "left [%]"], rows, caption=caption, classes="narrow"
     )

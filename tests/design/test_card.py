@@ -134,6 +134,17 @@ def test_each_kind_stands_once_and_the_engineer_reads_the_promise(html):
     assert "Cm_alpha 0.5 0.1 20 Cm_q 0.4 0.2 50" in engineer
 
 
+@pytest.mark.parametrize(
+    ("promised", "sentence"),
+    [([0.6, 0.2], "Over 100: "), ([0.5, 0.4], "Nothing is "), ([np.nan] * 2, "Nothing is ")],
+)
+def test_a_promise_that_is_none_says_so(plan, html, tmp_path, promised, sentence):
+    assert sentence not in words_of(html)
+    errors = plan.errors.assign(promised=promised)
+    path = write_flight_card(tmp_path / "card.html", replace(plan, errors=errors))
+    assert sentence in words_of(path.read_text(encoding="utf-8"))
+
+
 def test_without_posterior_it_says_so(plan, tmp_path):
     bare = plan.flight[[name for name in plan.flight if not name.endswith(("_low", "_high"))]]
     rows = plan.manoeuvres.assign(risk=np.nan)

@@ -93,6 +93,15 @@ class TestSummary:
         found = set(inspect_log(tmp_path / "a.csv", rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}
 
+    def test_a_unit_in_a_name_hides_no_suggestion(self, tmp_path):
+        names = {"Roll_deg": "phi", "gx_dps": "p", "IAS_mps": "airspeed", "gy (deg/s)": "q"}
+        table = pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
+        table.to_csv(tmp_path / "a.csv", index=False)
+        with pytest.warns(UserWarning, match="did you mean") as caught:
+            inspect_log(tmp_path / "a.csv")
+        said = str(caught[0].message)
+        assert all(f"did you mean {name!r}" in said for name in names.values())
+
     def test_the_faults_of_a_table_at_seconds_of_the_log(self, tmp_path):
         rng = np.random.default_rng(0)
         table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500)})

@@ -138,7 +138,8 @@ def trim(
         Values of controls that are not unknowns, of ``turn_rate``, the rate of change of heading
         [rad/s], and of ``beta`` [rad], by default 0 where four controls can hold it.
         A ``throttle`` that is a regressor but does not set
-        the thrust (an aircraft without a propeller) is by default the middle of its training range.
+        the thrust (an aircraft without a propeller) is by default the middle of its training range,
+        and a surface that training did not move stays where it was.
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
 
@@ -250,6 +251,9 @@ class SteadyFlight:
         for name in ENGINE:
             if name in names and name != engine and name in self.flown:
                 self.fixed.setdefault(name, float(np.mean(self.flown[name])))
+        for name in ALL_SURFACES:  # the effect of a surface that did not move is not known
+            if name in names and np.ptp(self.flown.get(name, (0.0, 1.0))) == 0.0:
+                self.fixed.setdefault(name, self.flown[name][0])
         free = [name for name in names if name not in self.fixed]
         settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, engine}
         if lacking := [name for name in free if name in settings]:

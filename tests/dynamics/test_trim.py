@@ -160,6 +160,18 @@ class TestShape:
         assert "beta" in found.solved
         assert abs(found.beta) > 1e-3
 
+    def test_a_rudder_that_never_moved_is_none(self, glider):
+        """Logs of flying wings have the column, with one value."""
+        limits = np.array([[-0.2] * 8, [0.2] * 8])
+        limits[:, 7] = 0.01
+        model = Aerodynamics(lambda X: linear(X * (np.arange(8) < 7)), NAMES, limits=limits)
+        without = Aerodynamics(lambda X: linear(np.column_stack([X, 0 * X[:, 0]])), NAMES[:-1])
+        found, other = (trim(each, glider, 20.0, bank=0.4, **AIR) for each in (model, without))
+        assert found.controls["rudder"] == 0.01
+        assert (found.beta, found.phi) == pytest.approx((other.beta, other.phi))
+        moved = trim(model, glider, 20.0, bank=0.4, fixed={"rudder": 0.02}, **AIR)
+        assert moved.controls["rudder"] == 0.02
+
     def test_without_lateral_controls_a_symmetric_aircraft_flies_straight(self, glider):
         model = Aerodynamics(
             lambda X: linear(np.column_stack([X, 0 * X[:, 0], 0 * X[:, 0]])), NAMES[:-2]

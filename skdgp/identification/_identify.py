@@ -122,6 +122,7 @@ def identify(
             messages.ignore(UserWarning, "Got surfaces up to")
         # The steps of the pipeline meet the same faults again.
         messages.ignore(FlightDataWarning, WARNING_START)
+        messages.ignore(UserWarning, "The regressors ['x")  # which the pipeline has named
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
         Y = aerodynamic_coefficients(prepared.table, prepared.aircraft, **prepared.loads)
         targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))

@@ -152,6 +152,7 @@ class TestIdentify:
         }
         assert "1 rows that stand alone between gaps are left out" in said
         assert "['rudder'] never change, so the model cannot learn" in said
+        assert "constant over the samples" not in said  # it is said once, by name
         assert "'latlon' is both learned from and tested on" in said
 
     def test_several_test_flights_are_scored_together_too(self, tmp_path, capsys):

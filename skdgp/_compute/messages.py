@@ -16,9 +16,9 @@ class Messages:
     """Messages of warnings, each once, and the kinds that are ignored, by category and first words."""
 
     texts: list[str] = field(default_factory=list)
-    ignored: list[tuple[type[Warning], str]] = field(default_factory=list)
+    ignored: list[tuple[type[Warning], str | tuple[str, ...]]] = field(default_factory=list)
 
-    def ignore(self, category: type[Warning], start: str = "") -> None:
+    def ignore(self, category: type[Warning], start: str | tuple[str, ...] = "") -> None:
         """Ignore warnings of a category whose text begins so, until the end of the block."""
         self.ignored.append((category, start))
 

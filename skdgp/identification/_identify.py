@@ -120,9 +120,8 @@ def identify(
         )
         if prepared.has_full_throws:
             messages.ignore(UserWarning, "Got surfaces up to")
-        # The steps of the pipeline meet the same faults again.
-        messages.ignore(FlightDataWarning, WARNING_START)
-        messages.ignore(UserWarning, "The regressors ['x")  # which the pipeline has named
+        # The steps say so of the same faults again, and of constant regressors by number.
+        messages.ignore(UserWarning, (WARNING_START, "The regressors ['x"))
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
         Y = aerodynamic_coefficients(prepared.table, prepared.aircraft, **prepared.loads)
         targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))

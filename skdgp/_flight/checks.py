@@ -123,11 +123,14 @@ def unknown_columns_message(names: Collection[str], have: Collection[str]) -> st
     """Return one line on columns of no known name: suggestions, then the others.
 
     >>> unknown_columns_message(["de", "voltage"], have=["time", "alpha"])
-    "'de' (did you mean 'elevator'?), and 1 other: voltage"
+    "'de' (did you mean 'elevator' [rad]?), and 1 other: voltage"
     """
     near = suggestions(names, have)
     unlike = [name for name in names if name not in near]
-    message = ", ".join(f"{name!r} (did you mean {channel!r}?)" for name, channel in near.items())
+    message = ", ".join(
+        f"{name!r} (did you mean {channel!r} [{CHANNELS[channel].unit}]?)"
+        for name, channel in near.items()
+    ).replace(" []", "")
     if not unlike:
         return message
     shown = ", ".join(unlike[:MOST_NAMES]) + ", ..." * (len(unlike) > MOST_NAMES)

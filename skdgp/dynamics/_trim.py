@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HAT
 from skdgp._flight.checks import check_names, check_number, degrees_error
@@ -239,7 +240,7 @@ class SteadyFlight:
         self.limits = {name: self._limits(name) for name in self.unknowns}
 
     def _controls(self) -> tuple[str, ...]:
-        """Return the controls to solve for, and fix a throttle that does not set the thrust."""
+        """Return the controls to solve for; fix a throttle without thrust, and surfaces of unknown effect."""
         motion = self.motion
         engine = thrust_control(motion.aircraft, motion.thrust)
         if motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
@@ -248,12 +249,10 @@ class SteadyFlight:
             engine = None
         names = list(dict.fromkeys([*motion.controls, *([engine] if engine else [])]))
         check_names(self.fixed, (*names, *THRUSTS), "controls of the model and the engine")
-        for name in ENGINE:
-            if name in names and name != engine and name in self.flown:
+        for name in self.flown.keys() & {*names} - {engine}:
+            has_moved = not constant_columns(np.reshape(self.flown[name], (2, 1)))[0]
+            if name in ENGINE or (name in ALL_SURFACES and not has_moved):
                 self.fixed.setdefault(name, float(np.mean(self.flown[name])))
-        for name in ALL_SURFACES:  # the effect of a surface that did not move is not known
-            if name in names and np.ptp(self.flown.get(name, (0.0, 1.0))) == 0.0:
-                self.fixed.setdefault(name, self.flown[name][0])
         free = [name for name in names if name not in self.fixed]
         settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, engine}
         if lacking := [name for name in free if name in settings]:

@@ -120,7 +120,7 @@ def identify(
         )
         if prepared.has_full_throws:
             messages.ignore(UserWarning, "Got surfaces up to")
-        # The steps say so of the same faults again, and of constant regressors by number.
+        # The steps repeat warnings of the same faults, and of constant regressors, which they number.
         messages.ignore(UserWarning, (WARNING_START, "The regressors ['x"))
         notify("coefficients")  # 2: inverse dynamics, paper eqs 3 to 8
         Y = aerodynamic_coefficients(prepared.table, prepared.aircraft, **prepared.loads)

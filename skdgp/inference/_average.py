@@ -6,8 +6,8 @@ has the weights
 .. math:: w_i = \arg\max_w \sum_n \log \sum_k w_k\, e^{-c_k / n} p_k(y_{in} \mid \text{other blocks})
 
 for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018), where c is zero for the trend and
-two nats for each regressor for a process, whose hyperparameters the same rows have determined. A
-weight below 5 % is none.
+two nats for each regressor for a process, whose hyperparameters the same rows have determined.
+Weights below 5 % are set to zero.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ BLOCKS, FOLDS = 8, 4
 # Most rows that weights are learned from, and values of an exact posterior, to save time
 MOST_ROWS, MOST_VALUES = 4000, 4000
 COMPLETE = 0.95  # share of its values that an output has where whole rows are held out
-# Members of less weight go: they lie outside of a 95 % band, but would widen all of it
+# Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen all of it
 LEAST_WEIGHT = 0.05
 STEPS = 200  # of expectation maximisation for the weights
 

@@ -155,8 +155,9 @@ def predicted(case, seed):
 
 def process_of(n_inputs, seed, one_width=False):
     """Return scikit-learn's process with a width for each input or one, and noise; its best of three searches."""
-    widths, least = 3.0 if one_width else np.full(n_inputs, 3.0), 0.1 if n_inputs > 2 else 0.01
-    kernel = ConstantKernel() * RBF(widths, (least, 1e4)) + WhiteKernel(0.1, (1e-6, 1e2))
+    widths = 3.0 if one_width else np.full(n_inputs, 3.0)
+    bounds = (0.1 if n_inputs > 2 else 0.01, 1e4)  # with more inputs shorter widths fit noise
+    kernel = ConstantKernel() * RBF(widths, bounds) + WhiteKernel(0.1, (1e-6, 1e2))
     return GaussianProcessRegressor(
         kernel, n_restarts_optimizer=2, normalize_y=True, random_state=seed
     )

@@ -138,7 +138,9 @@ def test_each_kind_stands_once_and_the_engineer_reads_the_promise(html):
     ("promised", "sentence"),
     [([0.6, 0.2], "Over 100: "), ([0.5, 0.4], "Nothing is "), ([np.nan] * 2, "Nothing is ")],
 )
-def test_a_promise_that_is_none_says_so(plan, html, tmp_path, promised, sentence):
+def test_a_promise_of_nothing_or_of_more_than_before_says_so(
+    plan, html, tmp_path, promised, sentence
+):
     assert sentence not in words_of(html)
     errors = plan.errors.assign(promised=promised)
     path = write_flight_card(tmp_path / "card.html", replace(plan, errors=errors))

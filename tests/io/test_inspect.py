@@ -84,23 +84,23 @@ class TestSummary:
         names = ["ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))]
         table = pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
         table.to_csv(tmp_path / "a.csv", index=False)
-        words = r"'ias' \(did you mean 'airspeed'\?\), 'de' \(.* 'elevator'\?\), 'aoa' \(.* 'alpha'"
+        words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'aoa' \(.* 'alpha'"
         with pytest.warns(UserWarning, match=words):
             (remark,) = inspect_log(tmp_path / "a.csv").remarks
-        assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed'?)")
+        assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)")
         assert "and 66 others: sensor_0, sensor_1" in remark
         rename = {"ias": "airspeed", "de": "elevator", "aoa": "alpha"}
         found = set(inspect_log(tmp_path / "a.csv", rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}
 
     def test_a_unit_in_a_name_hides_no_suggestion(self, tmp_path):
-        names = {"Roll_deg": "phi", "gx_dps": "p", "IAS_mps": "airspeed", "gy (deg/s)": "q"}
+        names = {"Roll_deg": "'phi' [rad]", "gx_dps": "'p' [rad/s]", "IAS_mps": "'airspeed' [m/s]"}
         table = pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
         table.to_csv(tmp_path / "a.csv", index=False)
         with pytest.warns(UserWarning, match="did you mean") as caught:
             inspect_log(tmp_path / "a.csv")
         said = str(caught[0].message)
-        assert all(f"did you mean {name!r}" in said for name in names.values())
+        assert all(f"{name!r} (did you mean {meant}?)" in said for name, meant in names.items())
 
     def test_the_faults_of_a_table_at_seconds_of_the_log(self, tmp_path):
         rng = np.random.default_rng(0)

@@ -161,7 +161,7 @@ class TestRemarks:
         path = write("log.csv", table(Beta=0.0, trottle=0.2, my_sensor=1.0))
         with pytest.warns(
             UserWarning,
-            match=r"'Beta' \(did you mean 'beta'\?\), 'trottle' \(did you mean 'throttle'\?\)",
+            match=r"'Beta' \(did you mean 'beta' \[rad\]\?\), 'trottle' \(did you mean 'throttle'\?\)",
         ):
             assert read_flight(path).attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
 

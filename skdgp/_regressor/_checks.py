@@ -13,6 +13,7 @@ from skdgp._compute.files import column_names
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.messages import warn
 from skdgp._compute.statistics import autocorrelation_time
+from skdgp.inference import KnownNoise
 from skdgp.kernels import MultiOutputKernel
 
 X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
@@ -112,6 +113,54 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
             f"row."
         )
     return np.column_stack([time, codes])
+
+
+def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> KnownNoise:
+    """Return what is known of the noise of Y (n, P), in squared units of the outputs.
+
+    ``variance`` has one number, one for each output (P,), or one for each value, in the shape of
+    Y; ``bounds`` are a pair or (P, 2).
+    """
+    P = Y.shape[1]
+    limits = None
+    if bounds is not None:
+        limits = np.asarray(bounds, dtype=float)
+        if limits.shape not in ((2,), (P, 2)) or not (0 < limits[..., 0]).all():
+            raise ValueError(
+                f"Got noise_variance_bounds={bounds!r}, but expected a pair of positive numbers, or "
+                f"one for each of the {P} outputs."
+            )
+        if not (limits[..., 0] <= limits[..., 1]).all():
+            raise ValueError(
+                f"Got noise_variance_bounds={bounds!r}, but expected lower before upper bounds."
+            )
+        limits = np.broadcast_to(limits, (P, 2)).copy()
+    if variance is None:
+        return KnownNoise(None, limits)
+    values = np.asarray(variance, dtype=float)
+    for_values = values.shape == Y.shape or (is_single and values.shape == (len(Y),) != (1,))
+    if values.shape not in ((), (P,)) and not for_values:
+        raise ValueError(
+            f"Got noise_variance of shape {values.shape}, but expected one number, ({P},) for the "
+            f"outputs, or one for each value of y, {(len(Y),) if is_single else Y.shape}."
+        )
+    observed = values.reshape(Y.shape)[np.isfinite(Y)] if for_values else values
+    if not (np.isfinite(observed) & (observed > 0)).all():
+        raise ValueError(
+            "Got noise_variance with values that are not positive and finite, but expected variances "
+            "above zero: leave out samples without a known one, or use a small number."
+        )
+    if for_values and limits is not None:
+        raise ValueError(
+            "Got noise_variance_bounds and a noise_variance for each value, but expected one of "
+            "them: variances of values are known, and not learned."
+        )
+    if for_values:
+        table = np.where(np.isfinite(Y), values.reshape(Y.shape), np.nan)
+        return KnownNoise.of_values(np.where(np.isnan(table), np.nanmin(table, axis=0), table))
+    white = np.broadcast_to(values, P).astype(float)
+    fixed = np.column_stack([white, white])
+    return KnownNoise(white, fixed if limits is None else limits)
 
 
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from skdgp.inference import (
     ExactPosterior,
     Fit,
     FunctionErrors,
+    KnownNoise,
     KnownSlopes,
     Paths,
     Posterior,
@@ -117,8 +118,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         standard deviation for each regressor. With their covariance S and the slopes J of the mean
         it adds J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None:
         exact regressors. "auto" is "learned" for a log, and else None.
+    noise_variance : float, array (P,), array (n, P) or None
+        Variance of the measurement noise, in squared units of the outputs. None: learned. A number
+        for each output is known and keeps its value, or is the starting value if there are bounds.
+        One for each value of y, in the shape of y, is known, as scikit-learn's ``alpha``; noise of
+        the regressors is not learned beside it.
+    noise_variance_bounds : pair of float, array (P, 2) or None
+        Bounds of a learned noise variance, in squared units of the outputs. None: 1e-6 to 100 times
+        the variance of the output, or fixed where a ``noise_variance`` is given.
     optimizer : "fmin_l_bfgs_b" or None
-        None keeps the starting values. The posterior uses all values.
+        None keeps the values of the kernel, and estimates noise that is not given. The posterior
+        uses all values.
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
@@ -131,7 +141,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     kernel_ : MultiOutputKernel
         Fitted covariance of the normalised outputs.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, without misfit, in squared units of the outputs.
+        Variance of the measurement noise, without misfit, in squared units of the outputs; the mean
+        over the samples where it was given for each.
     drift_variance_, drift_memory_ : ndarray (P,)
         Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero
         without ``time``. The drift holds the effect of errors of the regressors and the misfit,
@@ -188,6 +199,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
         "input_noise": [StrOptions({"auto", "learned"}), None],
+        "noise_variance": [Interval(Real, 0, None, closed="neither"), "array-like", None],
+        "noise_variance_bounds": ["array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
         "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "random_state": ["random_state"],
@@ -203,6 +216,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         inference: str = "auto",
         n_inducing: int = 100,
         input_noise: str | None = "auto",
+        noise_variance: Any = None,
+        noise_variance_bounds: Any = None,
         optimizer: Any = "fmin_l_bfgs_b",
         max_iter: int | None = None,
         random_state: Seed = None,
@@ -214,6 +229,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.inference = inference
         self.n_inducing = n_inducing
         self.input_noise = input_noise
+        self.noise_variance = noise_variance
+        self.noise_variance_bounds = noise_variance_bounds
         self.optimizer = optimizer
         self.max_iter = max_iter
         self.random_state = random_state
@@ -288,30 +305,37 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         before = dict(vars(self))
         try:
-            X, Y, clock = self._checked(X, y, time, flight)
-            self._learn(X, Y, clock, slopes)
+            X, Y, clock, noise = self._checked(X, y, time, flight)
+            self._learn(X, Y, clock, slopes, noise)
         except BaseException:  # a refused fit changes nothing
             self.__dict__ = before
             raise
         return self
 
     def _checked(self, X, y, time, flight):
-        """Return the samples with a target, X (n, d), Y (n, P) and their clock (n, 2) or None."""
+        """Return the samples with a target, X (n, d), Y (n, P), their clock (n, 2) or None, and their known noise."""
         index = getattr(X, "index", None)
         _checks.check_unmasked(X)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
         _checks.warn_of_indices(index, y)
         Y, self.output_names_, self._single = _checks.check_targets(y, len(X), type(self).__name__)
         clock = _checks.check_clock(time, flight, len(X))
+        noise = _checks.check_noise(self.noise_variance, self.noise_variance_bounds, Y, self._single)
+        if noise.loading is not None and self.input_noise == "learned":
+            raise ValueError(
+                "Got input_noise='learned' and a noise_variance for each value, but expected one of "
+                "them: with known noise use input_noise=None."
+            )
         used = np.isfinite(Y).any(axis=1)
         X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
+        noise = noise.of_rows(used)
         _checks.check_observed(Y, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
         _checks.warn_of_samples(X, Y, self._regressor_names(), self.output_names_)
-        return X, Y, clock
+        return X, Y, clock, noise
 
-    def _learn(self, X, Y, clock, slopes):
+    def _learn(self, X, Y, clock, slopes, noise):
         """Set the fitted attributes."""
         log = clock is not None
         n_values = int(np.isfinite(Y).sum())
@@ -328,7 +352,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             self._slopes = slopes.scaled(1 / self.scale_[:, None])
             Z = self._slopes.corrected(X, Z)
         self.max_iter_ = most_iterations(self.max_iter, Z, log)
-        fit = fit_structure(self, X, Z, log, inference)
+        known = noise.in_units(self.scale_)
+        fit = fit_structure(self, X, Z, log, inference, known)
         posterior, learned = fit.posterior, fit.learned
         self.inference_ = "exact" if isinstance(posterior.members[0], ExactPosterior) else "sparse"
         self.weights_ = weights_of(posterior)
@@ -341,12 +366,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if log:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
-        # The search took the misfit for noise.
-        misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)
+        white = learned.noise
+        if not known.is_fixed:  # the search took the misfit for noise
+            misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)
+            white = learned.noise - misfit
+        if known.loading is not None:
+            white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
         self.posterior_ = posterior
         self.kernel_ = posterior.kernel
         self.misfit_variance_ = misfit * self.scale_**2
-        self.noise_variance_ = (learned.noise - misfit) * self.scale_**2
+        self.noise_variance_ = white * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
         self.drift_memory_ = memory
         self._input_std = learned.input_std
@@ -665,15 +694,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 # --------------------------------------------------------------------------------------
 
 
-def fit_structure(model: BaseEstimator, X: Matrix, Z: Matrix, log: bool, inference: str) -> Fit:
+def fit_structure(
+    model: BaseEstimator, X: Matrix, Z: Matrix, log: bool, inference: str, known: KnownNoise
+) -> Fit:
     """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
 
-    Parameters of the model, a DependentGPRegressor, are read; it is not changed.
+    Parameters of the model, a DependentGPRegressor, are read; it is not changed. ``known`` is the
+    noise of Z.
     """
     random_state = check_random_state(model.random_state)
     fits: list[Fit] = []
     while len(fits) < n_searches(model, log):
-        fits.append(_searched(model, X, Z, log, inference, random_state))
+        fits.append(_searched(model, X, Z, log, inference, known, random_state))
         if fits[-1].learned.interrupted:
             return fits[0].cut_short()
     return mean_of(fits)
@@ -684,13 +716,15 @@ def n_searches(model: BaseEstimator, log: bool) -> int:
     return SEARCHES if log and model.structure == "average" and model.optimizer is not None else 1
 
 
-def _searched(model, X, Z, log, inference, random_state):
+def _searched(model, X, Z, log, inference, known, random_state):
     """Return the fit of one search."""
     kernel = _make_kernel(model, X, Z, log)
+    learns_input_noise = model.input_noise == "learned" or (log and model.input_noise == "auto")
     options = {
+        "known": known,
         "optimizer": model.optimizer,
         "max_iter": most_iterations(model.max_iter, Z, log),
-        "input_noise": model.input_noise == "learned" or (log and model.input_noise == "auto"),
+        "input_noise": learns_input_noise and known.loading is None,
         "random_state": random_state.randint(2**31 - 1),
     }
     if inference == "exact":
@@ -707,11 +741,11 @@ def _searched(model, X, Z, log, inference, random_state):
         if neglected > MOST_NEGLECTED and n_exact is not None:
             n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
             rows = stratified(np.arange(len(X)), n, random_state)
-            X, Z = X[rows], Z[rows]
-            fit = as_exact(fit.learned, X, Z, fit.learned.data(X, Z))
+            X, Z, known = X[rows], Z[rows], known.of_rows(rows)
+            fit = as_exact(fit.learned, X, Z, fit.learned.data(X, Z, known=known), known)
     if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
         return fit
-    return average(fit, X, Z, None if log else random_state)
+    return average(fit, X, Z, None if log else random_state, known)
 
 
 def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
@@ -762,7 +796,8 @@ def _make_kernel(model, X, Z, log):
             "ConvolvedGaussian(0, regressors=[k]) to the kernel."
         )
     n, d = X.shape
-    trend = LinearTrend() if model.trend == "linear" else None
+    # one centre for all searches and components
+    trend = LinearTrend(center=X.mean(axis=0)) if model.trend == "linear" else None
     averaged = model.structure == "average" and model.kernel is None and trend is not None
     if model.structure == "trend" or (averaged and d > n):  # a process would have no weight
         return trend

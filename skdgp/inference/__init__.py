@@ -27,7 +27,7 @@ from skdgp.inference._fit import (
 )
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._posterior import ExactPosterior, Paths, Posterior, SinglePosterior
-from skdgp.inference._search import Optimum, maximize, n_searched, stratified
+from skdgp.inference._search import KnownNoise, Optimum, maximize, n_searched, stratified
 from skdgp.inference._slopes import (
     FunctionErrors,
     KnownSlopes,
@@ -44,6 +44,7 @@ __all__ = [
     "ExactPosterior",
     "Fit",
     "FunctionErrors",
+    "KnownNoise",
     "KnownSlopes",
     "Optimum",
     "Paths",

@@ -25,7 +25,9 @@ from skdgp.inference._posterior import ExactPosterior, Posterior, SinglePosterio
 from skdgp.inference._search import (
     NOISE_BOUNDS,
     NOISE_STEPS,
+    UNKNOWN,
     Hyperparameters,
+    KnownNoise,
     best_noise,
     search,
 )
@@ -54,6 +56,7 @@ def fit_exact(
     kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
+    known: KnownNoise = UNKNOWN,
     **options: Any,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
@@ -65,6 +68,8 @@ def fit_exact(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
+    known : KnownNoise
+        What is known of the noise.
     **options
         Of the search: ``optimizer`` ("fmin_l_bfgs_b", or None, which keeps the starting values),
         ``max_iter`` on the joint likelihood, ``random_state``, and ``input_noise``, whether a
@@ -75,11 +80,14 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    learned = search(kernel, X, Y, exact=True, **options)
-    return Fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
+    learned = search(kernel, X, Y, exact=True, known=known, **options)
+    data = learned.data(X, Y, known=known)
+    return Fit(ExactPosterior(learned.kernel, learned.noise, data), learned)
 
 
-def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data) -> Fit:
+def as_exact(
+    learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data, known: KnownNoise = UNKNOWN
+) -> Fit:
     """Return the exact posterior of these samples at a kernel that was learned, with its own noise.
 
     Parameters
@@ -89,13 +97,14 @@ def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data) -> Fit:
     Y : ndarray (n, P)
     data : Data
         Of these samples.
+    known : KnownNoise
 
     Returns
     -------
     Fit
     """
     kernel = learned.kernel
-    noise = best_noise(kernel, X, Y, data)
+    noise = best_noise(kernel, X, Y, data, known)
     posterior: SinglePosterior
     if kernel.n_processes:
         posterior = ExactPosterior(kernel, noise, data)
@@ -112,6 +121,7 @@ def fit_sparse(
     n_inducing: int,
     random_state: Seed,
     ordered: bool = False,
+    known: KnownNoise = UNKNOWN,
     **options: Any,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
@@ -125,6 +135,7 @@ def fit_sparse(
     random_state : int, RandomState or None
     ordered : bool
         Whether the rows are in the order of a log, whose neighbours have correlated errors.
+    known : KnownNoise
     **options
         As for ``fit_exact``.
 
@@ -143,35 +154,51 @@ def fit_sparse(
     Z = inducing_centres(start, X, n_inducing, random_state)
     size = inducing_features(start, Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    learned = search(kernel, X, Y, random_state=random_state, **options)
+    learned = search(kernel, X, Y, random_state=random_state, known=known, **options)
     features = inducing_features(learned.kernel, Z)
-    return _sparse_fit(learned, features, X, Y, ordered, converge=options["optimizer"] is not None)
+    return _sparse_fit(learned, features, X, Y, ordered, known)
 
 
-def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None) -> Fit:
-    """Return the sparse fit with these features and, unless ``converge`` is false, the noise that is best for them.
+def _sparse_fit(learned, features, X, Y, ordered, known, *, loading=None) -> Fit:
+    """Return the sparse fit with these features and, unless it is known, the noise that is best for them.
 
     Errors of neighbours in a log are correlated: a sample carries less information, so the
     posterior's noise is larger by the inflation (P,). With noisy regressors, part of each output's noise becomes
     noise of the regressors, whose errors are correlated, too. ``loading`` is G of this noise, by
     default by the slopes of the posterior.
     """
-    posterior = SparsePosterior(learned.kernel, features, learned.noise, Data.from_table(X, Y))
-    inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
-    posterior = _converge_noise(posterior, inflation, least) if converge else posterior
-    if converge and ordered:
-        inflation = np.array(
-            [autocorrelation_time(e[np.isfinite(e)]) for e in (Y - posterior.predict(X)).T]
-        )
-        posterior = _converge_noise(posterior, inflation, least)
+    data = Data.from_table(X, Y, known.loading)
+    posterior = SparsePosterior(learned.kernel, features, learned.noise, data)
+    _, bounds = known.start(Y, output_scale(Y))
+    inflation = np.ones(Y.shape[1])
+    learns_noise = not known.is_fixed
+    if learns_noise:
+        posterior = _converge_noise(posterior, inflation, bounds)
+    if ordered:
+        residual = Y - posterior.predict(X)
+        inflation = np.array([autocorrelation_time(e[np.isfinite(e)]) for e in residual.T])
+    if ordered and learns_noise:
+        posterior = _converge_noise(posterior, inflation, bounds)
+    elif ordered:
+        posterior = _inflated(posterior, inflation, X, Y, known.loading)
     noise = posterior.noise / inflation
     if learned.input_std is not None:
         loading = posterior.gradient(X) * learned.input_std if loading is None else loading
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
-        noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
+        if learns_noise:
+            noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
         data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, data)
     return Fit(posterior, learned._replace(noise=noise))
+
+
+def _inflated(posterior, inflation, X, Y, loading):
+    """Return the posterior with its noise and the noise of samples, (n, P, r) or None, times ``inflation``."""
+    noise = posterior.noise * inflation
+    if loading is None:
+        return posterior.with_noise(noise)
+    data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
+    return SparsePosterior(posterior.kernel, posterior.features, noise, data)
 
 
 def residual_drift(posterior: Posterior, X: Matrix, Y: Matrix, clock: Matrix) -> Matrix:
@@ -201,10 +228,10 @@ def residual_drift(posterior: Posterior, X: Matrix, Y: Matrix, clock: Matrix) ->
     return drift
 
 
-def _converge_noise(posterior, inflation, least):
-    """Return the posterior at the noise that maximises the bound, times ``inflation``."""
+def _converge_noise(posterior, inflation, bounds):
+    """Return the posterior at the noise within ``bounds`` that maximises the likelihood bound, times ``inflation``."""
     for _ in range(NOISE_STEPS):
-        noise = np.maximum(posterior.noise_seen(), least)
+        noise = np.clip(posterior.noise_seen(), *bounds.T)
         change = np.abs(np.log(noise * inflation / posterior.noise)).max()
         posterior = posterior.with_noise(noise * inflation)
         if change < 0.01:
@@ -229,7 +256,9 @@ def inducing_centres(
 # ------------------------------------------------------------------------------------------------------
 
 
-def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
+def average(
+    fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None, known: KnownNoise = UNKNOWN
+) -> Fit:
     """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
     After Ctrl-C it is the fit of the whole kernel, interrupted.
@@ -243,6 +272,7 @@ def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
         NaN where an output was not observed.
     random_state : RandomState or None
         Of the rows that are held out together. None: blocks of a log.
+    known : KnownNoise
 
     Returns
     -------
@@ -254,9 +284,9 @@ def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
         return fit
     try:
         std = fit.learned.input_std
-        loading = None if std is None else fit.posterior.gradient(X) * std
+        loading = known.loading if std is None else fit.posterior.gradient(X) * std
         ordered = random_state is None
-        fits = [fit, *(_of_part(fit, X, Y, loading, ordered, part) for part in parts[1:])]
+        fits = [fit, *(_of_part(fit, X, Y, loading, ordered, part, known) for part in parts[1:])]
         members = [component.posterior.members[0] for component in fits]
         noises = [component.learned.noise for component in fits]
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
@@ -289,7 +319,7 @@ def mean_of(fits: Sequence[Fit]) -> Fit:
     return Fit(posterior, common)
 
 
-def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
+def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:
     """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
 
     Noise of the regressors propagates by ``loading`` of the whole.
@@ -297,8 +327,8 @@ def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
     if isinstance(whole.posterior, SparsePosterior):
         features = of_terms(whole.posterior.features, part)
-        return _sparse_fit(learned, features, X, Y, ordered, loading=loading)
-    return as_exact(learned, X, Y, whole.posterior.data)
+        return _sparse_fit(learned, features, X, Y, ordered, known, loading=loading)
+    return as_exact(learned, X, Y, whole.posterior.data, known)
 
 
 # -- the drift that residuals show

@@ -23,7 +23,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale, output_scale
 from skdgp._compute.messages import notify
 from skdgp._compute.parallel import one_blas_thread, threads_for
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.kernels import MultiOutputKernel
@@ -43,6 +43,72 @@ GRADIENT = 1e-4  # [nats] below which a search has converged
 STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
 
 
+class KnownNoise(NamedTuple):
+    """What is known of the noise before the fit.
+
+    ``variance`` (P,) are starting values within ``bounds`` (P, 2); equal bounds keep a value. None:
+    both from the data. ``loading`` (n, P, P), or None, is a root of the noise covariance of each
+    sample that is known beside.
+    """
+
+    variance: Vector | None = None
+    bounds: Matrix | None = None
+    loading: Array | None = None
+
+    @classmethod
+    def of_values(cls, variance: Matrix) -> KnownNoise:
+        """Return the noise of known variances of all values, (n, P), as scikit-learn's ``alpha``.
+
+        The smallest variance of each output is its white noise, the rest differs between samples.
+        """
+        white = variance.min(axis=0)
+        root = np.sqrt(variance - white)
+        loading = root[:, :, None] * np.eye(len(white))
+        return cls(white, np.column_stack([white, white]), loading)
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the variances keep their values."""
+        return self.bounds is not None and bool((self.bounds[:, 0] == self.bounds[:, 1]).all())
+
+    def of_rows(self, rows: Any) -> KnownNoise:
+        """Return the same of some samples."""
+        return self._replace(loading=None if self.loading is None else self.loading[rows])
+
+    def in_units(self, scale: Vector) -> KnownNoise:
+        """Return the same of outputs over ``scale`` (P,)."""
+        variance, bounds, loading = self
+        return KnownNoise(
+            None if variance is None else variance / scale**2,
+            None if bounds is None else bounds / scale[:, None] ** 2,
+            None if loading is None else loading / scale[:, None],
+        )
+
+    def of_output(self, i: int) -> KnownNoise:
+        """Return the same of one output."""
+        variance, bounds, loading = self
+        own = slice(i, i + 1)
+        return KnownNoise(
+            None if variance is None else variance[own],
+            None if bounds is None else bounds[own],
+            None if loading is None else loading[:, own],
+        )
+
+    def start(self, residual: Matrix, scale: Vector) -> tuple[Vector, Matrix]:
+        """Return the starting noise variances (P,) and their bounds (P, 2).
+
+        Without known ones: a fifth of the variance of the ``residual`` (n, P), and bounds relative
+        to the ``scale`` (P,) of the outputs.
+        """
+        bounds = np.multiply.outer(scale**2, NOISE_BOUNDS) if self.bounds is None else self.bounds
+        if self.variance is None:
+            return np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T), bounds
+        return np.clip(self.variance, *bounds.T), bounds
+
+
+UNKNOWN = KnownNoise()
+
+
 class Hyperparameters(NamedTuple):
     """Hyperparameters and the history of the search that found them.
 
@@ -59,13 +125,13 @@ class Hyperparameters(NamedTuple):
     remaining: float = 0.0
     converged: bool = True
 
-    def data(self, X: Matrix, Y: Matrix, passes: int = 2) -> Data:
-        """Return the observed values with the noise of the regressors.
+    def data(self, X: Matrix, Y: Matrix, passes: int = 2, known: KnownNoise = UNKNOWN) -> Data:
+        """Return the observed values with the noise of the regressors, or with known noise.
 
         The first pass takes slopes of a fit to exact regressors, the second of one to noisy
         regressors.
         """
-        data = Data.from_table(X, Y)
+        data = Data.from_table(X, Y, known.loading)
         if self.input_std is None:
             return data
         for _ in range(passes):
@@ -120,30 +186,33 @@ def search(
     random_state: Seed,
     input_noise: bool = False,
     exact: bool = False,
+    known: KnownNoise = UNKNOWN,
 ) -> Hyperparameters:
     """Return hyperparameters, learned from each output separately and then from some rows of all outputs jointly.
 
     Without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so
-    noise is learned again at the end. The other arguments are as in ``fit_exact``.
+    noise is learned again at the end. The other arguments are as in ``fit_exact``. Without an
+    ``optimizer`` the kernel keeps its values, and noise that is not known is estimated for it.
     """
     random_state = check_random_state(random_state)
     rows = some_rows(Y, random_state)
     start = kernel.initialize(X, Y, random_state)
-    noise, noise_bounds = _initial_noise(start.residual(X, Y), output_scale(Y))
+    noise, noise_bounds = known.start(start.residual(X, Y), output_scale(Y))
     scale, P = column_scale(X), Y.shape[1]
     input_std: Vector | None = None
     if optimizer is None:
-        return Hyperparameters(start, noise)
+        data = Data.from_table(X, Y, known.loading)
+        return Hyperparameters(start, best_noise(start, X, Y, data, known))
     stop, singles = Event(), None
     if not kernel.has_values() and kernel.single_output() is not None:  # stage 1
         singles, noise = _fit_outputs(
-            kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop
+            kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop, known
         )
     # Stage 2. From widths that outputs share, stage 3 needs few iterations, and ends at optima that
     # predict better than those reached from arbitrary widths. With noisy regressors, slopes of the
     # coarse model propagate their noise.
-    X, Y = X[rows], Y[rows]
-    data, n_iter = Data.from_table(X, Y), 0
+    X, Y, known = X[rows], Y[rows], known.of_rows(rows)
+    data, n_iter = Data.from_table(X, Y, known.loading), 0
     start = kernel.initialize(X, Y, random_state, singles)
     coarse = kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < start.n_dims or input_noise:
@@ -175,24 +244,22 @@ def search(
     )
 
 
-def best_noise(kernel: MultiOutputKernel, X: Matrix, Y: Matrix, data: Data) -> Vector:
+def best_noise(
+    kernel: MultiOutputKernel, X: Matrix, Y: Matrix, data: Data, known: KnownNoise = UNKNOWN
+) -> Vector:
     """Return the noise (P,) that is best for a kernel.
 
     It is learned from at most 1800 of the values of X and Y. Raises KeyboardInterrupt after Ctrl-C.
     """
+    noise, bounds = known.start(kernel.residual(X, Y), output_scale(Y))
+    if known.is_fixed:
+        return noise
     some = data.every(-(-data.n_values // SEARCH_VALUES[1]))
-    noise, bounds = _initial_noise(kernel.residual(X, Y), output_scale(Y))
     stop = Event()
     end = climb(kernel, noise, bounds, some, NOISE_STEPS, stop, noise_alone=True, stage="members")
     if stop.is_set():
         raise KeyboardInterrupt
     return end.noise
-
-
-def _initial_noise(residual, scale):
-    """Return the starting noise variances (P,) and their bounds."""
-    bounds = np.multiply.outer(scale**2, NOISE_BOUNDS)
-    return np.clip(0.2 * np.nanvar(residual, axis=0), *bounds.T), bounds
 
 
 def _initial_input_noise(noise, data, d):
@@ -262,7 +329,7 @@ TRIAL_VALUES, TRIAL_ITERATIONS = 150, 40  # largest numbers for each trial
 
 
 @one_blas_thread()  # two threads gain nothing on small matrices
-def _fit_outputs(kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop):
+def _fit_outputs(kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop, known):
     """Return kernels and noise (P,) of separate fits of each output.
 
     A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
@@ -284,12 +351,13 @@ def _fit_outputs(kernel, noise, noise_bounds, X, Y, max_iter, random_state, stop
                 seed=seed,
                 stage=f"output {i + 1}",
                 stop=stop,
+                loading=known.of_output(i).of_rows(rows).loading,
             )
         )
     return [fit.kernel for fit in fits], np.concatenate([fit.noise for fit in fits])
 
 
-def _fit_output(kernel, noise, noise_bounds, x, y, max_iter, seed, stage, stop):
+def _fit_output(kernel, noise, noise_bounds, x, y, max_iter, seed, stage, stop, loading=None):
     """Return the Point of the fit to one output, y (n, 1), in at most twice ``max_iter`` iterations.
 
     From widths that are much too long, the nearest optimum explains everything as noise. Short
@@ -303,7 +371,8 @@ def _fit_output(kernel, noise, noise_bounds, x, y, max_iter, seed, stage, stop):
         return kernel.single_output().initialize(x, y, random_state, width_factor=width_factor)
 
     def run(kernel, noise, step, max_iter):
-        data = Data.from_table(x[::step], y[::step])
+        some = None if loading is None else loading[::step]
+        data = Data.from_table(x[::step], y[::step], some)
         options = {"tolerance": TOLERANCE * max(1, kernel.n_processes), "stage": stage}
         return climb(kernel, noise, noise_bounds, data, max_iter, stop, **options)
 
@@ -315,7 +384,7 @@ def _fit_output(kernel, noise, noise_bounds, x, y, max_iter, seed, stage, stop):
     starts += [
         (start(width), factor * noise) for width, factor in product(NARROW_FACTORS, NOISE_FACTORS)
     ]
-    data = Data.from_table(x, y)
+    data = Data.from_table(x, y, loading)
 
     def likelihood(start):
         kernel, noise = start

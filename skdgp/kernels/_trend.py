@@ -13,8 +13,13 @@ from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, complete_bounds
 
-# Bounds on ``slope_scale``, over the deviation of the output for one of the column (trials)
-SLOPE_BOUNDS = 0.05, 1e2
+# Prior standard deviation of the intercept, in standard deviations of the output. It is not
+# learned: outputs are centred by their own mean, where the likelihood is largest at zero, and a
+# function without an uncertain intercept is certain at the centre of the data.
+INTERCEPT_SCALE = 3.0
+# Bounds on ``slope_scale``, in standard deviations of the output for one of the regressor. A
+# smaller lower bound makes slopes that are not significant too certain (benchmark ``coverage``).
+SLOPE_BOUNDS = 0.3, 1e2
 
 
 class LinearTrend(MultiOutputKernel):
@@ -30,7 +35,9 @@ class LinearTrend(MultiOutputKernel):
     Parameters
     ----------
     intercept_scale : array (P,) or None
-        Prior standard deviation of the intercept, in the unit of the output. None: from the data.
+        Prior standard deviation of the intercept, in the unit of the output. None: three standard
+        deviations of the output, so that the data alone determine the intercept. It keeps its
+        value unless it has bounds.
     slope_scale : array (P, d) or None
         Prior standard deviation of the slopes, unit of the output per unit of the regressor. None:
         from the data; with more regressors than rows one for all slopes of an output, in standard
@@ -105,12 +112,11 @@ class LinearTrend(MultiOutputKernel):
     ) -> MultiOutputKernel:
         P, d = Y.shape[1], X.shape[1]
         unit = column_scale(Y)[:, None] / column_scale(X)
-        intercept, slope = column_scale(Y), unit
+        intercept, slope = INTERCEPT_SCALE * column_scale(Y), unit
         if singles:
-            intercept = np.concatenate([s.value("intercept_scale") for s in singles])
             slope = np.concatenate([s.value("slope_scale") for s in singles])
         if coarse:
-            intercept, slope = coarse.value("intercept_scale"), coarse.value("slope_scale")
+            slope = coarse.value("slope_scale")
         given = self.get_params()
         start = {
             "intercept_scale": intercept,
@@ -118,7 +124,7 @@ class LinearTrend(MultiOutputKernel):
             "center": np.mean(X, axis=0),
         }
         bounds: dict[str, Any] = {
-            "intercept_scale": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
+            "intercept_scale": "fixed",
             "slope_scale": np.multiply.outer(unit, SLOPE_BOUNDS),
         }
         if d > len(X):  # too few rows for a scale of each slope: one for all, by ridge regression

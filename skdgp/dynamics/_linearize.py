@@ -50,12 +50,14 @@ from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
+from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim
 
 # Rates of change, and the rates whose slopes theirs are shares of
 LAGS = {"alpha_dot": "q", "beta_dot": "r"}
 SHARES = np.array([0.4, 0.2])
-STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of a linear model
+STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of the rigid body
+SERVO_STATE = "{}_position"  # Name of the state that is the deflection of a surface with a servo
 OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
 ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
 # Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
@@ -267,7 +269,7 @@ def linearize(
     thrust: str | None = "auto",
     air: Any = None,
 ) -> LinearModel:
-    """Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
+    r"""Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
     Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit
     function theorem. Air is at rest; in steady wind the same holds for the motion relative to the
@@ -294,7 +296,10 @@ def linearize(
     LinearModel
         Its states are north, east, down [m], u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s];
         its inputs the model's controls and the one that sets the thrust; its outputs the states and
-        airspeed, alpha, beta, ax, ay, az.
+        airspeed, alpha, beta, ax, ay, az. Inputs of surfaces are commands, as for
+        :func:`skdgp.dynamics.simulate`: where the model has a ``servo_lag`` T, the deflection of
+        each surface is a further state behind r, such as elevator_position [rad], with
+        :math:`T \dot\delta = u - \delta`.
 
     Examples
     --------
@@ -327,7 +332,9 @@ def linearize(
         drawn = _drawn(motion, state, controls, n_paths, random_state)
         paths = _matrices(*drawn, controls, inputs)
     mean = _matrices(motion, state, None, controls, inputs)
-    names = product([[*STATES], [*STATES, *OUTPUTS]], [[*STATES], inputs])
+    surfaces = Servos.of(motion).surfaces
+    states = [*STATES, *(SERVO_STATE.format(name) for name in inputs if name in surfaces)]
+    names = product([states, [*states, *OUTPUTS]], [states, inputs])
     matrices = (mean.A, mean.B, mean.C, mean.D)
     A, B, C, D = (pd.DataFrame(values, *pair) for values, pair in zip(matrices, names, strict=True))
     return LinearModel(A, B, C, D, paths)
@@ -411,9 +418,44 @@ def _matrices(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
     n = len(STATES)
-    unchanged = np.broadcast_to(np.eye(*rate.shape[-2:]), rate.shape)
-    output = np.concatenate([unchanged, output], axis=-2)
-    return LinearModel(rate[..., :n], rate[..., n:], output[..., :n], output[..., n:])
+    return _with_servos(
+        rate[..., :n], rate[..., n:], output[..., :n], output[..., n:], inputs, Servos.of(motion)
+    )
+
+
+def _with_servos(
+    A: Array, B: Array, C: Array, D: Array, inputs: Sequence[str], servos: Servos
+) -> LinearModel:
+    r"""Return the linear model of which the inputs of surfaces are commands.
+
+    The deflections :math:`\delta = E u` of the surfaces are further states, with
+    :math:`T \dot\delta = E u - \delta`. Outputs are the states, and then the outputs of C and D.
+
+    .. math:: \begin{pmatrix} A & B E^T \\ 0 & -I / T \end{pmatrix}, \quad
+        \begin{pmatrix} B (I - E^T E) \\ E / T \end{pmatrix}, \quad
+        \begin{pmatrix} I & 0 \\ 0 & I \\ C & D E^T \end{pmatrix}, \quad
+        \begin{pmatrix} 0 \\ 0 \\ D (I - E^T E) \end{pmatrix}
+    """
+    moved = np.array([name in servos.surfaces for name in inputs], dtype=bool)
+    E = np.eye(len(inputs))[moved]
+    at_once = np.eye(len(inputs)) - E.T @ E
+    n = A.shape[-1]
+    s = len(E)
+    T = servos.lag if s else 1.0
+
+    def zeros(rows: int, columns: int) -> Array:
+        return np.zeros((*A.shape[:-2], rows, columns))
+
+    def repeated(matrix: Array) -> Array:
+        return np.broadcast_to(matrix, (*A.shape[:-2], *matrix.shape))
+
+    states = repeated(np.eye(n + s))
+    return LinearModel(
+        A=np.block([[A, B @ E.T], [zeros(s, n), repeated(-np.eye(s) / T)]]),
+        B=np.block([[B @ at_once], [repeated(E / T)]]),
+        C=np.concatenate([states, np.block([[C, D @ E.T]])], axis=-2),
+        D=np.concatenate([zeros(n + s, len(inputs)), D @ at_once], axis=-2),
+    )
 
 
 def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:

@@ -54,6 +54,7 @@ from skdgp.dynamics._inputs import (
 )
 from skdgp.dynamics._motion import PROPULSION, Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY, rk4_step
+from skdgp.dynamics._servos import Servos
 
 SLOWEST = 1.0  # Airspeed [m/s] below which a trajectory ends: no angle of attack is known there
 # Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged
@@ -112,38 +113,6 @@ class Record(NamedTuple):
         controls = {name: values[part] for name, values in self.controls.items()}
         arrays = (None if values is None else values[part] for values in self[:8])
         return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
-
-
-class Servos(NamedTuple):
-    r"""Servos of the control surfaces with a first-order lag T: :math:`T \dot\delta = c - \delta`, commands c."""
-
-    lag: float  #: T [s]
-    surfaces: frozenset[str]  #: The controls that they move
-
-    @classmethod
-    def of(cls, motion: Motion) -> Servos:
-        """Return the servos of an aircraft; they move nothing where its model has no lag."""
-        model = motion.aerodynamics
-        moved = {*motion.controls, *(() if model.mixing is None else model.mixing.surfaces)}
-        surfaces = moved - {*PROPULSION, "gust"} if model.servo_lag > 0 else ()
-        return cls(model.servo_lag, frozenset(surfaces))
-
-    def deflected(
-        self, commands: Mapping, elapsed: float, first: Mapping, begun: Mapping
-    ) -> dict[str, Array]:
-        """Return the controls, with the deflections of the surfaces, ``elapsed`` [s] after a step began.
-
-        Commands were ``first`` then, and are linear since; ``begun`` are the deflections then, by
-        default the commands.
-        """
-        controls = dict(commands)
-        decay = np.exp(-elapsed / self.lag) if self.surfaces else 0.0
-        for name in self.surfaces & commands.keys():
-            change = commands[name] - first[name]
-            behind = self.lag / elapsed * change if elapsed > 0 else 0.0
-            late = begun.get(name, first[name]) - first[name] + behind
-            controls[name] = commands[name] - behind + late * decay
-        return controls
 
 
 def fly_record(

@@ -26,10 +26,8 @@ from skdgp._flight.channels import COEFFICIENTS
 DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-# Correlation time [s] of an error of the function: the time in which a manoeuvre changes the
-# regressors. A guess: on eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by
-# .02, with the same coverage to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s,
-# bands hold down to 83 %.
+# Correlation time [s] of an error of the function, a guess: the time in which a manoeuvre changes
+# the regressors
 MISFIT_MEMORY = 2.0
 LEARNED = ("slope_errors", "function_errors", "training_rows")  # of a model with a posterior
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
@@ -227,7 +225,7 @@ class Aerodynamics:
 
 
 def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
-    """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
+    """Return the model as a function of named regressors, without tables.
 
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned
     from a table whose columns are regressors; or either in a fitted search. It

@@ -17,6 +17,7 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
@@ -214,14 +215,8 @@ class Aerodynamics:
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
     def _differences(self, X: Array) -> Array:
-        size = np.ptp(self.limits, axis=0) if self.limits is not None else np.zeros(X.shape[-1])
-        slopes = []
-        for k in range(X.shape[-1]):
-            step = np.zeros(X.shape[-1])
-            step[k] = DIFFERENCE * (size[k] or 1.0)
-            near, far = (self(X + m * step) - self(X - m * step) for m in (1, 2))
-            slopes.append((8.0 * near - far) / (12.0 * step[k]))
-        return np.stack(slopes, axis=-1)
+        ranges = np.zeros(X.shape[-1]) if self.limits is None else np.ptp(self.limits, axis=0)
+        return central_difference(self, X, DIFFERENCE * np.where(ranges > 0, ranges, 1.0))
 
 
 def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:

@@ -24,14 +24,21 @@ def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     core = [name for family in families for name in family] or states
     rows = [states.index(name) for name in core]
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
-    participation = np.abs(left.conj() * right)
-    participation = pd.DataFrame(participation / participation.sum(axis=0), core)
+    participation = pd.DataFrame(_participation(left, right), core)
     named = _named(_units(eigenvalues), participation, eigenvalues)
     roots = {name: eigenvalues[list(unit)] for name, unit in named.items()}
     table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
     if paths is not None:
         _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(named.values()))
     return table
+
+
+def _participation(left: np.ndarray, right: np.ndarray) -> Array:
+    """Return the fraction of each state (rows) in each mode (columns), of its eigenvectors."""
+    factors = np.abs(left.conj() * right)
+    # a repeated root may have orthogonal vectors: an aircraft without lateral derivatives
+    factors = np.where(factors.sum(axis=0) > 0, factors, np.abs(right))
+    return factors / factors.sum(axis=0)
 
 
 def _add_spread(

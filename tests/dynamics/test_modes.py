@@ -86,6 +86,16 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
 
 
+def test_an_aircraft_without_lateral_derivatives_has_four_roots_of_zero():
+    """Repeated roots with orthogonal left and right vectors have names too."""
+    A = both()
+    A[4:, 4:] = [[0, 0, -774, 32.2], [0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
+    table = mode_table(A, ALONG + ACROSS)
+    names = ["short period", "phugoid", "Dutch roll 1", "Dutch roll 2", "roll", "spiral"]
+    assert list(table.index) == names
+    assert table["frequency"].iloc[2:].tolist() == pytest.approx([0.0] * 4, abs=1e-9)
+
+
 class TestSpreadOfModes:
     def test_is_that_of_the_frequency_and_the_damping(self):
         rng = np.random.default_rng(0)

@@ -283,6 +283,20 @@ def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
         assert np.abs(change - own).max() < 2e-2 * np.abs(change).max()
 
 
+def test_unsteady_terms_are_merged_with_the_slopes_by_rates_and_controls():
+    """Without gravity alpha_dot follows from the loads: the model learned its effect with theirs."""
+    motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
+    state, inputs = state_of(), ["elevator", "rudder"]
+    terms = unsteady_terms(motion, motion.at(state, HELD), SLOPES)
+    plain = jacobian(motion, state, HELD, inputs)
+    found = jacobian(motion, state, HELD, inputs, unsteady=terms)
+    by_rates_and_controls = slice(9, None)
+    for k in range(2):  # of the motion, of the outputs
+        same = plain[k][:, by_rates_and_controls]
+        assert found[k][:, by_rates_and_controls] == pytest.approx(same, rel=1e-8, abs=1e-8)
+        assert np.abs(found[k] - plain[k]).max() > 1e-3  # by w the loads turn
+
+
 def test_with_alpha_dot_the_rest_of_it_is_uncertain():
     slopes = np.column_stack([SLOPES, np.zeros(6), np.zeros(6)])
     model = Aerodynamics(

@@ -15,6 +15,7 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Simulator, aerodynamic_coefficients, trim
 
 SEEN = ["airspeed", "alpha", "beta", "phi", "theta", "p", "q", "r"]  # m/s, rad, rad/s
+SEEN += ["ax", "ay", "az"]  # m/s^2
 
 
 class AircraftEnv(gymnasium.Env):

@@ -37,9 +37,10 @@ from skdgp.dynamics._aircraft import (
     check_aircraft,
     relative_errors,
 )
+from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._inputs import Clock, FlightComputer, UncertainStart
 from skdgp.dynamics._inverse import aerodynamic_coefficients, replay
-from skdgp.dynamics._linearize import LinearModel, linearize, stability_derivatives
+from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import (
     STATE_NAMES,

@@ -17,6 +17,7 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
@@ -26,10 +27,8 @@ from skdgp._flight.channels import COEFFICIENTS
 DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-# Correlation time [s] of an error of the function: the time in which a manoeuvre changes the
-# regressors. A guess: on eleven aircraft 1 s has a score better by .01 nats and 5 s one worse by
-# .02, with the same coverage to 2 % (docs/simulation.md); with the memory of the drift, .1 to .6 s,
-# bands hold down to 83 %.
+# Correlation time [s] of an error of the function, a guess: the time in which a manoeuvre changes
+# the regressors
 MISFIT_MEMORY = 2.0
 LEARNED = ("slope_errors", "function_errors", "training_rows")  # of a model with a posterior
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
@@ -216,18 +215,12 @@ class Aerodynamics:
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
     def _differences(self, X: Array) -> Array:
-        size = np.ptp(self.limits, axis=0) if self.limits is not None else np.zeros(X.shape[-1])
-        slopes = []
-        for k in range(X.shape[-1]):
-            step = np.zeros(X.shape[-1])
-            step[k] = DIFFERENCE * (size[k] or 1.0)
-            near, far = (self(X + m * step) - self(X - m * step) for m in (1, 2))
-            slopes.append((8.0 * near - far) / (12.0 * step[k]))
-        return np.stack(slopes, axis=-1)
+        ranges = np.zeros(X.shape[-1]) if self.limits is None else np.ptp(self.limits, axis=0)
+        return central_difference(self, X, DIFFERENCE * np.where(ranges > 0, ranges, 1.0))
 
 
 def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
-    """Return the model as a function of named regressors, without tables: one row in some tens of microseconds.
+    """Return the model as a function of named regressors, without tables.
 
     ``model`` is a fitted pipeline with a ``RegressorSelector``, or a fitted estimator that learned
     from a table whose columns are regressors; or either in a fitted search. It

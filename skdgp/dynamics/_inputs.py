@@ -59,9 +59,7 @@ from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
-# Largest factor of a drift's variance, in rougher air than in the training flights. On eleven
-# aircraft 1 and 2 have the same score and no limit a worse one; 2 has the higher lowest coverage
-# (docs/simulation.md).
+# Largest factor of a drift's variance, in rougher air than in the training flights; a guess
 ROUGHEST = 2.0
 # Time [s] over which the effects of rotation and drift are compared, and points of the integral
 HORIZON, POINTS = 1.0, 101

@@ -204,11 +204,13 @@ class Motion:
         air: LocalAir | None = None,
         implicit: Array | None = None,
         drift: Array | float = 0.0,
+        coefficients: Array | None = None,
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
         ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best from the last call.
-        ``drift`` (..., 6) is added to the coefficients.
+        ``drift`` (..., 6) is added to the coefficients. Given ``coefficients`` (..., 6) take the
+        place of the model's.
         """
         velocity = state[..., VELOCITY]
         wind = None
@@ -225,14 +227,19 @@ class Motion:
         X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
         values = {**controls, "airspeed": airspeed, "density": density}
         propulsion = propulsive_loads(values, self.aircraft, self.thrust)
+
+        def loaded() -> Instant:
+            C = self._coefficients(X) + drift if coefficients is None else coefficients
+            return self._loaded(state, X, C, airspeed, alpha, beta, density, propulsion)
+
         if not self.implicit:
-            return self._loaded(state, X, airspeed, alpha, beta, density, propulsion, drift)
+            return loaded()
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         tried: list[tuple[Array, Array]] = []
         for _ in range(MOST_ITERATIONS):
             for k, place in zip(self.implicit, self._follows, strict=True):
                 X[..., k] = guess[..., place] * self.factor(k, airspeed)
-            now = self._loaded(state, X, airspeed, alpha, beta, density, propulsion, drift)
+            now = loaded()
             result = self._follow(state, now, velocity, wind, air)
             if self.lagged:
                 return now._replace(implicit=result)
@@ -274,11 +281,14 @@ class Motion:
                 )
         return X
 
-    def _loaded(self, state, X, airspeed, alpha, beta, density, propulsion, drift) -> Instant:
-        """Return what happens at regressors (..., d), with the ``others``, force and moment of the engine."""
-        # NaN where a state has diverged: models refuse infinite values
+    def _coefficients(self, X: Array) -> Array:
+        """Return the model's coefficients (..., 6) at regressors (..., d), NaN where a state has diverged."""
+        # models refuse infinite values
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
-        C = np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan) + drift
+        return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
+
+    def _loaded(self, state, X, C, airspeed, alpha, beta, density, propulsion) -> Instant:
+        """Return what happens at coefficients (..., 6), with force and moment of the engine."""
         force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
         force, moment = force + propulsion[0], moment + propulsion[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)

@@ -54,6 +54,8 @@ from skdgp.dynamics._inputs import (
 )
 from skdgp.dynamics._motion import PROPULSION, Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY, rk4_step
+from skdgp.dynamics._servos import Servos
+from skdgp.dynamics._trim import Trim
 
 SLOWEST = 1.0  # Airspeed [m/s] below which a trajectory ends: no angle of attack is known there
 # Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged
@@ -112,38 +114,6 @@ class Record(NamedTuple):
         controls = {name: values[part] for name, values in self.controls.items()}
         arrays = (None if values is None else values[part] for values in self[:8])
         return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
-
-
-class Servos(NamedTuple):
-    r"""Servos of the control surfaces with a first-order lag T: :math:`T \dot\delta = c - \delta`, commands c."""
-
-    lag: float  #: T [s]
-    surfaces: frozenset[str]  #: The controls that they move
-
-    @classmethod
-    def of(cls, motion: Motion) -> Servos:
-        """Return the servos of an aircraft; they move nothing where its model has no lag."""
-        model = motion.aerodynamics
-        moved = {*motion.controls, *(() if model.mixing is None else model.mixing.surfaces)}
-        surfaces = moved - {*PROPULSION, "gust"} if model.servo_lag > 0 else ()
-        return cls(model.servo_lag, frozenset(surfaces))
-
-    def deflected(
-        self, commands: Mapping, elapsed: float, first: Mapping, begun: Mapping
-    ) -> dict[str, Array]:
-        """Return the controls, with the deflections of the surfaces, ``elapsed`` [s] after a step began.
-
-        Commands were ``first`` then, and are linear since; ``begun`` are the deflections then, by
-        default the commands.
-        """
-        controls = dict(commands)
-        decay = np.exp(-elapsed / self.lag) if self.surfaces else 0.0
-        for name in self.surfaces & commands.keys():
-            change = commands[name] - first[name]
-            behind = self.lag / elapsed * change if elapsed > 0 else 0.0
-            late = begun.get(name, first[name]) - first[name] + behind
-            controls[name] = commands[name] - behind + late * decay
-        return controls
 
 
 def fly_record(
@@ -280,6 +250,7 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
 
 BEYOND = 0.02  # Fraction of its training range by which a regressor may exceed it without a warning
 TINY = 1e-12
+UNKNOWN_FORCE = np.full(3, np.nan)
 
 
 def simulate(
@@ -481,17 +452,33 @@ class Simulator:
         self.ended = FLYING
         self.beyond = ""
         self._state: Any = None
+        self._specific_force = UNKNOWN_FORCE
 
     @property
     def time(self) -> float:
         """Since the reset [s]."""
         return self._steps * self.dt
 
-    def reset(self, x0: Any, *, random_state: Seed = None) -> dict[str, float]:
-        """Begin a flight, and return ``time``, position, velocities, angles, rates, air data, altitude.
+    def reset(
+        self, x0: Any, *, controls: Mapping | None = None, random_state: Seed = None
+    ) -> dict[str, float]:
+        """Begin a flight, and return the observation at its start.
 
-        ``x0`` is one start of :func:`skdgp.dynamics.simulate`. Without a ``random_state`` the mean
-        of the model flies, else a function drawn from its posterior.
+        Parameters
+        ----------
+        x0
+            One start of :func:`skdgp.dynamics.simulate`.
+        controls : mapping of str to float, optional
+            Controls at the start, for the accelerometers alone; by default the controls of a
+            `Trim`.
+        random_state : int, RandomState instance or None
+            None: the mean of the model flies. Else a function drawn from its posterior.
+
+        Returns
+        -------
+        dict
+            ``time``, position, velocities, angles, rates, air data, altitude; and ``ax``, ``ay``,
+            ``az`` [m/s^2], specific force at the centre of gravity, NaN without controls.
         """
         states = initial_states(as_starts(x0), lambda start: self._air(0, start))
         if len(states) > 1:
@@ -506,10 +493,21 @@ class Simulator:
         self._reached: dict[str, Array] = {}  # deflections at the end of the last step
         self.ended = FLYING
         self.beyond = ""
+        if controls is None and isinstance(x0, Trim):
+            controls = x0.controls
+        self._specific_force = UNKNOWN_FORCE
+        if controls is not None:
+            now = self.motion.at(states, self.motion.mixed(controls), self._air(0, states))
+            self._specific_force = now.force[0] / self.motion.aircraft.mass
         return self._seen()
 
     def step(self, controls: Mapping) -> dict[str, float]:
-        """Return the observation after a step with controls by name; ValueError before `reset` or after the end."""
+        """Return the observation after a step with controls by name.
+
+        It has the entries of :meth:`reset`. Accelerometers show the end of the step, before the
+        next controls. All but ``time`` are NaN after the end of the flight. Raises ValueError
+        before `reset` or after the end.
+        """
         if self._state is None or self.ended:
             what = (
                 "no start yet" if self._state is None else f"a flight that has ended ({self.ended})"
@@ -525,14 +523,18 @@ class Simulator:
         self.beyond = ["", *self.motion.regressors][farthest]
         if not self.ended:
             self._state = record.states[-1]
+            self._specific_force = record.specific_force[-1, 0]
             self._reached = {name: values[-1] for name, values in record.controls.items()}
         return self._seen()
 
     def _seen(self) -> dict[str, float]:
         air = self._air(0, self._state)
         columns = channels(self._state, None if air is None else air.wind)
-        values = {name: np.nan if self.ended else float(v[0]) for name, v in columns.items()}
-        return {"time": self.time} | values
+        seen = {name: float(values[0]) for name, values in columns.items()}
+        seen |= dict(zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True))
+        if self.ended:
+            seen = dict.fromkeys(seen, np.nan)
+        return {"time": self.time} | seen
 
 
 class SimulationWarning(UserWarning):

@@ -22,8 +22,9 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._linearize import SHARES, Lag, jacobian, lag_of
+from skdgp.dynamics._linearize import jacobian
 from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
 
 HATS = ("p", "q", "r", "alpha_dot", "beta_dot")
 NAMES = [f"{name}_hat" if name in HATS else name for name in REGRESSORS]
@@ -223,7 +224,7 @@ def test_relation_is_of_the_motion_that_loads_cause():
         return air_data_slopes(state[3:6])[1:] @ now.derivative[3:6]
 
     now = motion.at(state_of(), HELD)
-    relation = lag_of(motion, now, SLOPES).relation
+    relation = unsteady_terms(motion, now, SLOPES).relation
     h = 1e-4
     for k, unit in ((2, 2 * 36.0 / BRUMBY.span), (3, 1.0), (4, 2 * 36.0 / BRUMBY.span)):
         step = h * np.eye(3)[k - 2]
@@ -238,44 +239,62 @@ def test_relation_is_of_the_motion_that_loads_cause():
         assert relation[:, k] == pytest.approx((ahead - behind) / (2 * h), rel=1e-6, abs=1e-8)
 
 
-def test_sizes_are_shares_of_the_slopes_by_rates():
+def test_sizes_are_fractions_of_the_slopes_by_rates():
     motion = Motion(LINEAR, BRUMBY, thrust=None)
-    lag = lag_of(motion, motion.at(state_of(), HELD), SLOPES)
-    assert lag.slopes[:, 0] == pytest.approx(SHARES[0] * SLOPES[:, 3])
-    assert lag.slopes[:, 1] == pytest.approx(SHARES[1] * SLOPES[:, 4] * BRUMBY.span / (2 * 36.0))
-    assert lag.missing.all()
+    terms = unsteady_terms(motion, motion.at(state_of(), HELD), SLOPES)
+    assert terms.slopes[:, 0] == pytest.approx(RELATIVE_STD[0] * SLOPES[:, 3])
+    assert terms.slopes[:, 1] == pytest.approx(
+        RELATIVE_STD[1] * SLOPES[:, 4] * BRUMBY.span / (2 * 36.0)
+    )
+    assert terms.missing.all()
 
 
-def test_scatter_of_slopes_by_rates_leaves_those_by_lags_unknown():
+def test_scatter_of_slopes_by_rates_leaves_slopes_by_alpha_dot_unknown():
     """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
     motion = Motion(LINEAR, BRUMBY, thrust=None)
     now, scatter = motion.at(state_of(), HELD), np.zeros_like(SLOPES)
     scatter[4, 3], scatter[3, 3] = 0.16, 0.02
-    lag = lag_of(motion, now, SLOPES, scatter)
-    assert lag.slopes[4, 0] == pytest.approx(SHARES[0] * -0.2)
-    assert abs(lag.slopes[3, 0]) == pytest.approx(SHARES[0] * 0.02)
-    assert lag.slopes[:, 1] == pytest.approx(lag_of(motion, now, SLOPES).slopes[:, 1])
+    terms = unsteady_terms(motion, now, SLOPES, scatter)
+    assert terms.slopes[4, 0] == pytest.approx(RELATIVE_STD[0] * -0.2)
+    assert abs(terms.slopes[3, 0]) == pytest.approx(RELATIVE_STD[0] * 0.02)
+    assert terms.slopes[:, 1] == pytest.approx(unsteady_terms(motion, now, SLOPES).slopes[:, 1])
 
 
-def test_a_lag_acts_as_a_small_slope_by_alpha_dot_does():
+def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
     size = 1e-5
     column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])
     named = Aerodynamics(
         lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*LINEAR_NAMES, "alpha_dot"]
     )
-    lag = Lag(np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool))
-    state, with_lag, bare = (
+    terms = UnsteadyTerms(
+        np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool)
+    )
+    state, with_alpha_dot, bare = (
         state_of(),
         Motion(named, BRUMBY, thrust=None),
         Motion(LINEAR, BRUMBY, thrust=None),
     )
-    expected = jacobian(with_lag, state, HELD, inputs=["elevator"])
+    expected = jacobian(with_alpha_dot, state, HELD, inputs=["elevator"])
     plain = jacobian(bare, state, HELD, inputs=["elevator"])
-    found = jacobian(bare, state, HELD, inputs=["elevator"], lag=lag)
+    found = jacobian(bare, state, HELD, inputs=["elevator"], unsteady=terms)
     for k in range(2):  # of the motion, of the outputs
         change = expected[k] - plain[k]
         own = found[k] - plain[k]
         assert np.abs(change - own).max() < 2e-2 * np.abs(change).max()
+
+
+def test_unsteady_terms_are_merged_with_the_slopes_by_rates_and_controls():
+    """Without gravity alpha_dot follows from the loads: the model learned its effect with theirs."""
+    motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
+    state, inputs = state_of(), ["elevator", "rudder"]
+    terms = unsteady_terms(motion, motion.at(state, HELD), SLOPES)
+    plain = jacobian(motion, state, HELD, inputs)
+    found = jacobian(motion, state, HELD, inputs, unsteady=terms)
+    by_rates_and_controls = slice(9, None)
+    for k in range(2):  # of the motion, of the outputs
+        same = plain[k][:, by_rates_and_controls]
+        assert found[k][:, by_rates_and_controls] == pytest.approx(same, rel=1e-8, abs=1e-8)
+        assert np.abs(found[k] - plain[k]).max() > 1e-3  # by w the loads turn
 
 
 def test_with_alpha_dot_the_rest_of_it_is_uncertain():
@@ -284,7 +303,7 @@ def test_with_alpha_dot_the_rest_of_it_is_uncertain():
         lambda X: LEVEL + X @ slopes.T, [*LINEAR_NAMES, "alpha_dot", "beta_dot_hat"]
     )
     motion = Motion(model, BRUMBY, thrust=None)
-    lag = lag_of(motion, motion.at(state_of(), HELD), slopes)
-    assert not lag.missing.any()
-    assert lag.errors[4, 7] == pytest.approx([SHARES[0] * SLOPES[4, 3], 0.0])
-    assert lag.errors[5, 8, 1] == pytest.approx(SHARES[1] * SLOPES[5, 4])
+    terms = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
+    assert not terms.missing.any()
+    assert terms.errors[4, 7] == pytest.approx([RELATIVE_STD[0] * SLOPES[4, 3], 0.0])
+    assert terms.errors[5, 8, 1] == pytest.approx(RELATIVE_STD[1] * SLOPES[5, 4])

@@ -1,20 +1,23 @@
-"""Linear models against differences of the motion, refusals, and modes."""
+"""Linear models against differences of the motion, textbooks and simulations; refusals."""
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.optimize import brentq
+from scipy.signal import find_peaks, lsim
 
 from skdgp.datasets._example_flights import REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    LinearModel,
     euler_to_quaternion,
     linearize,
     quaternion_to_euler,
+    simulate,
     trim,
 )
+from skdgp.dynamics._aerodynamics import Mixing
 from skdgp.dynamics._motion import Motion
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -191,115 +194,6 @@ def test_what_cannot_be_linearized(glider, level, model, change, match):
 
 
 ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
-# Boeing 747-100 at Mach 0.8 and 40,000 ft, in feet: Etkin & Reid 1996, equations 6.2,1 and 6.7,1.
-LONGITUDINAL = np.array(
-    [
-        [-0.006868, 0.01395, 0, -32.2],
-        [-0.09055, -0.3151, 773.98, 0],
-        [0.0001187, -0.001026, -0.4285, 0],
-        [0, 0, 1, 0],
-    ]
-)
-LATERAL = np.array(
-    [
-        [-0.0558, 0, -774, 32.2],
-        [-0.003865, -0.4342, 0.4136, 0],
-        [0.001086, -0.006112, -0.1458, 0],
-        [0, 1, 0, 0],
-    ]
-)
-
-
-def mode_table(A, states, paths=None):
-    """The modes of x' = A x."""
-    square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
-    drawn = None if paths is None else LinearModel(paths, None, None, None)
-    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], drawn).modes()
-
-
-def both():
-    A = np.zeros((8, 8))
-    A[:4, :4], A[4:, 4:] = LONGITUDINAL, LATERAL
-    return A
-
-
-def test_published_longitudinal_modes():
-    table = mode_table(LONGITUDINAL, ALONG)
-    assert list(table.index) == ["short period", "phugoid"]
-    assert table.loc["phugoid", "eigenvalue"] == pytest.approx(-0.003289 + 0.06723j, rel=1e-3)
-    assert table.loc["short period", "eigenvalue"] == pytest.approx(-0.3719 + 0.8875j, rel=1e-3)
-    assert table.loc["phugoid", ["period", "time_to_half"]].tolist() == pytest.approx(
-        [93.4, 211.0], rel=2e-3
-    )
-    assert table.loc["short period", ["period", "time_to_half"]].tolist() == pytest.approx(
-        [7.08, 1.86], rel=3e-3
-    )
-    assert table.loc["short period", "damping"] == pytest.approx(0.387, rel=3e-3)
-
-
-def test_published_lateral_modes():
-    table = mode_table(LATERAL, ACROSS)
-    assert list(table.index) == ["Dutch roll", "roll", "spiral"]
-    assert table.loc["Dutch roll", "eigenvalue"] == pytest.approx(-0.033011 + 0.94655j, rel=1e-3)
-    assert table.loc["roll", "eigenvalue"] == pytest.approx(-0.56248, rel=1e-3)
-    assert table.loc["spiral", "eigenvalue"] == pytest.approx(-0.0072973, rel=1e-3)
-    assert table.loc["roll", "time_constant"] == pytest.approx(1 / 0.56248, rel=1e-3)
-    assert np.isinf(table.loc["spiral", "period"])
-
-
-def test_names_hold_whatever_the_order_and_units_of_states():
-    rng = np.random.default_rng(0)
-    scale, order = np.exp(3 * rng.normal(size=8)), rng.permutation(8)
-    A = (both() * scale[:, None] / scale)[np.ix_(order, order)]
-    table = mode_table(A, [(ALONG + ACROSS)[k] for k in order])
-    assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
-    apart = [mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)]
-    for part in apart:
-        assert list(table.loc[part.index, "eigenvalue"]) == pytest.approx(
-            list(part["eigenvalue"]), rel=1e-6
-        )
-
-
-def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
-    A = LONGITUDINAL.copy()
-    A[2, 1] *= -0.5
-    table = mode_table(A, ALONG)
-    assert list(table.index) == ["short period 1", "short period 2", "phugoid"]
-    assert table.loc["short period 1", "damping"] == 1.0
-    assert (table["time_to_double"] < np.inf).any()
-    assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
-
-
-class TestSpreadOfModes:
-    def test_is_that_of_the_frequency_and_the_damping(self):
-        rng = np.random.default_rng(0)
-        omega, zeta = 3 + 0.1 * rng.normal(size=500), 0.4 + 0.02 * rng.normal(size=500)
-        zero = np.zeros(500)
-        paths = np.stack(
-            [np.stack([zero, zero + 1], -1), np.stack([-(omega**2), -2 * zeta * omega], -1)], 1
-        )
-        row = mode_table(np.array([[0, 1], [-9, -2.4]]), ["x", "v"], paths).loc["mode"]
-        assert row["frequency_std"] == pytest.approx(omega.std(ddof=1))
-        assert row["damping_std"] == pytest.approx(zeta.std(ddof=1))
-        tau = 1 / (zeta * omega)
-        assert [row["time_constant_lower"], row["time_constant_upper"]] == pytest.approx(
-            np.quantile(tau, [0.025, 0.975]), rel=1e-2
-        )
-
-    def test_paths_in_which_a_pair_splits_stay_with_it(self):
-        """s^2 + 2 zeta omega s + omega^2 is one mode on either side of critical damping."""
-        zeta = np.array([0.9, 0.95, 1.05, 1.1])
-        paths = np.array([[[0, 1], [-4, -4 * z]] for z in zeta])
-        row = mode_table(np.array([[0, 1], [-4, -3.9]]), ["x", "v"], paths).loc["mode"]
-        assert row["frequency_std"] == pytest.approx(0.0, abs=1e-7)
-        assert row["damping_std"] == pytest.approx(zeta.std(ddof=1))
-
-    def test_a_spiral_that_may_diverge_has_no_longest_time_constant(self):
-        paths = np.linspace(-0.02, 0.01, 40)[:, None, None] * np.ones((1, 1, 1))
-        row = mode_table(np.array([[-0.005]]), ["x"], paths).loc["mode"]
-        assert row["time_constant"] == pytest.approx(200.0)
-        assert np.isinf(row["time_constant_upper"])
-        assert 0 < row["time_constant_lower"] < 60
 
 
 def test_outputs(linear, level):
@@ -329,3 +223,150 @@ class TestParts:
         high = linearize(MODEL, glider, level, air=Air(gravity=9.79))
         assert high.A.loc["w", "down"] < 0
         assert high.A.loc["down", "theta"] == pytest.approx(-20.0)
+
+
+LAG = 0.08  # of the servos [s]
+SURFACES = ["elevator", "aileron", "rudder"]
+POSITIONS = [f"{name}_position" for name in SURFACES]
+LATE = Aerodynamics(MODEL.function, NAMES, sampler=sampler, servo_lag=LAG)
+
+
+@pytest.fixture(scope="module")
+def late(glider, level):
+    return linearize(LATE, glider, level, air=AIR, n_paths=3)
+
+
+class TestServos:
+    """A servo lag T: T d(deflection)/dt = command - deflection."""
+
+    def test_deflections_are_states_and_commands_are_inputs(self, late, level, glider):
+        states = [*late.A]
+        assert states[-3:] == POSITIONS
+        assert [*late.A.index] == [*late.B.index] == [*late.C] == states
+        assert [*late.B] == [*late.D] == [*SURFACES, "thrust"]
+        outputs = ["airspeed", "alpha", "beta", "ax", "ay", "az"]
+        assert [*late.C.index] == [*late.D.index] == [*states, *outputs]
+        servo = late.A.loc[POSITIONS]
+        assert servo[POSITIONS].to_numpy() == pytest.approx(-np.eye(3) / LAG)
+        assert not servo.drop(columns=POSITIONS).any(axis=None)
+        assert late.B.loc[POSITIONS, SURFACES].to_numpy() == pytest.approx(np.eye(3) / LAG)
+
+    def test_pitching_and_lifting_by_the_elevator_are_typed_from_the_textbook(
+        self, late, level, glider
+    ):
+        qS = 0.5 * AIR.density * 20.0**2 * glider.wing_area
+        pitching = qS * glider.chord / glider.inertia[1, 1] * SLOPES[M, ELEVATOR]
+        lifting = qS / glider.mass * SLOPES[Z, ELEVATOR]
+        assert late.A.loc["q", "elevator_position"] == pytest.approx(pitching)
+        assert late.A.loc["w", "elevator_position"] == pytest.approx(lifting)
+        assert late.C.loc["az", "elevator_position"] == pytest.approx(lifting)
+        assert not late.B.loc[["u", "v", "w", "p", "q", "r"], SURFACES].any(axis=None)
+        assert not late.D[SURFACES].any(axis=None)
+        assert late.B.loc["u", "thrust"] == pytest.approx(1 / glider.mass)
+        assert late.D.loc["ax", "thrust"] == pytest.approx(1 / glider.mass)
+
+    def test_the_rest_is_the_model_without_a_lag_and_so_are_its_modes(self, late, linear):
+        body = [*linear.A]
+        pd.testing.assert_frame_equal(late.A.loc[body, body], linear.A)
+        pd.testing.assert_frame_equal(late.C.loc[[*linear.C.index], body], linear.C)
+        columns = ["eigenvalue", "frequency", "damping", "time_constant"]
+        pd.testing.assert_frame_equal(late.modes()[columns], linear.modes()[columns])
+
+    def test_paths_have_the_same_servos(self, late, level, glider):
+        at_once = linearize(MODEL, glider, level, air=AIR, n_paths=3)
+        states = [*late.A]
+        places = [states.index(name) for name in POSITIONS]
+        inputs = [[*late.B].index(name) for name in SURFACES]
+        paths = late.paths
+        assert paths.A[:, :12, places] == pytest.approx(at_once.paths.B[..., inputs])
+        assert paths.C[:, 15:, places] == pytest.approx(at_once.paths.D[:, 12:, inputs])
+        servos = np.broadcast_to(-np.eye(3) / LAG, (3, 3, 3))
+        assert paths.A[np.ix_(range(3), places, places)] == pytest.approx(servos)
+        std = ["frequency_std", "damping_std"]
+        pd.testing.assert_frame_equal(late.modes()[std], at_once.modes()[std])
+
+    @pytest.mark.parametrize("surface", SURFACES)
+    def test_response_to_a_doublet_is_that_of_the_simulation(self, late, level, glider, surface):
+        """The difference is of second order in the doublet: halved, it is a quarter."""
+        time = np.arange(0.0, 3.01, 0.01)
+        doublet = np.interp(time, [0.2, 0.21, 0.5, 0.51, 0.8, 0.81], [0, 1, 1, -1, -1, 0])
+        names = ["p", "q", "r", "phi", "theta", "alpha", "beta", "ax", "ay", "az"]
+
+        def errors(size):
+            commands = {name: level.controls[name] + 0.0 * time for name in level.controls}
+            commands[surface] = commands[surface] + size * doublet
+            flown = simulate(
+                LATE, glider, level, pd.DataFrame({"time": time, **commands}), 0.01, air=AIR
+            )
+            deviations = pd.DataFrame(0.0, index=time, columns=[*late.B])
+            deviations[surface] = size * doublet
+            system = tuple(matrix.to_numpy() for matrix in (late.A, late.B, late.C, late.D))
+            _, response, _ = lsim(system, deviations.to_numpy(), time)
+            response = pd.DataFrame(response, columns=[*late.C.index])
+            found = flown[names] - flown[names].iloc[0]
+            expected = response[names] - response[names].iloc[0]
+            position = flown[surface].to_numpy() - level.controls[surface]
+            servo = response[f"{surface}_position"].to_numpy()
+            assert position == pytest.approx(servo, abs=1e-9)
+            return found.sub(expected).abs().max(), expected.abs().max()
+
+        error, size = errors(0.01)
+        moved = size > 1e-9
+        assert moved.sum() >= 4
+        assert (error[moved] < 0.01 * size[moved]).all()
+        smaller, _ = errors(0.005)
+        assert smaller.max() < 0.3 * error.max()
+
+    def test_elevons_move_the_mixed_controls_with_the_same_lag(self, level, glider):
+        """Controls are linear in the surfaces, which all have the same servos."""
+        elevons = ("elevon_left", "elevon_right")
+        mixing = Mixing(elevons, ("elevator", "aileron"), np.array([[0.5, 0.5], [-0.5, 0.5]]))
+        model = Aerodynamics(MODEL.function, NAMES, servo_lag=LAG, mixing=mixing)
+        late = linearize(model, glider, level, air=AIR)
+        assert [*late.A][-3:] == POSITIONS
+        elevator = level.controls["elevator"]
+        time = np.arange(0.0, 1.01, 0.01)
+        step = 0.002 * np.minimum(time / 0.01, 1.0)
+        commands = {
+            **{name: level.controls[name] for name in ("rudder", "thrust")},
+            "elevon_left": elevator - step,
+            "elevon_right": elevator + step,
+        }
+        flown = simulate(
+            model, glider, level, pd.DataFrame({"time": time, **commands}), 0.01, air=AIR
+        )
+        B = late.B[["aileron"]].to_numpy()
+        system = late.A.to_numpy(), B, late.C.to_numpy(), late.D[["aileron"]].to_numpy()
+        _, response, _ = lsim(system, step, time)
+        p = response[:, [*late.C.index].index("p")]
+        assert flown["p"].to_numpy() == pytest.approx(p, abs=1e-3 * np.abs(p).max())
+
+    def test_gain_margin_of_a_bank_loop_is_where_the_simulation_turns_unstable(
+        self, late, level, glider
+    ):
+        """aileron = trim - k phi, with the margin by the frequency response of the linear model."""
+        A, B = late.A.to_numpy(), late.B["aileron"].to_numpy()
+        phi = [*late.A].index("phi")
+
+        def response(omega):
+            return np.linalg.solve(1j * omega * np.eye(len(A)) - A, B)[phi]
+
+        omega = brentq(lambda omega: response(omega).imag, 8.0, 40.0)
+        assert response(omega).real < 0
+        limit = 1.0 / abs(response(omega))
+
+        def growth(gain):
+            """Return the growth of the oscillation about its mean, from peak to later peak."""
+
+            def law(t, state):
+                return level.controls | {"aileron": level.controls["aileron"] - gain * state["phi"]}
+
+            start = level.state.copy()
+            start[6:10] = euler_to_quaternion(1e-3, level.theta, 0.0)
+            flown = simulate(LATE, glider, start, law, 0.01, duration=8.0, air=AIR)
+            p = np.abs(flown["p"].to_numpy())
+            peaks = p[find_peaks(p)[0]]
+            return peaks[-1] / peaks[len(peaks) // 2]
+
+        assert growth(0.97 * limit) < 0.95
+        assert growth(1.03 * limit) > 1.05

@@ -24,6 +24,7 @@ from skdgp.dynamics import (
     simulate,
     standard_density,
     trajectory_bands,
+    trim,
 )
 from skdgp.dynamics._aerodynamics import Drift
 from skdgp.preprocessing import (
@@ -639,6 +640,42 @@ class TestSimulator:
             )
             seen = simulator.step(law(seen["time"], seen))
 
+    @pytest.mark.parametrize("lag", [0.0, 0.1])
+    def test_accelerometers_are_those_of_the_table(self, aircraft, lag):
+        model, held, wind = linear(servo_lag=lag), commands(0.0), [1.0, 2.0, 0.0]
+        flown = simulate(model, aircraft, START, held, dt=0.02, duration=0.4, air=wind)
+        simulator = Simulator(model, aircraft, dt=0.02, air=wind)
+        seen = simulator.reset(START, controls=held)
+        for row in flown[["ax", "ay", "az"]].to_numpy():
+            assert [seen["ax"], seen["ay"], seen["az"]] == pytest.approx(row, abs=1e-10)
+            seen = simulator.step(held)
+
+    def test_accelerometers_show_the_forces_of_the_controls_that_were_held(self, aircraft):
+        simulator = Simulator(linear(), aircraft, dt=0.02)
+        simulator.reset(START)
+        seen = simulator.step(commands(0.7))
+        V = seen["airspeed"]
+        rates = [seen[n] * size / (2 * V) for n, size in zip("pqr", (2.6, 0.55, 2.6), strict=True)]
+        surfaces = [commands(0.7)[name] for name in ("elevator", "aileron", "rudder")]
+        C = INTERCEPT + SLOPES @ [seen["alpha"], seen["beta"], *rates, *surfaces]
+        pressure = 0.5 * standard_density(seen["altitude"]) * V**2 * aircraft.wing_area
+        thrust = commands(0.7)["thrust"] * aircraft.thrust_line.direction
+        expected = (pressure * C[:3] + thrust) / aircraft.mass
+        assert [seen["ax"], seen["ay"], seen["az"]] == pytest.approx(expected)
+
+    def test_accelerometers_of_a_trim_balance_gravity(self, aircraft):
+        steady = trim(linear(), aircraft, 22.0)
+        seen = Simulator(linear(), aircraft).reset(steady)
+        weight = 9.80665 * np.array([np.sin(steady.theta), 0.0, -np.cos(steady.theta)])
+        weight[1] = -9.80665 * np.cos(steady.theta) * np.sin(steady.phi)
+        weight[2] *= np.cos(steady.phi)
+        assert [seen["ax"], seen["ay"], seen["az"]] == pytest.approx(weight, abs=1e-5)
+
+    def test_accelerometers_of_a_start_without_controls_are_unknown(self, aircraft):
+        seen = Simulator(linear(), aircraft).reset(START)
+        assert np.isnan([seen["ax"], seen["ay"], seen["az"]]).all()
+        assert np.isfinite(seen["airspeed"])
+
     def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft):
         simulator = Simulator(uncertain(0.1), aircraft)
 
@@ -687,6 +724,6 @@ class TestSimulator:
         simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
         while not simulator.ended:
             seen = simulator.step(controls)
-        assert np.isnan(seen["airspeed"])
+        assert np.isnan([value for name, value in seen.items() if name != "time"]).all()
         with pytest.raises(ValueError, match="has ended"):
             simulator.step(controls)

@@ -1,0 +1,129 @@
+"""Modes of a linear model: names of its eigenvalues by the states that take part, and their spread over paths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.linalg import eig
+from scipy.optimize import linear_sum_assignment
+
+from skdgp._compute.typing import Array
+
+# States of the modes along and across the plane of symmetry
+LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+
+
+def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
+    """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
+    states = [*map(str, A)]
+    families = [family for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states)]
+    core = [name for family in families for name in family] or states
+    rows = [states.index(name) for name in core]
+    eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
+    participation = pd.DataFrame(_participation(left, right), core)
+    named = _named(_units(eigenvalues), participation, eigenvalues)
+    roots = {name: eigenvalues[list(unit)] for name, unit in named.items()}
+    table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
+    if paths is not None:
+        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(named.values()))
+    return table
+
+
+def _participation(left: np.ndarray, right: np.ndarray) -> Array:
+    """Return the fraction of each state (rows) in each mode (columns), of its eigenvectors."""
+    factors = np.abs(left.conj() * right)
+    # a repeated root may have orthogonal vectors: an aircraft without lateral derivatives
+    factors = np.where(factors.sum(axis=0) > 0, factors, np.abs(right))
+    return factors / factors.sum(axis=0)
+
+
+def _add_spread(
+    table: pd.DataFrame, paths: Array, eigenvalues: np.ndarray, units: list[tuple[int, ...]]
+) -> None:
+    """Add the standard deviations and limits over the paths (n_paths, n, n) to the table of modes."""
+    values = []
+    for path in paths:
+        roots = np.linalg.eigvals(path)
+        # in the order of the eigenvalues that they lie nearest to
+        _, order = linear_sum_assignment(np.abs(eigenvalues[:, None] - roots))
+        roots = roots[order]
+        values.append([_values(roots[list(unit)]) for unit in units])
+    frequency, damping, decay = np.moveaxis(np.array(values), -1, 0)  # (n_paths, modes) each
+    table["frequency_std"] = frequency.std(axis=0, ddof=1)
+    table["damping_std"] = damping.std(axis=0, ddof=1)
+    slowest, fastest = np.quantile(decay, [0.025, 0.975], axis=0)
+    with np.errstate(divide="ignore"):
+        table["time_constant_lower"] = np.where(fastest > 0, 1.0 / fastest, -np.inf)
+        table["time_constant_upper"] = np.where(slowest > 0, 1.0 / slowest, np.inf)
+
+
+def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
+    """Return pairs of conjugate eigenvalues, positive imaginary part first, and single real ones."""
+    units: list[tuple[int, ...]] = []
+    for k, value in enumerate(eigenvalues):
+        if value.imag > 0:
+            units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
+        elif value.imag == 0:
+            units.append((k,))
+    return units
+
+
+def _named(
+    units: list[tuple[int, ...]], participation: pd.DataFrame, eigenvalues: Array
+) -> dict[str, tuple[int, ...]]:
+    """Return the units by name, of the participation of the states in each eigenvalue."""
+
+    def part(names, unit):
+        return participation.loc[list(names), list(unit)].to_numpy().sum()
+
+    def split(units, names, size):
+        """Return the units, ``size`` eigenvalues, with the largest participation of these states, and the others."""
+        every = (subset for number in range(1, size + 1) for subset in combinations(units, number))
+        complete = (subset for subset in every if sum(map(len, subset)) == size)
+        best = max(complete, key=lambda subset: sum(part(names, unit) for unit in subset))
+        return best, [unit for unit in units if unit not in best]
+
+    named: dict[str, tuple[int, ...]] = {}
+    states = set(participation.index)
+    if set(LONGITUDINAL) <= states:
+        along, units = split(units, LONGITUDINAL, 4)
+        short, long = split(along, ("w", "q"), 2)
+        named |= _numbered("short period", short, eigenvalues)
+        named |= _numbered("phugoid", long, eigenvalues)
+    if set(LATERAL) <= states:
+        dutch, slow = split(units, ("v", "r"), 2)
+        slow.sort(key=lambda unit: -part(("p",), unit))
+        names = ("roll", "spiral") if len(slow) == 2 else ("roll-spiral",)
+        named |= _numbered("Dutch roll", dutch, eigenvalues) | dict(zip(names, slow, strict=True))
+    return named or _numbered("mode", units, eigenvalues)
+
+
+def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
+    """Return a single unit by its name; several with numbers, the fastest first."""
+    units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
+    names = [f"{name} {k}" for k in range(1, len(units) + 1)] if len(units) > 1 else [name]
+    return dict(zip(names, units, strict=True))
+
+
+def _values(roots: np.ndarray) -> tuple[float, float, float]:
+    """Return frequency, damping and rate of decay of a root, or of two as s^2 + 2 zeta omega s + omega^2."""
+    decay = float(-roots.real.mean())
+    frequency = float(np.abs(np.prod(roots)) ** (1.0 / len(roots)))
+    return frequency, decay / frequency if frequency > 0 else 0.0, decay
+
+
+def _row(roots: np.ndarray) -> dict[str, Any]:
+    frequency, damping, decay = _values(roots)
+    return {
+        "eigenvalue": roots[0],
+        "frequency": frequency,
+        "damping": damping,
+        "time_constant": 1.0 / decay if decay else np.inf,
+        "time_to_half": np.log(2.0) / decay if decay > 0 else np.inf,
+        "time_to_double": -np.log(2.0) / decay if decay < 0 else np.inf,
+        "period": 2.0 * np.pi / abs(roots[0].imag) if roots[0].imag else np.inf,
+    }

@@ -1,0 +1,128 @@
+"""Modes of linear models: published ones, names, and their spread over paths."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from skdgp.dynamics import LinearModel
+
+ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
+# Boeing 747-100 at Mach 0.8 and 40,000 ft, in feet: Etkin & Reid 1996, equations 6.2,1 and 6.7,1.
+LONGITUDINAL = np.array(
+    [
+        [-0.006868, 0.01395, 0, -32.2],
+        [-0.09055, -0.3151, 773.98, 0],
+        [0.0001187, -0.001026, -0.4285, 0],
+        [0, 0, 1, 0],
+    ]
+)
+LATERAL = np.array(
+    [
+        [-0.0558, 0, -774, 32.2],
+        [-0.003865, -0.4342, 0.4136, 0],
+        [0.001086, -0.006112, -0.1458, 0],
+        [0, 1, 0, 0],
+    ]
+)
+
+
+def mode_table(A, states, paths=None):
+    """The modes of x' = A x."""
+    square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
+    drawn = None if paths is None else LinearModel(paths, None, None, None)
+    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], drawn).modes()
+
+
+def both():
+    A = np.zeros((8, 8))
+    A[:4, :4], A[4:, 4:] = LONGITUDINAL, LATERAL
+    return A
+
+
+def test_published_longitudinal_modes():
+    table = mode_table(LONGITUDINAL, ALONG)
+    assert list(table.index) == ["short period", "phugoid"]
+    assert table.loc["phugoid", "eigenvalue"] == pytest.approx(-0.003289 + 0.06723j, rel=1e-3)
+    assert table.loc["short period", "eigenvalue"] == pytest.approx(-0.3719 + 0.8875j, rel=1e-3)
+    assert table.loc["phugoid", ["period", "time_to_half"]].tolist() == pytest.approx(
+        [93.4, 211.0], rel=2e-3
+    )
+    assert table.loc["short period", ["period", "time_to_half"]].tolist() == pytest.approx(
+        [7.08, 1.86], rel=3e-3
+    )
+    assert table.loc["short period", "damping"] == pytest.approx(0.387, rel=3e-3)
+
+
+def test_published_lateral_modes():
+    table = mode_table(LATERAL, ACROSS)
+    assert list(table.index) == ["Dutch roll", "roll", "spiral"]
+    assert table.loc["Dutch roll", "eigenvalue"] == pytest.approx(-0.033011 + 0.94655j, rel=1e-3)
+    assert table.loc["roll", "eigenvalue"] == pytest.approx(-0.56248, rel=1e-3)
+    assert table.loc["spiral", "eigenvalue"] == pytest.approx(-0.0072973, rel=1e-3)
+    assert table.loc["roll", "time_constant"] == pytest.approx(1 / 0.56248, rel=1e-3)
+    assert np.isinf(table.loc["spiral", "period"])
+
+
+def test_names_hold_whatever_the_order_and_units_of_states():
+    rng = np.random.default_rng(0)
+    scale, order = np.exp(3 * rng.normal(size=8)), rng.permutation(8)
+    A = (both() * scale[:, None] / scale)[np.ix_(order, order)]
+    table = mode_table(A, [(ALONG + ACROSS)[k] for k in order])
+    assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
+    apart = [mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)]
+    for part in apart:
+        assert list(table.loc[part.index, "eigenvalue"]) == pytest.approx(
+            list(part["eigenvalue"]), rel=1e-6
+        )
+
+
+def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
+    A = LONGITUDINAL.copy()
+    A[2, 1] *= -0.5
+    table = mode_table(A, ALONG)
+    assert list(table.index) == ["short period 1", "short period 2", "phugoid"]
+    assert table.loc["short period 1", "damping"] == 1.0
+    assert (table["time_to_double"] < np.inf).any()
+    assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
+
+
+def test_an_aircraft_without_lateral_derivatives_has_four_roots_of_zero():
+    """Repeated roots with orthogonal left and right vectors have names too."""
+    A = both()
+    A[4:, 4:] = [[0, 0, -774, 32.2], [0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
+    table = mode_table(A, ALONG + ACROSS)
+    names = ["short period", "phugoid", "Dutch roll 1", "Dutch roll 2", "roll", "spiral"]
+    assert list(table.index) == names
+    assert table["frequency"].iloc[2:].tolist() == pytest.approx([0.0] * 4, abs=1e-9)
+
+
+class TestSpreadOfModes:
+    def test_is_that_of_the_frequency_and_the_damping(self):
+        rng = np.random.default_rng(0)
+        omega, zeta = 3 + 0.1 * rng.normal(size=500), 0.4 + 0.02 * rng.normal(size=500)
+        zero = np.zeros(500)
+        paths = np.stack(
+            [np.stack([zero, zero + 1], -1), np.stack([-(omega**2), -2 * zeta * omega], -1)], 1
+        )
+        row = mode_table(np.array([[0, 1], [-9, -2.4]]), ["x", "v"], paths).loc["mode"]
+        assert row["frequency_std"] == pytest.approx(omega.std(ddof=1))
+        assert row["damping_std"] == pytest.approx(zeta.std(ddof=1))
+        tau = 1 / (zeta * omega)
+        assert [row["time_constant_lower"], row["time_constant_upper"]] == pytest.approx(
+            np.quantile(tau, [0.025, 0.975]), rel=1e-2
+        )
+
+    def test_paths_in_which_a_pair_splits_stay_with_it(self):
+        """s^2 + 2 zeta omega s + omega^2 is one mode on either side of critical damping."""
+        zeta = np.array([0.9, 0.95, 1.05, 1.1])
+        paths = np.array([[[0, 1], [-4, -4 * z]] for z in zeta])
+        row = mode_table(np.array([[0, 1], [-4, -3.9]]), ["x", "v"], paths).loc["mode"]
+        assert row["frequency_std"] == pytest.approx(0.0, abs=1e-7)
+        assert row["damping_std"] == pytest.approx(zeta.std(ddof=1))
+
+    def test_a_spiral_that_may_diverge_has_no_longest_time_constant(self):
+        paths = np.linspace(-0.02, 0.01, 40)[:, None, None] * np.ones((1, 1, 1))
+        row = mode_table(np.array([[-0.005]]), ["x"], paths).loc["mode"]
+        assert row["time_constant"] == pytest.approx(200.0)
+        assert np.isinf(row["time_constant_upper"])
+        assert 0 < row["time_constant_lower"] < 60

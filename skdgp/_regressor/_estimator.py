@@ -24,7 +24,7 @@ from skdgp.inference import (
     KnownSlopes,
     Paths,
     Posterior,
-    SlopeErrors,
+    PosteriorWithErrors,
     as_exact,
     average,
     fit_exact,
@@ -33,8 +33,8 @@ from skdgp.inference import (
     mean_of,
     misfit_variance,
     n_searched,
+    narrowing,
     residual_drift,
-    slope_errors,
     stratified,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
@@ -158,8 +158,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         with noise that is inflated by the correlation of neighbouring errors.
     inference_ : {"exact", "sparse"}
         Inference that was used.
-    posterior_ : AveragePosterior, ExactPosterior or SparsePosterior
-        Posterior of the normalised outputs.
+    posterior_ : Posterior
+        Posterior of the normalised outputs, with ``time`` with errors of the function: predictions,
+        samples, paths and slopes all come from it.
     weights_ : dict of str to ndarray (P,)
         Weight of each kind of member of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
@@ -372,6 +373,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             white = learned.noise - misfit
         if known.loading is not None:
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
+        if log:
+            errors = function_errors(posterior, misfit, learned.input_std)
+            if self._slopes is not None:
+                errors = self._slopes.replaced(errors)
+            posterior = PosteriorWithErrors(posterior, errors)
         self.posterior_ = posterior
         self.kernel_ = posterior.kernel
         self.misfit_variance_ = misfit * self.scale_**2
@@ -406,8 +412,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             Also return the standard deviation of each output, in the shape of the mean.
         return_cov : bool
             Also return the joint covariance of all outputs at all samples, (P n, P n),
-            output-major. Without ``include_noise`` it has no misfit, as the correlation of its
-            errors is not known.
+            output-major. Its diagonal holds the squares of ``return_std``.
         include_noise : bool
             Return the uncertainty of a new measurement instead of the function's.
         include_input_noise : bool, float or array (n,)
@@ -431,26 +436,23 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "Got return_std=True and return_cov=True, but at most one of them can be returned."
             )
         X = self._check_regressors(X)
-        mean = self.posterior_.predict(X, return_variance=return_std)
+        if not (return_std or return_cov):
+            return self._in_output_units(self.posterior_.predict(X))
         if return_std:
-            mean, variance = mean
-            noise = self.noise_variance_ if include_noise else 0.0
-            variance = variance + (self.misfit_variance_ + noise) / self.scale_**2
+            mean, variance = self.posterior_.predict(X, return_variance=True)
             variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
-            return self._squeeze(mean * self.scale_ + self.center_), self._squeeze(
-                np.sqrt(variance) * self.scale_
-            )
-        mean = self._squeeze(mean * self.scale_ + self.center_)
-        if not return_cov:
-            return mean
+            if include_noise:
+                variance = variance + self.noise_variance_ / self.scale_**2
+            return self._in_output_units(mean), self._squeeze(np.sqrt(variance) * self.scale_)
+        mean = self._in_output_units(self.posterior_.predict(X))
         check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
         cov = self.posterior_.covariance(X)
-        if include_noise:
-            noise = (self.misfit_variance_ + self.noise_variance_) / self.scale_**2
-            cov[np.diag_indices_from(cov)] += np.repeat(noise, len(X))
         loading = self._loading(X, include_input_noise)
         blocks = cov.reshape(len(self.scale_), len(X), len(self.scale_), len(X))
         np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
+        if include_noise:
+            noise = self.noise_variance_ / self.scale_**2
+            cov[np.diag_indices_from(cov)] += np.repeat(noise, len(X))
         scale = np.repeat(self.scale_, len(X))
         return mean, cov * np.multiply.outer(scale, scale)
 
@@ -521,64 +523,58 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         X = self._check_regressors(X)
         return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
 
-    def slope_errors(self, X: Matrix, added: Matrix | None = None) -> SlopeErrors | None:
-        """Return errors of the slopes at X (n, d) that the posterior does not contain, from the samples of the fit.
-
-        See :func:`skdgp.inference.slope_errors`. In units of the outputs: ``random``
-        errors, correlated between neighbouring samples and between outputs, and errors of the
-        ``method``. None if the samples are too few. Rows must be in the order of the log. With
-        ``added`` (k, d), errors expected after these rows are flown too.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from skdgp import DependentGPRegressor
-        >>> x = np.random.default_rng(0).normal(size=(200, 1))
-        >>> model = DependentGPRegressor(structure="trend").fit(x, 2.0 * x + np.sin(np.arange(200.0))[:, None])
-        >>> model.slope_errors(x[:1]).random.shape
-        (1, 1, 1, 20)
-        """
-        if added is not None:
-            added = self._check_regressors(added)
-        X = self._check_regressors(X)
-        now = slope_errors(self.posterior_, X)
-        errors = now if added is None else slope_errors(self.posterior_, X, added)
-        if now is None or errors is None:
-            return None
-        if self._slopes is not None:
-            errors = self._slopes.applied(errors, errors.white / now.white)
-        return errors.scaled(self.scale_[:, None])
-
     def function_errors(self) -> FunctionErrors | None:
-        """Return errors of the function that the posterior does not contain, from the samples of the fit.
+        """Return the errors of the function that come from its time series, part of every prediction.
 
-        Errors of neighbouring samples and of different outputs are correlated. Errors of a
-        polynomial of second order are estimated block by block, as ``random`` of `slope_errors`.
-        ``simulate`` adds them to the paths. None if the samples are too few.
+        See :func:`skdgp.inference.function_errors`. In units of the outputs; None without ``time``.
 
         Examples
         --------
         >>> import numpy as np
         >>> from skdgp import DependentGPRegressor
-        >>> x = np.random.default_rng(0).normal(size=(200, 1))
-        >>> model = DependentGPRegressor(structure="trend").fit(x, 2.0 * x + np.sin(np.arange(200.0))[:, None])
-        >>> model.function_errors().draw(30, random_state=0)(np.zeros((30, 5, 1))).shape
-        (30, 5, 1)
+        >>> x, time = np.random.default_rng(0).normal(size=(200, 1)), np.arange(200.0)
+        >>> y = 2.0 * x + np.sin(time)[:, None]
+        >>> model = DependentGPRegressor(structure="trend").fit(x, y, time=time)
+        >>> model.function_errors().variance(x[:5]).shape
+        (5, 1)
         """
         check_is_fitted(self)
-        errors = function_errors(self.posterior_)
-        if errors is None:
+        if not isinstance(self.posterior_, PosteriorWithErrors):
             return None
-        if self._slopes is not None:
-            errors = self._slopes.added(errors)
-        return errors._replace(weights=errors.weights * self.scale_)
+        d = self.n_features_in_
+        return self.posterior_.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
-    def sample_y(self, X: Matrix, n_samples: int = 1, random_state: Seed = 0) -> Array:
-        """Return samples of the joint posterior of all outputs at X (n, d), without noise.
+    def narrowing(self, added: Matrix) -> Matrix:
+        """Return the factor (P, d) by which rows that are flown next narrow deviations of slopes, as of least squares.
 
-        They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
+        ``added`` (k, d) are their regressors.
         """
-        return np.moveaxis(self.sample_paths(n_samples, random_state)(X), 0, -1)
+        return narrowing(self.posterior_, self._check_regressors(added))
+
+    def sample_y(
+        self,
+        X: Matrix,
+        n_samples: int = 1,
+        random_state: Seed = 0,
+        include_noise: bool = False,
+        include_input_noise: Any = True,
+    ) -> Array:
+        """Return samples of the joint distribution of all outputs at X (n, d).
+
+        Their mean and covariance are those of ``predict(X, return_cov=True)`` with the same
+        switches. They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
+        """
+        X = self._check_regressors(X)
+        values = self.sample_paths(n_samples, random_state)(X).reshape(n_samples, len(X), -1)
+        # other numbers than in the paths
+        seed = check_random_state(random_state).randint(2**31 - 1, size=9)
+        rng = np.random.default_rng(seed)
+        loading = self._loading(X, include_input_noise)
+        errors = rng.standard_normal((n_samples, len(X), loading.shape[2]))
+        values = values + np.einsum("npd,snd->snp", loading, errors) * self.scale_
+        if include_noise:
+            values = values + rng.standard_normal(values.shape) * np.sqrt(self.noise_variance_)
+        return self._squeeze(np.moveaxis(values, 0, -1))
 
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors, without noise.
@@ -587,8 +583,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         it. A path is a random function of the prior, a
         sum of waves, plus a correction by the data (Matheron's rule: Wilson et al. 2020,
         "Efficiently sampling functions from Gaussian process posteriors"). Mean and covariance
-        over many paths equal ``predict(X, return_cov=True, include_input_noise=False)``. Equal
-        seeds give equal functions.
+        over many paths equal ``predict(X, return_cov=True, include_input_noise=False)``, errors of
+        the function included. Equal seeds give equal functions.
 
         ``paths(X)`` are the values at the same points X (n, d), (n_paths, n, P), or (n_paths, n) for
         one-dimensional targets, ``paths.each(X)`` of each path at its own points X (n_paths, n, d),
@@ -684,6 +680,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             and not hasattr(self, "feature_names_in_")
             and float(np.abs(X).max()) <= _checks.X_RANGE[1]
         )
+
+    def _in_output_units(self, mean):
+        """Return the mean (n, P) of the normalised outputs in the units of the outputs."""
+        return self._squeeze(mean * self.scale_ + self.center_)
 
     def _squeeze(self, values):
         """Return values (n, P, ...), without the axis of outputs for one-dimensional targets."""

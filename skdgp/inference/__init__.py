@@ -9,12 +9,20 @@ loading   matrix that multiplies independent variables: G of the noise G G^T tha
           sample; A, b of a posterior mean A b
 clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
-misfit    the error of the function that residuals show where flights come back to the same regressors
+misfit    the discrepancy: the error of the function that residuals show where flights come back to the same
+          regressors
+errors    of the function, that a posterior does not hold: by correlated noise, by method, and the misfit
 ========  =============================================================================================================
 """
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
+from skdgp.inference._errors import (
+    FunctionErrors,
+    PosteriorWithErrors,
+    function_errors,
+    narrowing,
+)
 from skdgp.inference._fit import (
     Fit,
     as_exact,
@@ -25,16 +33,10 @@ from skdgp.inference._fit import (
     misfit_variance,
     residual_drift,
 )
+from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._posterior import ExactPosterior, Paths, Posterior, SinglePosterior
 from skdgp.inference._search import KnownNoise, Optimum, maximize, n_searched, stratified
-from skdgp.inference._slopes import (
-    FunctionErrors,
-    KnownSlopes,
-    SlopeErrors,
-    function_errors,
-    slope_errors,
-)
 from skdgp.inference._sparse import SparsePosterior
 
 __all__ = [
@@ -49,8 +51,8 @@ __all__ = [
     "Optimum",
     "Paths",
     "Posterior",
+    "PosteriorWithErrors",
     "SinglePosterior",
-    "SlopeErrors",
     "SparsePosterior",
     "as_exact",
     "autocorrelation_time",
@@ -63,8 +65,8 @@ __all__ = [
     "mean_of",
     "misfit_variance",
     "n_searched",
+    "narrowing",
     "residual_drift",
-    "slope_errors",
     "stratified",
     "training_inputs",
 ]

@@ -1,0 +1,333 @@
+r"""Errors of the function that a posterior does not hold, and the posterior with them.
+
+A posterior takes the errors of samples as independent, and the regressors as independent of the
+noise. In a flight, errors last, gusts disturb several outputs and move the aircraft, noise of the
+regressors flattens slopes, and the kernel may be too smooth. What this changes is a random function
+
+.. math:: e_i(x) = \sum_k z_k\, (w_{k0i} + \sum_j w_{kji} (x_j - c_j)) + \delta_i(x),
+          \quad z_k \sim N(0, 1)
+
+that is added to the posterior: a linear function, of which the outputs share the numbers z, and the
+discrepancy, a process of each output with the variance :func:`misfit_variance` and the width of one
+standard deviation of the regressors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from sklearn.utils import check_random_state
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.parallel import one_blas_thread
+from skdgp._compute.statistics import autocorrelation_time
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp.inference._posterior import FREQUENCIES, Posterior, SinglePosterior
+from skdgp.kernels import ConvolvedGaussian, PathBundle, prior_paths
+
+BLOCKS = 60  # blocks of the time series; errors of different blocks are taken as independent
+BLOCK_ROWS = 10  # fewest samples in a block
+# Fewest samples for each weight of a polynomial by least squares, and with instruments
+FEWEST, FEWEST_INSTRUMENTED = 10, 50
+DELAYS = (2, 4, 6)  # of the instruments, in autocorrelation times of the errors
+SINGULAR = 1e-10  # fraction of the largest eigenvalue below which instruments count as equal
+
+
+class FunctionErrors(NamedTuple):
+    """A random function of d regressors: linear terms, and the discrepancy of each of P outputs."""
+
+    #: w of errors that are correlated in time and between outputs, (K, d + 1, P)
+    random: Array
+    #: w of errors by gusts that move the aircraft and by noise of the regressors, (K', d + 1, P)
+    method: Array
+    #: c, (d,)
+    centre: Vector
+    #: Variance of the discrepancy, (P,)
+    discrepancy: Vector
+    #: Its width, (d,)
+    length_scale: Vector
+
+    @property
+    def weights(self) -> Array:
+        """All w, (K + K', d + 1, P)."""
+        return np.concatenate([self.random, self.method])
+
+    @property
+    def kernel(self) -> ConvolvedGaussian:
+        """Covariance of the discrepancy."""
+        return ConvolvedGaussian(
+            0,
+            amplitude=np.diag(np.sqrt(self.discrepancy)),
+            length_scale=np.broadcast_to(
+                self.length_scale, (len(self.discrepancy),) * 2 + self.length_scale.shape
+            ),
+        )
+
+    def linear(self, X: Matrix) -> Array:
+        """Return the linear terms at X (n, d), (K + K', n, P)."""
+        return _basis(X - self.centre) @ self.weights
+
+    def variance(self, X: Matrix) -> Matrix:
+        """Return the variance at X (n, d), (n, P)."""
+        return np.sum(self.linear(X) ** 2, axis=0) + self.discrepancy
+
+    def covariance(self, X: Matrix) -> Matrix:
+        """Return the joint covariance at X (n, d), (P n, P n), output-major."""
+        terms = self.linear(X).swapaxes(1, 2).reshape(len(self.weights), -1)
+        return terms.T @ terms + self.kernel(X)
+
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
+        """Return draws of the errors."""
+        rng = check_random_state(random_state)
+        z = rng.standard_normal((n_paths, len(self.weights)))
+        linear = LinearPaths(np.tensordot(z, self.weights, axes=1), self.centre)
+        return linear + prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
+
+    def slopes(self) -> tuple[Array, Array]:
+        """Return the slopes of the linear terms, random and by method, (P, d, K) and (P, d, K')."""
+        random, method = self.random[:, 1:], self.method[:, 1:]
+        return np.transpose(random, (2, 1, 0)), np.transpose(method, (2, 1, 0))
+
+    def in_units(self, shift: Vector, scale: Vector, output_scale: Vector) -> FunctionErrors:
+        """Return the errors of outputs times ``output_scale``, as a function of shift + scale x."""
+        factor = np.concatenate([[1.0], 1.0 / scale])[:, None] * output_scale
+        return FunctionErrors(
+            self.random * factor,
+            self.method * factor,
+            shift + scale * self.centre,
+            self.discrepancy * output_scale**2,
+            scale * self.length_scale,
+        )
+
+    def of_outputs(self, outputs: Any) -> FunctionErrors:
+        """Return the errors of some outputs."""
+        return self._replace(
+            random=self.random[..., outputs],
+            method=self.method[..., outputs],
+            discrepancy=self.discrepancy[outputs],
+        )
+
+
+class LinearPaths(PathBundle):
+    """Linear functions of x - ``centre`` with the weights (S, d + 1, P)."""
+
+    def __init__(self, weights: Array, centre: Vector) -> None:
+        self.weights = weights
+        self.centre = centre
+
+    def take(self, index):
+        return LinearPaths(self.weights[index], self.centre)
+
+    def doubles(self, same_points):
+        return len(self.weights) * sum(self.weights.shape[1:])
+
+    def each(self, X):
+        return _basis(X - self.centre) @ self.weights
+
+    def gradient(self, X):
+        slopes = self.weights[:, 1:].swapaxes(1, 2)[:, None]
+        n = X.shape[1]
+        return np.repeat(slopes, n, axis=1)
+
+
+class PosteriorWithErrors(Posterior):
+    """A posterior plus independent errors of its function.
+
+    Mean, kernel, noise, likelihood, data and components are those of the posterior.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    errors : FunctionErrors
+    """
+
+    def __init__(self, posterior: Posterior, errors: FunctionErrors) -> None:
+        self.posterior = posterior
+        self.errors = errors
+        self.kernel = posterior.kernel
+        self.noise = posterior.noise
+        self.log_marginal_likelihood = posterior.log_marginal_likelihood
+        self.data = posterior.data
+
+    @property
+    def members(self) -> Sequence[SinglePosterior]:  # type: ignore[override]
+        """The components of the posterior, without the errors."""
+        return self.posterior.members
+
+    @property
+    def mixture(self) -> Matrix:  # type: ignore[override]
+        """The weights of the components, (K, P)."""
+        return self.posterior.mixture
+
+    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
+        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
+        if not return_variance:
+            return self.posterior.predict(Xs)
+        mean, variance = self.posterior.predict(Xs, return_variance=True)
+        return mean, variance + self.errors.variance(Xs)
+
+    def gradient(self, Xs: Matrix) -> Array:
+        """Return d mean / d x at Xs, (n, P, d)."""
+        return self.posterior.gradient(Xs)
+
+    def covariance(self, Xs: Matrix) -> Matrix:
+        """Return the joint covariance at Xs, (P n, P n), output-major."""
+        return self.posterior.covariance(Xs) + self.errors.covariance(Xs)
+
+    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
+        """Return samples that are functions of the regressors."""
+        rng = check_random_state(random_state)
+        return self.posterior.paths(n_paths, rng) + self.errors.paths(n_paths, rng)
+
+
+# equations of a hundred terms: on two threads they take several times as long on a busy machine
+@one_blas_thread()
+def function_errors(
+    posterior: Posterior, discrepancy: Vector, input_std: Vector | None = None
+) -> FunctionErrors:
+    r"""Return the errors of the function of a posterior that it does not hold, from its time series.
+
+    With the residuals r of the posterior's mean, Q = (1, x - c) and :math:`G = (Q^T Q)^{-1}`:
+
+    - random: over blocks b of consecutive samples, :math:`w_b = G Q_b^T r_b`, whatever the
+      correlation within a block and between outputs (Liang & Zeger 1986);
+    - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
+      other slopes at the centre c, by d with standard deviation s. This counts as
+      :math:`d |d| / \sqrt{d^2 + s^2}`, so as little where it is chance;
+    - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes
+      J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
+      regressor (Fuller 1987, section 1.1).
+
+    With too few samples only the discrepancy is returned.
+
+    Parameters
+    ----------
+    posterior : Posterior
+        Its samples are in the order of recording.
+    discrepancy : ndarray (P,)
+        Variance of the discrepancy.
+    input_std : ndarray (d,) or None
+        Standard deviations of the noise of the regressors.
+
+    Returns
+    -------
+    FunctionErrors
+    """
+    data = posterior.data
+    longest = max(data.X, key=len)
+    centre, scale = longest.mean(axis=0), column_scale(longest)
+    P, d = len(data.y), len(centre)
+    none = np.zeros((0, d + 1, P))
+    errors = FunctionErrors(none, none, centre, np.asarray(discrepancy, dtype=float), scale)
+    if min(map(len, data.y)) < FEWEST * (d + 1):
+        return errors
+    random = np.zeros((BLOCKS, d + 1, P))
+    instruments = np.zeros((1, d + 1, P))
+    attenuation = np.zeros((d, d + 1, P))
+    gradient = posterior.gradient(centre[None])[0]
+    for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+        z = (x - centre) / scale
+        residual = y - posterior.predict(x)[:, i]
+        weights = block_errors(_basis(z), residual)
+        random[: len(weights), :, i] = weights / np.append(1.0, scale)
+        slope, std = instrumented_slopes(z, y)
+        difference = gradient[i] - slope / scale
+        size = np.hypot(difference, std / scale)
+        counted = np.divide(np.abs(difference), size, out=np.zeros(d), where=size > 0)
+        instruments[0, 1:, i] = difference * counted
+        if input_std is not None:
+            covariance = np.atleast_2d(np.cov(x.T))
+            inverse = np.linalg.pinv(covariance, rcond=SINGULAR, hermitian=True)
+            attenuation[:, 1:, i] = inverse * (input_std**2 * gradient[i])[:, None]
+    return errors._replace(random=random, method=np.concatenate([instruments, attenuation]))
+
+
+def _basis(x: Array) -> Array:
+    """Return (1, x), (..., d + 1)."""
+    return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
+
+
+def parabola(z: Array) -> Array:
+    """Return (1, z, products of second order), (..., p)."""
+    first, second = np.triu_indices(z.shape[-1])
+    return np.concatenate([_basis(z), z[..., first] * z[..., second]], axis=-1)
+
+
+def blocks(n: int) -> list[Any]:
+    """Return the rows of blocks of consecutive samples."""
+    return np.array_split(np.arange(n), int(np.clip(n // BLOCK_ROWS, 2, BLOCKS)))
+
+
+def block_errors(Q: Matrix, residual: Vector, inverse: Matrix | None = None) -> Matrix:
+    """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
+
+    ``inverse`` is by default that of Q^T Q.
+    """
+    if inverse is None:
+        inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
+    scores = np.array([Q[rows].T @ residual[rows] for rows in blocks(len(residual))])
+    return scores @ inverse.T * np.sqrt(len(scores) / (len(scores) - 1))
+
+
+def instrumented_slopes(z: Matrix, y: Vector) -> tuple[Vector, Vector]:
+    """Return slopes at z = 0 by two-stage least squares, (d,), and their standard deviations.
+
+    A polynomial of second order, if there are samples enough, is fitted to y (n,). Instruments are
+    earlier rows of its terms, by more than the errors of least squares last (Soderstrom & Stoica
+    1989, section 8.1): an error that causes motion, such as that of a gust, correlates with the
+    present regressors, and so biases least squares. Part of the bias remains, the more the longer
+    gusts last.
+    """
+    d = z.shape[1]
+    basis = _order(len(z), d, FEWEST)
+    Q = basis(z)
+    weights = np.linalg.lstsq(Q, y, rcond=None)[0]
+    rest = y - Q @ weights  # instruments that do not determine a slope leave that of least squares
+    few = _order(len(z), d, FEWEST_INSTRUMENTED)
+    change, errors = instrumented(few(z), rest)
+    slope = weights[1 : d + 1] + change[1 : d + 1]
+    return slope, np.linalg.norm(errors[:, 1 : d + 1], axis=0)
+
+
+def _order(n: int, d: int, fewest: int) -> Any:
+    """Return the basis of second order with ``fewest`` samples for each weight, else the line."""
+    return parabola if n >= fewest * (1 + d + d * (d + 1) // 2) else _basis
+
+
+def instrumented(Q: Matrix, y: Vector) -> tuple[Vector, Matrix]:
+    """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m)."""
+    lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
+    first = lag * DELAYS[-1]
+    past = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS]
+    instruments = np.hstack(past)
+    now, y = Q[first:], y[first:]
+    between = np.linalg.pinv(instruments.T @ instruments, rcond=SINGULAR, hermitian=True)
+    expected = instruments @ (between @ (instruments.T @ now))
+    inverse = np.linalg.pinv(expected.T @ now, rcond=SINGULAR, hermitian=True)
+    weights = inverse @ (expected.T @ y)
+    return weights, block_errors(expected, y - now @ weights, inverse)
+
+
+@one_blas_thread()
+def narrowing(posterior: Posterior, added: Matrix) -> Matrix:
+    """Return how far rows flown next narrow the deviations of slopes at the centre, (P, d), as of least squares.
+
+    ``added`` (k, d) are their regressors. With too few rows for least squares no promise is made:
+    the factor is one.
+    """
+    data = posterior.data
+    ratio = np.ones((len(data.y), added.shape[1]))
+    for i, x in enumerate(data.X):
+        if len(x) < FEWEST * (1 + x.shape[1]):
+            continue
+        basis = _order(len(x), x.shape[1], FEWEST)
+        centre, scale = x.mean(axis=0), column_scale(x)
+        before, after = (
+            np.diag(np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True))[1 : 1 + x.shape[1]]
+            for Q in (basis((rows - centre) / scale) for rows in (x, np.vstack([x, added])))
+        )
+        np.divide(after, before, out=ratio[i], where=before > 0)
+    return np.sqrt(np.minimum(ratio, 1.0))

@@ -1,0 +1,74 @@
+"""Slopes that another source knows better than the samples."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Matrix
+from skdgp.inference._errors import FunctionErrors
+
+
+class KnownSlopes(NamedTuple):
+    """Slopes of P outputs by d regressors, NaN where the samples are to tell them.
+
+    Samples whose regressors were estimated from their own targets, as an angle of attack from the
+    force that it causes, are no evidence of slopes: least squares is biased, and its bands are too
+    narrow.
+    """
+
+    value: Matrix  # (P, d)
+    errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
+
+    @classmethod
+    def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
+        """Return the slopes of least squares with standard ``deviations`` (P, d), where these are finite.
+
+        Rows of X (n, d) and Y (n, P) with missing values are left out.
+        """
+        value, complete = np.empty_like(deviations), np.isfinite(X).all(axis=1)
+        for y, slopes in zip(np.asarray(Y, dtype=float).T, value, strict=True):
+            rows = np.isfinite(y) & complete
+            centred = X[rows] - X[rows].mean(axis=0)
+            slopes[:] = np.linalg.lstsq(centred, y[rows] - y[rows].mean(), rcond=None)[0]
+        value[~np.isfinite(deviations)] = np.nan
+        errors = np.zeros((*value.shape, value.size))
+        np.einsum("pdpd->pd", errors.reshape(*value.shape, *value.shape))[:] = np.nan_to_num(
+            deviations
+        )
+        return cls(value, errors)
+
+    @property
+    def known(self) -> Array:
+        """Whether a slope is known, (P, d, 1)."""
+        return np.isfinite(self.value)[..., None]
+
+    def scaled(self, factor: Array) -> KnownSlopes:
+        """Return the slopes times ``factor``, which broadcasts to (P, d)."""
+        return KnownSlopes(self.value * factor, self.errors * np.asarray(factor)[..., None])
+
+    def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
+        """Return Y (n, P) plus what makes its slopes by least squares at X (n, d) the known ones."""
+        Y, centred = Y.copy(), X - X.mean(axis=0)
+        for y, value in zip(Y.T, self.value, strict=True):
+            rows, known = np.isfinite(y), np.isfinite(value)
+            Q = np.column_stack([np.ones(rows.sum()), centred[rows]])
+            wanted = np.zeros(1 + len(value))
+            wanted[1:][known] = value[known]
+            free = np.append(True, ~known)
+            residual = y[rows] - Q @ wanted
+            wanted[free] = np.linalg.lstsq(Q[:, free], residual, rcond=None)[0]
+            residual = y[rows] - Q @ wanted
+            y[rows] -= Q @ np.linalg.lstsq(Q, residual, rcond=None)[0]
+        return Y
+
+    def replaced(self, errors: FunctionErrors) -> FunctionErrors:
+        """Return the errors of a function, of which known slopes have the errors of their source."""
+        P, d, k = self.errors.shape
+        known = np.zeros((k, d + 1, P))
+        known[:, 1:] = np.transpose(self.errors, (2, 1, 0))
+        unknown = np.ones((d + 1, P))
+        unknown[1:] = ~self.known[..., 0].T
+        random = np.concatenate([errors.random * unknown, known])
+        return errors._replace(random=random, method=errors.method * unknown)

@@ -155,7 +155,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     n_iter_, max_iter_ : int
         Iterations of the joint search, and their largest number.
     interrupted_ : bool
-        Whether Ctrl-C ended the search.
+        Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than
         0.05 nats for each value in ``max_iter_`` further iterations. If not, ``fit`` warns.
@@ -274,6 +274,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If X is not finite, an output has fewer than two observed values, there are fewer than
             two samples, values are too large or too small for double precision, or the posterior
             does not fit into memory.
+        KeyboardInterrupt
+            After Ctrl-C; the estimator is as before. ``skdgp.listening(..., keep_best=True)`` keeps
+            the best model so far instead.
 
         Warns
         -----
@@ -283,8 +286,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If there are fewer than 10 independent rows for each regressor: bands are too narrow
             then.
         ConvergenceWarning
-            If the search for hyperparameters was interrupted (the best ones so far are kept) or
-            stopped at ``max_iter_`` before it converged.
+            If the search for hyperparameters stopped at ``max_iter_`` before it converged, or was
+            interrupted and the best ones so far are kept.
         """
         before = dict(vars(self))
         try:

@@ -17,6 +17,7 @@ from skdgp._compute.linalg import (
     column_scale,
     output_scale,
 )
+from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Predictor, Seed, Vector
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
@@ -232,7 +233,8 @@ def inducing_centres(
 def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
     """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
-    After Ctrl-C it is the fit of the whole kernel, interrupted.
+    After Ctrl-C it is the fit of the whole kernel, interrupted, where ``listening`` keeps the best
+    so far.
 
     Parameters
     ----------
@@ -261,6 +263,8 @@ def average(fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None) -> Fit:
         noises = [component.learned.noise for component in fits]
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:
+        if not keeps_best():
+            raise
         return fit.cut_short()
     noise = np.sum(weights * noises, axis=0)
     return Fit(AveragePosterior(members, weights), fit.learned._replace(noise=noise))

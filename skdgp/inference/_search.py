@@ -21,7 +21,7 @@ from scipy.optimize import LbfgsInvHessProduct, minimize
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, output_scale
-from skdgp._compute.messages import notify
+from skdgp._compute.messages import keeps_best, notify
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, log_likelihood
@@ -427,7 +427,8 @@ def maximize(
         Starting point.
     bounds : ndarray (n, 2)
     stop : threading.Event
-        Stops the search before the next evaluation when it is set. Ctrl-C sets it.
+        Stops the search before the next evaluation when it is set. Ctrl-C sets it inside
+        ``listening(..., keep_best=True)``.
     max_iter : int
     tolerance : float
         Stop when one iteration raises the likelihood by less than this fraction.
@@ -440,7 +441,12 @@ def maximize(
     Returns
     -------
     Optimum
-        After Ctrl-C the best point so far; the caller warns.
+        If ``stop`` is set the best point so far; the caller warns.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, unless the best so far is kept.
     """
     step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
     step[step == 0.0] = 1.0
@@ -456,6 +462,8 @@ def maximize(
             loss, rounded(theta), bounds, rounded, max_iter, tolerance
         )
     except KeyboardInterrupt:
+        if not keeps_best():
+            raise
         stop.set()
     return Optimum(loss.theta, loss.value, n_iter, remaining, converged)
 

@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import pkgutil
+import warnings
 from collections import Counter
 
 import numpy as np
@@ -58,8 +59,14 @@ class TestScikitLearnContract:
             DependentGPRegressor(max_iter=2),
             DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
             DependentGPRegressor(TIED, max_iter=2, trend="constant"),
+            DependentGPRegressor(max_iter=1, n_latent=1, structure="joint"),
+            DependentGPRegressor(max_iter=5, n_latent=1, structure="joint", trend="constant"),
+            DependentGPRegressor(optimizer=None, n_latent=0, structure="additive", trend=None),
+            DependentGPRegressor(max_iter=2, structure="trend"),
+            DependentGPRegressor(max_iter=1, n_latent=0, input_noise="learned"),
+            DependentGPRegressor(optimizer=None, n_latent=1),
         ],
-        ids=["exact", "sparse", "tied"],
+        ids=repr,
     )
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):
@@ -72,6 +79,23 @@ class TestScikitLearnContract:
         assert skipped <= {"check_array_api_input"}
         passed = Counter(r["status"] for r in results)["passed"]
         assert passed >= 50  # none vanished: scikit-learn 1.6 has as many
+
+    @pytest.mark.parametrize("max_iter", [1, 2, 5])
+    @pytest.mark.parametrize(
+        "options",
+        [
+            {"trend": "constant", "structure": "joint"},
+            {"structure": "joint", "input_noise": "learned"},
+            {"inference": "sparse", "n_inducing": 40},
+            {"optimizer": None},
+        ],
+    )
+    def test_iterations_are_counted_within_their_limit(self, data, options, max_iter):
+        model = DependentGPRegressor(max_iter=max_iter, n_latent=1, random_state=0, **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            model.fit(*data)
+        assert 1 <= model.n_iter_ <= max_iter == model.max_iter_
 
     def test_no_estimator_of_the_package_goes_unchecked(self):
         """Who is found here is held to check_estimator here or in tests/preprocessing.

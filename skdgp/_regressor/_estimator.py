@@ -153,7 +153,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Weight of each kind of member of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
     n_iter_, max_iter_ : int
-        Iterations of the joint search, and their largest number.
+        Iterations of the joint search, without the fits of single outputs, and their largest
+        number. ``n_iter_`` is at least 1, also of a search that starts at its optimum, and of
+        ``optimizer=None``.
     interrupted_ : bool
         Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
@@ -356,7 +358,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         std = np.zeros(X.shape[1]) if learned.input_std is None else learned.input_std
         self.input_covariance_ = np.diag(std**2)
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
-        self.n_iter_ = learned.n_iter
+        self.n_iter_ = max(1, learned.n_iter)
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
 

@@ -147,7 +147,7 @@ def search(
     start = kernel.initialize(X, Y, random_state, singles)
     coarse = kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < start.n_dims or input_noise:
-        half = -(-max_iter // 2)
+        half = min(-(-max_iter // 2), max_iter - 1)  # stage 3 has at least one
         coarse, noise, end = climb(coarse, noise, noise_bounds, data, half, stop, common=exact)
         n_iter = end.n_iter
         start = kernel.initialize(X, Y, random_state, singles, coarse)
@@ -430,6 +430,7 @@ def maximize(
         Stops the search before the next evaluation when it is set. Ctrl-C sets it inside
         ``listening(..., keep_best=True)``.
     max_iter : int
+        Zero: the starting point is evaluated.
     tolerance : float
         Stop when one iteration raises the likelihood by less than this fraction.
     stage : str
@@ -471,6 +472,8 @@ def maximize(
 def _minimized(loss, theta, bounds, rounded, max_iter, tolerance):
     """Return the number of iterations of L-BFGS-B, the expected rise by as many again, and whether it converged."""
     first = loss(theta)
+    if max_iter == 0:  # of which SciPy makes one
+        return 0, np.inf, False
     before = loss.latest
     unit = float(np.linalg.norm(first[1])) or 1.0  # so that the first step has length one
 

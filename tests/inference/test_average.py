@@ -355,7 +355,10 @@ class TestRegressor:
             if stage == "members":
                 raise KeyboardInterrupt
 
-        with listening(press, keep_best=True), pytest.warns(UserWarning, match=r"interrupted.*kept"):
+        with (
+            listening(press, keep_best=True),
+            pytest.warns(UserWarning, match=r"interrupted.*kept"),
+        ):
             model = DependentGPRegressor(**options).fit(*data)
         assert list(model.weights_) == ["joint"]
         np.testing.assert_allclose(model.predict(AT), joint.predict(AT), rtol=1e-6, atol=1e-9)

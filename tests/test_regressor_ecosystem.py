@@ -5,10 +5,13 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn import config_context
+from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
+from skdgp.metrics import SCORERS
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +49,51 @@ class TestScikitLearn:
         twice = quick().fit(X, Y["CZ"]).fit(X[:30], Y[:30])
         np.testing.assert_allclose(once.predict(X), twice.predict(X), rtol=1e-6, atol=1e-9)
         assert twice.output_names_ == ["CZ", "Cm"]
+
+
+class TestFlightsAreGroups:
+    """The label of a row's flight is an argument of fit, and the group of a cross-validation."""
+
+    @pytest.fixture
+    def time(self):
+        return np.tile(0.1 * np.arange(20), 3)
+
+    def drifts(self, flights, time, routing, model, params, **more):
+        X, Y, flight = flights
+        options = {"cv": LeaveOneGroupOut(), "scoring": SCORERS["neg_normalized_rmse"]}
+        with config_context(enable_metadata_routing=routing):
+            scores = cross_validate(
+                model,
+                X,
+                Y["CZ"],
+                params=params,
+                return_estimator=True,
+                error_score="raise",
+                **options,
+                **more,
+            )
+        return np.array([fitted.drift_variance_ for fitted in scores["estimator"]])
+
+    def test_both_get_them_with_and_without_metadata_routing(self, flights, time):
+        """Flights that are told apart have clocks that may start again; of one they would not."""
+        flight = flights[2]
+        expected = [
+            quick().fit(X, y, time=time[rows], flight=flight[rows]).drift_variance_
+            for rows in (flight != "one", flight != "three", flight != "two")
+            for X, y in [(flights[0][rows], flights[1]["CZ"][rows])]
+        ]
+        plain = self.drifts(
+            flights, time, False, quick(), {"time": time, "flight": flight}, groups=flight
+        )
+        np.testing.assert_allclose(plain, expected, rtol=1e-6)
+        with config_context(enable_metadata_routing=True):
+            model = quick().set_fit_request(time=True, flight="groups")
+        routed = self.drifts(flights, time, True, model, {"time": time, "groups": flight})
+        np.testing.assert_allclose(routed, expected, rtol=1e-6)
+
+    def test_groups_of_the_splitter_alone_need_no_request(self, flights, time):
+        drifts = self.drifts(flights, time, True, quick(), {"groups": flights[2]})
+        assert (drifts == 0).all()  # without time there is none
 
 
 class TestFreshProcess:

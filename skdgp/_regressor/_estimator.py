@@ -260,6 +260,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None:
             one flight.
+
+            These are the ``groups`` of a cross-validation. With metadata routing
+            ``set_fit_request(flight="groups")`` passes one array to both. ``fit`` has no parameter
+            of that name, so groups of a splitter need no request.
         slopes : KnownSlopes or None
             Slopes by the regressors that another source knows better than these samples. A linear
             function is added to the targets, so that their slopes by least squares are these; with

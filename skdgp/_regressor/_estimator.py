@@ -17,6 +17,7 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp._regressor._impute import imputed
 from skdgp.inference import (
+    Data,
     ExactPosterior,
     Fit,
     FunctionErrors,
@@ -681,8 +682,9 @@ def fit_structure(model: BaseEstimator, X: Matrix, Z: Matrix, log: bool, inferen
     """
     random_state = check_random_state(model.random_state)
     fits: list[Fit] = []
+    data = Data.from_table(X, Z)  # one copy for all
     while len(fits) < n_searches(model, log):
-        fits.append(_searched(model, X, Z, log, inference, random_state))
+        fits.append(_searched(model, X, Z, data, log, inference, random_state))
         if fits[-1].learned.interrupted:
             return fits[0].cut_short()
     return mean_of(fits)
@@ -693,7 +695,7 @@ def n_searches(model: BaseEstimator, log: bool) -> int:
     return SEARCHES if log and model.structure == "average" and model.optimizer is not None else 1
 
 
-def _searched(model, X, Z, log, inference, random_state):
+def _searched(model, X, Z, data, log, inference, random_state):
     """Return the fit of one search."""
     kernel = _make_kernel(model, X, Z, log)
     options = {
@@ -703,9 +705,10 @@ def _searched(model, X, Z, log, inference, random_state):
         "random_state": random_state.randint(2**31 - 1),
     }
     if inference == "exact":
-        fit = fit_exact(kernel, X, Z, **options)
+        fit = fit_exact(kernel, X, Z, data=data, **options)
     else:
-        fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
+        options |= {"n_inducing": model.n_inducing, "ordered": log}
+        fit = fit_sparse(kernel, X, Z, data=data, **options)
         neglected = 0.0  # prior variance over the noise, of the worst output
         if not (log or fit.learned.interrupted or fit.learned.input_std is not None):
             sparse: Any = fit.posterior
@@ -717,7 +720,7 @@ def _searched(model, X, Z, log, inference, random_state):
             n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
             rows = stratified(np.arange(len(X)), n, random_state)
             X, Z = X[rows], Z[rows]
-            fit = as_exact(fit.learned, X, Z, fit.learned.data(X, Z))
+            fit = as_exact(fit.learned, X, Z, fit.learned.noisy(Data.from_table(X, Z)))
     if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
         return fit
     return average(fit, X, Z, None if log else random_state)

@@ -55,6 +55,8 @@ def fit_exact(
     kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
+    *,
+    data: Data | None = None,
     **options: Any,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
@@ -66,6 +68,8 @@ def fit_exact(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
+    data : Data or None
+        Values of X and Y, which fits of the same table share.
     **options
         Of the search: ``optimizer`` ("fmin_l_bfgs_b", or None, which keeps the starting values),
         ``max_iter`` on the joint likelihood, ``random_state``, and ``input_noise``, whether a
@@ -77,7 +81,8 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     learned = search(kernel, X, Y, exact=True, **options)
-    return Fit(ExactPosterior(learned.kernel, learned.noise, learned.data(X, Y)), learned)
+    data = learned.noisy(Data.from_table(X, Y) if data is None else data)
+    return Fit(ExactPosterior(learned.kernel, learned.noise, data), learned)
 
 
 def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data) -> Fit:
@@ -113,6 +118,7 @@ def fit_sparse(
     n_inducing: int,
     random_state: Seed,
     ordered: bool = False,
+    data: Data | None = None,
     **options: Any,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
@@ -126,6 +132,8 @@ def fit_sparse(
     random_state : int, RandomState or None
     ordered : bool
         Whether the rows are in the order of a log, whose neighbours have correlated errors.
+    data : Data or None
+        As for ``fit_exact``.
     **options
         As for ``fit_exact``.
 
@@ -146,18 +154,22 @@ def fit_sparse(
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     learned = search(kernel, X, Y, random_state=random_state, **options)
     features = inducing_features(learned.kernel, Z)
-    return _sparse_fit(learned, features, X, Y, ordered, converge=options["optimizer"] is not None)
+    data = Data.from_table(X, Y) if data is None else data
+    converge = options["optimizer"] is not None
+    return _sparse_fit(learned, features, data, X, Y, ordered, converge=converge)
 
 
-def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None) -> Fit:
+def _sparse_fit(
+    learned, features, data, X, Y, ordered, *, converge=True, mean=None, loading=None
+) -> Fit:
     """Return the sparse fit with these features and, unless ``converge`` is false, the noise that is best for them.
 
     Errors of neighbours in a log are correlated: a sample carries less information, so the
     posterior's noise is larger by the inflation (P,). With noisy regressors, part of each output's noise becomes
-    noise of the regressors, whose errors are correlated, too. ``loading`` is G of this noise, by
-    default by the slopes of the posterior.
+    noise of the regressors, whose errors are correlated, too. It propagates by the slopes of the
+    function ``mean``, with the ``loading`` G at X; by default by those of the posterior.
     """
-    posterior = SparsePosterior(learned.kernel, features, learned.noise, Data.from_table(X, Y))
+    posterior = SparsePosterior(learned.kernel, features, learned.noise, data)
     inflation, least = np.ones(Y.shape[1]), NOISE_BOUNDS[0] * output_scale(Y) ** 2
     posterior = _converge_noise(posterior, inflation, least) if converge else posterior
     if converge and ordered:
@@ -167,10 +179,12 @@ def _sparse_fit(learned, features, X, Y, ordered, *, converge=True, loading=None
         posterior = _converge_noise(posterior, inflation, least)
     noise = posterior.noise / inflation
     if learned.input_std is not None:
-        loading = posterior.gradient(X) * learned.input_std if loading is None else loading
+        if mean is None:
+            mean = posterior.mean_function
+            loading = posterior.gradient(X) * learned.input_std
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
         noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
-        data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
+        data = data.with_slopes(mean, np.sqrt(inflation)[:, None] * learned.input_std)
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, data)
     return Fit(posterior, learned._replace(noise=noise))
 
@@ -301,7 +315,8 @@ def _of_part(whole, X, Y, loading, ordered, part) -> Fit:
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
     if isinstance(whole.posterior, SparsePosterior):
         features = of_terms(whole.posterior.features, part)
-        return _sparse_fit(learned, features, X, Y, ordered, loading=loading)
+        data, mean = whole.posterior.data._replace(sample_noise=None), whole.posterior.mean_function
+        return _sparse_fit(learned, features, data, X, Y, ordered, mean=mean, loading=loading)
     return as_exact(learned, X, Y, whole.posterior.data)
 
 

@@ -59,18 +59,17 @@ class Hyperparameters(NamedTuple):
     remaining: float = 0.0
     converged: bool = True
 
-    def data(self, X: Matrix, Y: Matrix, passes: int = 2) -> Data:
-        """Return the observed values with the noise of the regressors.
+    def noisy(self, data: Data, passes: int = 2) -> Data:
+        """Return observed values of exact regressors with the noise of the regressors.
 
         The first pass takes slopes of a fit to exact regressors, the second of one to noisy
         regressors.
         """
-        data = Data.from_table(X, Y)
         if self.input_std is None:
             return data
         for _ in range(passes):
-            slopes = ExactPosterior(self.kernel, self.noise, data).gradient(X)
-            data = Data.from_table(X, Y, slopes * self.input_std)
+            mean = ExactPosterior(self.kernel, self.noise, data).mean_function
+            data = data.with_slopes(mean, self.input_std)
         return data
 
 
@@ -154,14 +153,15 @@ def search(
     # Stage 3.
     bounds = noise_bounds
     if input_noise:
-        data = Hyperparameters(coarse, noise, scale).data(X, Y, 1)
+        data = Hyperparameters(coarse, noise, scale).noisy(data, 1).with_loadings()
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     best, noise, end = climb(start, noise, bounds, data, max_iter - n_iter, stop, common=exact)
     if input_noise:
         if not (exact or stop.is_set()):
             # Stage 4; the white noise is learned again from all samples.
-            half_data = Hyperparameters(best, noise[:P], scale).data(X[::2], Y[::2], 1)
+            half_data = Data.from_table(X[::2], Y[::2])
+            half_data = Hyperparameters(best, noise[:P], scale).noisy(half_data, 1)
             noise = climb(best, noise, bounds, half_data, NOISE_STEPS, stop, noise_alone=True).noise
         input_std = scale * np.sqrt(noise[P:])
     return Hyperparameters(
@@ -345,7 +345,7 @@ class Objective:
         self.n_noise = n_noise
         coupled = any(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
         coupled |= common and data.sample_noise is not None
-        self.parts = [data] if coupled else data.by_output()
+        self.parts = [data.with_loadings()] if coupled else data.by_output()
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:
         """Return the kernel and the noise of [theta, log noise]."""

@@ -42,7 +42,7 @@ from skdgp.kernels import Features, MultiOutputKernel, PathBundle
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
 SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated between outputs
-DIAGONAL_ROWS = 32  # rows of a block whose diagonal alone is needed
+DIAGONAL_ROWS = 64  # rows of a block whose diagonal alone is needed
 
 
 class SparsePosterior(SinglePosterior):

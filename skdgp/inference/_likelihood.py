@@ -46,10 +46,11 @@ class SampleNoise(NamedTuple):
 
 
 class SlopeNoise(NamedTuple):
-    """A `SampleNoise` by the slopes of a function: the loading of output i at x is d f_i / d x times ``std`` (P, r).
+    """A `SampleNoise` by the slopes of a function f.
 
-    The slopes are computed from the few weights of the function where they are needed: they hold P
-    times as many numbers as X. ``sample`` and ``X`` are those of the values.
+    The loading of output i is d f_i / d x times ``std`` (d,) or (P, d). It is computed where it is
+    needed, from the few weights of the function: kept, it would hold P times as many numbers as X.
+    ``sample`` and ``X`` are those of the values.
     """
 
     sample: Sequence[np.ndarray]
@@ -145,9 +146,9 @@ def noise_gradient(W, noise, data) -> np.ndarray:
 class Data(NamedTuple):
     """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model.
 
-    Outputs that are observed in the same rows share the array of their inputs. ``pairs`` are the
-    pairs of rows of the only output with values, for repeated evaluations of few rows. ``sample``
-    is the row of each value in the table that the values are from, (n_i,).
+    Outputs that are observed in the same rows share the array of their inputs, which is the table's
+    where these are all. ``pairs`` are the pairs of rows of the only output with values, for
+    repeated evaluations of few rows. ``sample`` (n_i,) is the row of each value in the table.
     """
 
     X: list[np.ndarray]
@@ -194,11 +195,9 @@ class Data(NamedTuple):
     def with_loadings(self) -> Data:
         """Return the values with the loadings of their noise in memory, for repeated evaluations."""
         noise = self.sample_noise
-        return (
-            self
-            if noise is None
-            else self._replace(sample_noise=SampleNoise(noise.sample, noise.loading))
-        )
+        if noise is None:
+            return self
+        return self._replace(sample_noise=SampleNoise(noise.sample, noise.loading))
 
     def every(self, step: int) -> Data:
         """Return every ``step``-th value of each output."""

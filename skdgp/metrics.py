@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from sklearn import config_context
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._compute.messages import warn
@@ -210,7 +211,9 @@ class _Scorer:
         elif accepts(estimator, "return_std"):
             names = ("include_noise", "include_input_noise")
             noise = {name: True for name in names if accepts(estimator, name)}
-            predicted = unwrap(estimator).predict(X, return_std=True, **noise)
+            # These are options of the metric, not metadata that a pipeline would route.
+            with config_context(enable_metadata_routing=False):
+                predicted = unwrap(estimator).predict(X, return_std=True, **noise)
         else:
             raise TypeError(
                 f"Got {type(estimator).__name__}, whose predict takes no return_std, but this "

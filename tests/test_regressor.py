@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import pkgutil
+import warnings
 from collections import Counter
 
 import numpy as np
@@ -11,6 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
+from sklearn.model_selection import GridSearchCV, cross_validate
 from sklearn.pipeline import Pipeline
 from sklearn.utils.estimator_checks import check_estimator
 
@@ -57,8 +59,14 @@ class TestScikitLearnContract:
             DependentGPRegressor(max_iter=2),
             DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
             DependentGPRegressor(TIED, max_iter=2, trend="constant"),
+            DependentGPRegressor(max_iter=1, n_latent=1, structure="joint"),
+            DependentGPRegressor(max_iter=5, n_latent=1, structure="joint", trend="constant"),
+            DependentGPRegressor(optimizer=None, n_latent=0, structure="additive", trend=None),
+            DependentGPRegressor(max_iter=2, structure="trend"),
+            DependentGPRegressor(max_iter=1, n_latent=0, input_noise="learned"),
+            DependentGPRegressor(optimizer=None, n_latent=1),
         ],
-        ids=["exact", "sparse", "tied"],
+        ids=repr,
     )
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):
@@ -71,6 +79,23 @@ class TestScikitLearnContract:
         assert skipped <= {"check_array_api_input"}
         passed = Counter(r["status"] for r in results)["passed"]
         assert passed >= 50  # none vanished: scikit-learn 1.6 has as many
+
+    @pytest.mark.parametrize("max_iter", [1, 2, 5])
+    @pytest.mark.parametrize(
+        "options",
+        [
+            {"trend": "constant", "structure": "joint"},
+            {"structure": "joint", "input_noise": "learned"},
+            {"inference": "sparse", "n_inducing": 40},
+            {"optimizer": None},
+        ],
+    )
+    def test_iterations_are_counted_within_their_limit(self, data, options, max_iter):
+        model = DependentGPRegressor(max_iter=max_iter, n_latent=1, random_state=0, **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            model.fit(*data)
+        assert 1 <= model.n_iter_ <= max_iter == model.max_iter_
 
     def test_no_estimator_of_the_package_goes_unchecked(self):
         """Who is found here is held to check_estimator here or in tests/preprocessing.
@@ -223,12 +248,61 @@ def test_smallest_widths_reach_the_fit():
     assert found[0.7, 10.0] >= 0.7 * (1 - 1e-9)
 
 
+def ctrl_c(at_stage, n):
+    """Return a listener that interrupts the n-th evaluation of a stage."""
+
+    def press(stage, n_evaluations, log_likelihood):
+        if stage == at_stage and n_evaluations == n:
+            raise KeyboardInterrupt
+
+    return press
+
+
 class TestInterrupted:
+    @pytest.mark.parametrize(
+        ("inference", "at"),
+        [
+            ("exact", ("output 1", 1)),
+            ("exact", ("members", 1)),
+            ("sparse", ("fit", 3)),
+        ],
+    )
+    def test_ctrl_c_leaves_fit_and_the_estimator_as_it_was(self, data, new, inference, at):
+        options = {"n_inducing": 20, "n_latent": 1, "random_state": 0, "max_iter": 3}
+        model = DependentGPRegressor(inference=inference, **options)
+        with pytest.raises(KeyboardInterrupt), listening(ctrl_c(*at)):
+            model.fit(*data)
+        assert not [name for name in vars(model) if name.endswith("_")]
+        model.fit(data[0], data[1][:, 0])
+        expected = model.predict(new)
+        with pytest.raises(KeyboardInterrupt), listening(ctrl_c(*at)):
+            model.fit(*data)
+        np.testing.assert_array_equal(model.predict(new), expected)
+
+    @pytest.mark.parametrize(
+        "search",
+        [
+            lambda model, X, Y: cross_validate(model, X, Y, cv=2),
+            lambda model, X, Y: GridSearchCV(model, {"n_latent": [0, 1]}, cv=2).fit(X, Y),
+        ],
+    )
+    def test_ctrl_c_ends_a_search_over_candidates(self, data, search):
+        fits = []
+
+        def press(stage, n_evaluations, log_likelihood):
+            fits.append(n_evaluations)
+            raise KeyboardInterrupt
+
+        model = DependentGPRegressor(max_iter=2, random_state=0)
+        with pytest.raises(KeyboardInterrupt), listening(press):
+            search(model, *data)
+        assert len(fits) == 1
+
     @pytest.mark.parametrize(
         ("inference", "at"),
         [("exact", 1), ("exact", "last stage"), ("sparse", 40)],
     )
-    def test_ctrl_c_keeps_the_best_so_far(self, data, new, inference, at):
+    def test_the_best_so_far_is_kept_where_it_is_wanted(self, data, new, inference, at):
         heard = []
 
         def press(stage, n, value):
@@ -240,7 +314,7 @@ class TestInterrupted:
             inference=inference, n_inducing=20, random_state=0, max_iter=60
         )
         with (
-            listening(press),
+            listening(press, keep_best=True),
             pytest.warns(ConvergenceWarning, match=r"interrupted.*kept") as caught,
         ):
             model.fit(*data)

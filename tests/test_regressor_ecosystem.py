@@ -1,14 +1,19 @@
 """DependentGPRegressor among scikit-learn's pipelines and searches, in other processes, and under Ctrl-C."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn import config_context
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
+from skdgp.metrics import SCORERS
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +53,51 @@ class TestScikitLearn:
         assert twice.output_names_ == ["CZ", "Cm"]
 
 
+class TestFlightsAreGroups:
+    """The label of a row's flight is an argument of fit, and the group of a cross-validation."""
+
+    @pytest.fixture
+    def time(self):
+        return np.tile(0.1 * np.arange(20), 3)
+
+    def drifts(self, flights, time, routing, model, params, **more):
+        X, Y, _ = flights
+        options = {"cv": LeaveOneGroupOut(), "scoring": SCORERS["neg_normalized_rmse"]}
+        with config_context(enable_metadata_routing=routing):
+            scores = cross_validate(
+                model,
+                X,
+                Y["CZ"],
+                params=params,
+                return_estimator=True,
+                error_score="raise",
+                **options,
+                **more,
+            )
+        return np.array([fitted.drift_variance_ for fitted in scores["estimator"]])
+
+    def test_both_get_them_with_and_without_metadata_routing(self, flights, time):
+        """Flights that are told apart have clocks that may start again; of one they would not."""
+        flight = flights[2]
+        expected = [
+            quick().fit(X, y, time=time[rows], flight=flight[rows]).drift_variance_
+            for rows in (flight != "one", flight != "three", flight != "two")
+            for X, y in [(flights[0][rows], flights[1]["CZ"][rows])]
+        ]
+        plain = self.drifts(
+            flights, time, False, quick(), {"time": time, "flight": flight}, groups=flight
+        )
+        np.testing.assert_allclose(plain, expected, rtol=1e-6)
+        with config_context(enable_metadata_routing=True):
+            model = quick().set_fit_request(time=True, flight="groups")
+        routed = self.drifts(flights, time, True, model, {"time": time, "groups": flight})
+        np.testing.assert_allclose(routed, expected, rtol=1e-6)
+
+    def test_groups_of_the_splitter_alone_need_no_request(self, flights, time):
+        drifts = self.drifts(flights, time, True, quick(), {"groups": flights[2]})
+        assert (drifts == 0).all()  # without time there is none
+
+
 class TestFreshProcess:
     """A model that was saved predicts the same where it is loaded."""
 
@@ -58,3 +108,45 @@ class TestFreshProcess:
         model.predict(X, return_std=True)
         assert len(pickle.dumps(model)) == before
         assert before < 60_000  # the samples and the hyperparameters
+
+    def test_holds_the_samples_once(self, logged):
+        """Outputs, components and searches share them, and no slopes are stored."""
+        model, X, Y = logged
+        if np.isnan(Y).any():
+            return  # outputs of different rows have inputs of their own
+        assert model.input_covariance_.any()  # slopes matter
+        assert len(pickle.dumps(model)) < 2 * (X.nbytes + Y.nbytes) + 20_000
+
+    def test_predicts_the_same_to_the_bit(self, logged):
+        model, X, _ = logged
+        loaded = pickle.loads(pickle.dumps(model))
+        at = X[:50] + 0.1
+        for question in (
+            lambda model: model.predict(at, return_std=True),
+            lambda model: model.predict(at, return_cov=True, include_noise=True),
+            lambda model: (model.predict_gradient(at), model.sample_y(at, 2, 0)),
+        ):
+            for ours, theirs in zip(question(model), question(loaded), strict=True):
+                np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[("sparse", "average", 0.0), ("exact", "joint", 0.0), ("sparse", "joint", 0.2)],
+    ids=["average", "exact", "gaps"],
+)
+def logged(request):
+    """A model of a time series with noisy regressors, and its samples; an average has two searches."""
+    inference, structure, gaps = request.param
+    n = {"average": 2000, "joint": 300}[structure]
+    rng = np.random.default_rng(0)
+    time = 0.1 * np.arange(n)
+    X = np.sin(np.outer(time, [0.3, 0.7, 1.1])) + 0.05 * rng.normal(size=(n, 3))
+    Y = np.sin(X @ rng.normal(size=(3, 3))) + 0.1 * rng.normal(size=(n, 3))
+    Y[rng.random(Y.shape) < gaps] = np.nan
+    options = {"inference": inference, "structure": structure, "n_inducing": 5}
+    model = quick(**options, n_latent=0, max_iter=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        model.fit(X, Y, time=time)
+    return model, X, Y

@@ -173,7 +173,7 @@ def _learn(run, train, aircraft, test, title=None, **loads):
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
         "lags": opt.none_of(options.lags),
     }
-    with listening(run.console.progress):
+    with listening(run.console.progress, keep_best=True):
         result = learn(
             train,
             aircraft,

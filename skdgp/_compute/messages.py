@@ -67,18 +67,22 @@ def without_warnings(
 Listener: TypeAlias = Callable[[str, int, float], Any]
 
 _listener: ContextVar[Listener | None] = ContextVar("skdgp_progress", default=None)
+_keeps_best: ContextVar[bool] = ContextVar("skdgp_keeps_best", default=False)
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
     """Call ``listener(stage, n_evaluations, log_likelihood)`` during every fit inside the ``with`` block.
 
     It is called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each
     output is fitted alone, "fit" where all are fitted together, "members" where components of the
     average learn their noise; ``n_evaluations`` counts the evaluations of a stage;
-    ``log_likelihood`` is the best so far. An error that the listener raises reaches the fit:
-    KeyboardInterrupt ends the search as Ctrl-C does, with the best so far. Fits in other processes
-    do not call it.
+    ``log_likelihood`` is the best so far. Fits in other processes do not call it.
+
+    An error that the listener raises leaves ``fit``, as Ctrl-C does. With ``keep_best`` a
+    KeyboardInterrupt, by the listener or by Ctrl-C, ends the search instead: ``fit`` returns the
+    best model so far, with a ConvergenceWarning. Do not use it around a search over candidates,
+    whose scores would be of unfinished fits.
 
     Examples
     --------
@@ -90,11 +94,18 @@ def listening(listener: Listener) -> Iterator[None]:
     >>> calls[0]
     ('output 1', 1)
     """
-    token = _listener.set(listener)
+    heard = _listener.set(listener)
+    kept = _keeps_best.set(keep_best)
     try:
         yield
     finally:
-        _listener.reset(token)
+        _keeps_best.reset(kept)
+        _listener.reset(heard)
+
+
+def keeps_best() -> bool:
+    """Return whether an interrupted fit keeps the best so far, see ``listening``."""
+    return _keeps_best.get()
 
 
 def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("nan")) -> None:

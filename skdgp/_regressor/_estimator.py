@@ -17,6 +17,7 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp._regressor._impute import imputed
 from skdgp.inference import (
+    Data,
     ExactPosterior,
     Fit,
     FunctionErrors,
@@ -165,9 +166,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Weight of each kind of member of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
     n_iter_, max_iter_ : int
-        Iterations of the joint search, and their largest number.
+        Iterations of the joint search, without the fits of single outputs, and their largest
+        number. ``n_iter_`` is at least 1, also of a search that starts at its optimum, and of
+        ``optimizer=None``.
     interrupted_ : bool
-        Whether Ctrl-C ended the search.
+        Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than
         0.05 nats for each value in ``max_iter_`` further iterations. If not, ``fit`` warns.
@@ -276,6 +279,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         flight : array (n,) or None
             Label of the flight of each sample. Drifts of different flights are independent. None:
             one flight.
+
+            These are the ``groups`` of a cross-validation. With metadata routing
+            ``set_fit_request(flight="groups")`` passes one array to both. ``fit`` has no parameter
+            of that name, so groups of a splitter need no request.
         slopes : KnownSlopes or None
             Slopes by the regressors that another source knows better than these samples. A linear
             function is added to the targets, so that their slopes by least squares are these; with
@@ -292,6 +299,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If X is not finite, an output has fewer than two observed values, there are fewer than
             two samples, values are too large or too small for double precision, or the posterior
             does not fit into memory.
+        KeyboardInterrupt
+            After Ctrl-C; the estimator is as before. ``skdgp.listening(..., keep_best=True)`` keeps
+            the best model so far instead.
 
         Warns
         -----
@@ -301,8 +311,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If there are fewer than 10 independent rows for each regressor: bands are too narrow
             then.
         ConvergenceWarning
-            If the search for hyperparameters was interrupted (the best ones so far are kept) or
-            stopped at ``max_iter_`` before it converged.
+            If the search for hyperparameters stopped at ``max_iter_`` before it converged, or was
+            interrupted and the best ones so far are kept.
         """
         before = dict(vars(self))
         try:
@@ -388,7 +398,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         std = np.zeros(X.shape[1]) if learned.input_std is None else learned.input_std
         self.input_covariance_ = np.diag(std**2)
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
-        self.n_iter_ = learned.n_iter
+        self.n_iter_ = max(1, learned.n_iter)
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
 
@@ -704,8 +714,9 @@ def fit_structure(
     """
     random_state = check_random_state(model.random_state)
     fits: list[Fit] = []
+    data = Data.from_table(X, Z, known.loading)  # one copy for all
     while len(fits) < n_searches(model, log):
-        fits.append(_searched(model, X, Z, log, inference, known, random_state))
+        fits.append(_searched(model, X, Z, data, log, inference, known, random_state))
         if fits[-1].learned.interrupted:
             return fits[0].cut_short()
     return mean_of(fits)
@@ -716,7 +727,7 @@ def n_searches(model: BaseEstimator, log: bool) -> int:
     return SEARCHES if log and model.structure == "average" and model.optimizer is not None else 1
 
 
-def _searched(model, X, Z, log, inference, known, random_state):
+def _searched(model, X, Z, data, log, inference, known, random_state):
     """Return the fit of one search."""
     kernel = _make_kernel(model, X, Z, log)
     learns_input_noise = model.input_noise == "learned" or (log and model.input_noise == "auto")
@@ -728,9 +739,10 @@ def _searched(model, X, Z, log, inference, known, random_state):
         "random_state": random_state.randint(2**31 - 1),
     }
     if inference == "exact":
-        fit = fit_exact(kernel, X, Z, **options)
+        fit = fit_exact(kernel, X, Z, data=data, **options)
     else:
-        fit = fit_sparse(kernel, X, Z, **options, n_inducing=model.n_inducing, ordered=log)
+        options |= {"n_inducing": model.n_inducing, "ordered": log}
+        fit = fit_sparse(kernel, X, Z, data=data, **options)
         neglected = 0.0  # prior variance over the noise, of the worst output
         if not (log or fit.learned.interrupted or fit.learned.input_std is not None):
             sparse: Any = fit.posterior
@@ -742,7 +754,8 @@ def _searched(model, X, Z, log, inference, known, random_state):
             n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
             rows = stratified(np.arange(len(X)), n, random_state)
             X, Z, known = X[rows], Z[rows], known.of_rows(rows)
-            fit = as_exact(fit.learned, X, Z, fit.learned.data(X, Z, known=known), known)
+            data = fit.learned.noisy(Data.from_table(X, Z, known.loading))
+            fit = as_exact(fit.learned, X, Z, data, known)
     if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
         return fit
     return average(fit, X, Z, None if log else random_state, known)

@@ -17,6 +17,7 @@ from skdgp._compute.linalg import (
     column_scale,
     output_scale,
 )
+from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Predictor, Seed, Vector
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
@@ -56,7 +57,9 @@ def fit_exact(
     kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
+    *,
     known: KnownNoise = UNKNOWN,
+    data: Data | None = None,
     **options: Any,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
@@ -70,6 +73,8 @@ def fit_exact(
         NaN where an output was not observed.
     known : KnownNoise
         What is known of the noise.
+    data : Data or None
+        Values of X and Y with the known noise, which fits of the same table share.
     **options
         Of the search: ``optimizer`` ("fmin_l_bfgs_b", or None, which keeps the starting values),
         ``max_iter`` on the joint likelihood, ``random_state``, and ``input_noise``, whether a
@@ -81,7 +86,7 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     learned = search(kernel, X, Y, exact=True, known=known, **options)
-    data = learned.data(X, Y, known=known)
+    data = learned.noisy(Data.from_table(X, Y, known.loading) if data is None else data)
     return Fit(ExactPosterior(learned.kernel, learned.noise, data), learned)
 
 
@@ -122,6 +127,7 @@ def fit_sparse(
     random_state: Seed,
     ordered: bool = False,
     known: KnownNoise = UNKNOWN,
+    data: Data | None = None,
     **options: Any,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
@@ -136,6 +142,8 @@ def fit_sparse(
     ordered : bool
         Whether the rows are in the order of a log, whose neighbours have correlated errors.
     known : KnownNoise
+    data : Data or None
+        As for ``fit_exact``.
     **options
         As for ``fit_exact``.
 
@@ -156,18 +164,20 @@ def fit_sparse(
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     learned = search(kernel, X, Y, random_state=random_state, known=known, **options)
     features = inducing_features(learned.kernel, Z)
-    return _sparse_fit(learned, features, X, Y, ordered, known)
+    data = Data.from_table(X, Y, known.loading) if data is None else data
+    return _sparse_fit(learned, features, data, X, Y, ordered, known)
 
 
-def _sparse_fit(learned, features, X, Y, ordered, known, *, loading=None) -> Fit:
+def _sparse_fit(
+    learned, features, data, X, Y, ordered, known, *, mean=None, loading=None
+) -> Fit:
     """Return the sparse fit with these features and, unless it is known, the noise that is best for them.
 
     Errors of neighbours in a log are correlated: a sample carries less information, so the
     posterior's noise is larger by the inflation (P,). With noisy regressors, part of each output's noise becomes
-    noise of the regressors, whose errors are correlated, too. ``loading`` is G of this noise, by
-    default by the slopes of the posterior.
+    noise of the regressors, whose errors are correlated, too. It propagates by the slopes of the
+    function ``mean``, with the ``loading`` G at X; by default by those of the posterior.
     """
-    data = Data.from_table(X, Y, known.loading)
     posterior = SparsePosterior(learned.kernel, features, learned.noise, data)
     _, bounds = known.start(Y, output_scale(Y))
     inflation = np.ones(Y.shape[1])
@@ -183,11 +193,13 @@ def _sparse_fit(learned, features, X, Y, ordered, known, *, loading=None) -> Fit
         posterior = _inflated(posterior, inflation, X, Y, known.loading)
     noise = posterior.noise / inflation
     if learned.input_std is not None:
-        loading = posterior.gradient(X) * learned.input_std if loading is None else loading
+        if mean is None:
+            mean = posterior.mean_function
+            loading = posterior.gradient(X) * learned.input_std
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
         if learns_noise:
             noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
-        data = Data.from_table(X, Y, loading * np.sqrt(inflation)[:, None])
+        data = data.with_slopes(mean, np.sqrt(inflation)[:, None] * learned.input_std)
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, data)
     return Fit(posterior, learned._replace(noise=noise))
 
@@ -261,7 +273,8 @@ def average(
 ) -> Fit:
     """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
-    After Ctrl-C it is the fit of the whole kernel, interrupted.
+    After Ctrl-C it is the fit of the whole kernel, interrupted, where ``listening`` keeps the best
+    so far.
 
     Parameters
     ----------
@@ -291,6 +304,8 @@ def average(
         noises = [component.learned.noise for component in fits]
         weights = held_out_weights(members, noises, X, Y, loading, random_state)
     except KeyboardInterrupt:
+        if not keeps_best():
+            raise
         return fit.cut_short()
     noise = np.sum(weights * noises, axis=0)
     return Fit(AveragePosterior(members, weights), fit.learned._replace(noise=noise))
@@ -327,7 +342,13 @@ def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
     if isinstance(whole.posterior, SparsePosterior):
         features = of_terms(whole.posterior.features, part)
-        return _sparse_fit(learned, features, X, Y, ordered, known, loading=loading)
+        data = whole.posterior.data._replace(sample_noise=None)
+        if known.loading is not None:
+            data = Data.from_table(X, Y, known.loading)
+        mean = whole.posterior.mean_function
+        return _sparse_fit(
+            learned, features, data, X, Y, ordered, known, mean=mean, loading=loading
+        )
     return as_exact(learned, X, Y, whole.posterior.data, known)
 
 

@@ -12,6 +12,7 @@ in factor analysis.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
@@ -26,34 +27,73 @@ from skdgp._compute.linalg import (
     triangular_solve,
 )
 from skdgp._compute.parallel import thread_map, threads_for
-from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.kernels import MultiOutputKernel
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp.kernels import MultiOutputKernel, PathBundle
 
 TILE = (
     768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
 )
 PAIRED = 1000  # largest number of rows whose pairs are all kept
+SLOPE_ROWS = 512  # samples in one step of the slopes: their covariances fit the cache
 HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
 
 
 class SampleNoise(NamedTuple):
     """For each output: the sample index of each value, (n_i,), and its loading G (n_i, r) on the regressors' noise."""
 
-    sample: list[np.ndarray]
-    loading: list[np.ndarray]
+    sample: Sequence[np.ndarray]
+    loading: Sequence[np.ndarray]
 
-    def pairs(self):
-        """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
 
-        ``rows`` and ``columns`` are the indices among the stacked values of two values of the same
-        sample, on or above the diagonal.
-        """
-        start = np.cumsum([0, *map(len, self.sample)])
-        for i, j in combinations_with_replacement(range(len(self.sample)), 2):
-            _, a, b = np.intersect1d(
-                self.sample[i], self.sample[j], assume_unique=True, return_indices=True
-            )
-            yield i, j, start[i] + a, start[j] + b, self.loading[i][a], self.loading[j][b]
+class SlopeNoise(NamedTuple):
+    """A `SampleNoise` by the slopes of a function f.
+
+    The loading of output i is d f_i / d x times ``std`` (d,) or (P, d). It is computed where it is
+    needed, from the few weights of the function: kept, it would hold P times as many numbers as X.
+    ``sample`` and ``X`` are those of the values.
+    """
+
+    sample: Sequence[np.ndarray]
+    X: Sequence[np.ndarray]
+    function: PathBundle
+    std: np.ndarray
+
+    @property
+    def loading(self) -> list[np.ndarray]:
+        """Loadings of the values of each output, (n_i, r)."""
+        samples, X = sample_table(self.X, self.sample)
+        batches = [X[start : start + SLOPE_ROWS] for start in range(0, len(X), SLOPE_ROWS)]
+        with threads_for(len(X)):
+            slopes = thread_map(lambda batch: self.function.slopes(batch[None])[0], batches)
+        loading = np.concatenate(slopes) * self.std
+        return [
+            loading[:, i]
+            if len(sample) == len(samples)
+            else loading[samples.searchsorted(sample), i]
+            for i, sample in enumerate(self.sample)
+        ]
+
+
+def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indices, Matrix]:
+    """Return the samples that any output has, (n,), in order, and their inputs (n, d)."""
+    samples, first = np.unique(np.concatenate(sample), return_index=True)
+    for inputs, own in zip(X, sample, strict=True):
+        if len(own) == len(samples):
+            return samples, inputs
+    return samples, np.concatenate(X)[first]
+
+
+def noise_pairs(noise: SampleNoise | SlopeNoise) -> Iterator[tuple]:
+    """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
+
+    ``rows`` and ``columns`` are the indices among the stacked values of two values of the same
+    sample, on or above the diagonal.
+    """
+    sample, loading = noise.sample, noise.loading
+    start = np.cumsum([0, *map(len, sample)])
+    for i, j in combinations_with_replacement(range(len(sample)), 2):
+        _, a, b = np.intersect1d(sample[i], sample[j], assume_unique=True, return_indices=True)
+        yield i, j, start[i] + a, start[j] + b, loading[i][a], loading[j][b]
 
 
 def _white_and_scale(noise, data):
@@ -67,7 +107,7 @@ def add_noise(K, noise, data) -> None:
     white, scale = _white_and_scale(noise, data)
     np.einsum("ii->i", K)[:] += np.repeat(white, [len(y) for y in data.y])
     if data.sample_noise is not None:
-        for _, _, rows, columns, first, second in data.sample_noise.pairs():
+        for _, _, rows, columns, first, second in noise_pairs(data.sample_noise):
             K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
 
 
@@ -76,12 +116,11 @@ def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
     std = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
     draws = std * random_state.standard_normal((n_draws, len(std)))
     if data.sample_noise is not None:
-        n_samples = 1 + max(s.max() for s in data.sample_noise.sample if len(s))
-        error = random_state.standard_normal(
-            (n_draws, n_samples, data.sample_noise.loading[0].shape[1])
-        )
+        sample, loading = data.sample_noise.sample, data.sample_noise.loading
+        n_samples = 1 + max(s.max() for s in sample if len(s))
+        error = random_state.standard_normal((n_draws, n_samples, loading[0].shape[1]))
         propagated = [
-            np.einsum("snr,nr->sn", error[:, s], G) for s, G in zip(*data.sample_noise, strict=True)
+            np.einsum("snr,nr->sn", error[:, s], G) for s, G in zip(sample, loading, strict=True)
         ]
         draws += np.hstack(propagated)
     return draws
@@ -97,7 +136,7 @@ def noise_gradient(W, noise, data) -> np.ndarray:
     if len(noise) == P:
         return by_white
     by_scale = np.zeros(len(noise) - P)
-    for i, j, rows, columns, first, second in data.sample_noise.pairs():
+    for i, j, rows, columns, first, second in noise_pairs(data.sample_noise):
         by_scale += (0.5 if i == j else 1.0) * np.einsum(
             "n,nr,nr->r", W[rows, columns], first, second
         )
@@ -107,14 +146,16 @@ def noise_gradient(W, noise, data) -> np.ndarray:
 class Data(NamedTuple):
     """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model.
 
-    ``pairs`` are the pairs of rows of the only output with values, for repeated evaluations of few
-    rows.
+    Outputs that are observed in the same rows share the array of their inputs, which is the table's
+    where these are all. ``pairs`` are the pairs of rows of the only output with values, for
+    repeated evaluations of few rows. ``sample`` (n_i,) is the row of each value in the table.
     """
 
     X: list[np.ndarray]
     y: list[np.ndarray]
-    sample_noise: SampleNoise | None = None
+    sample_noise: SampleNoise | SlopeNoise | None = None
     pairs: RowPairs | None = None
+    sample: Sequence[np.ndarray] = ()
 
     @classmethod
     def from_table(
@@ -128,23 +169,43 @@ class Data(NamedTuple):
         ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``.
         """
         observed = np.isfinite(Y)
-        return cls(
-            [X[rows] for rows in observed.T],
+        inputs: dict[bytes, Matrix] = {}
+        samples: dict[bytes, np.ndarray] = {}
+        for rows in observed.T:
+            if rows.tobytes() not in inputs:
+                inputs[rows.tobytes()] = X if rows.all() else X[rows]
+                samples[rows.tobytes()] = np.flatnonzero(rows)
+        values = cls(
+            [inputs[rows.tobytes()] for rows in observed.T],
             [y[rows] for y, rows in zip(Y.T, observed.T, strict=True)],
-            loading
-            if loading is None
-            else SampleNoise(
-                [np.flatnonzero(rows) for rows in observed.T],
-                [loading[rows, i] for i, rows in enumerate(observed.T)],
-            ),
+            sample=[samples[rows.tobytes()] for rows in observed.T],
         )
+        if loading is None:
+            return values
+        loadings = [loading[rows, i] for i, rows in enumerate(observed.T)]
+        return values._replace(sample_noise=SampleNoise(values.sample, loadings))
+
+    def with_slopes(self, function: PathBundle, std: Array) -> Data:
+        """Return the values of a table with the noise of regressors that the slopes of a function propagate.
+
+        ``std`` (d,) or (P, d) are the standard deviations of the regressors' noise.
+        """
+        return self._replace(sample_noise=SlopeNoise(self.sample, self.X, function, std))
+
+    def with_loadings(self) -> Data:
+        """Return the values with the loadings of their noise in memory, for repeated evaluations."""
+        noise = self.sample_noise
+        if noise is None:
+            return self
+        return self._replace(sample_noise=SampleNoise(noise.sample, noise.loading))
 
     def every(self, step: int) -> Data:
         """Return every ``step``-th value of each output."""
         X, y, noise = [x[::step] for x in self.X], [y[::step] for y in self.y], self.sample_noise
-        return Data(
-            X, y, noise and SampleNoise(*([part[::step] for part in parts] for parts in noise))
-        )
+        if noise is None:
+            return Data(X, y)
+        sample = [part[::step] for part in noise.sample]
+        return Data(X, y, SampleNoise(sample, [part[::step] for part in noise.loading]))
 
     def by_output(self) -> list[Data]:
         """Return the values of each output that has any alone, for evaluations one after another.
@@ -157,11 +218,12 @@ class Data(NamedTuple):
             return [part if k == i else part[:0] for k, part in enumerate(parts)]
 
         pairs: dict = {X.tobytes(): RowPairs(X) for X in self.X if 0 < len(X) <= PAIRED}
+        noise = self.with_loadings().sample_noise
         return [
             Data(
                 only(i, self.X),
                 only(i, self.y),
-                self.sample_noise and SampleNoise(*(only(i, part) for part in self.sample_noise)),
+                noise and SampleNoise(only(i, noise.sample), only(i, noise.loading)),
                 pairs=pairs.get(X.tobytes()),
             )
             for i, X in enumerate(self.X)

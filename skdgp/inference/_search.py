@@ -21,7 +21,7 @@ from scipy.optimize import LbfgsInvHessProduct, minimize
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, output_scale
-from skdgp._compute.messages import notify
+from skdgp._compute.messages import keeps_best, notify
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, log_likelihood
@@ -125,18 +125,17 @@ class Hyperparameters(NamedTuple):
     remaining: float = 0.0
     converged: bool = True
 
-    def data(self, X: Matrix, Y: Matrix, passes: int = 2, known: KnownNoise = UNKNOWN) -> Data:
-        """Return the observed values with the noise of the regressors, or with known noise.
+    def noisy(self, data: Data, passes: int = 2) -> Data:
+        """Return observed values of exact regressors with the noise of the regressors.
 
         The first pass takes slopes of a fit to exact regressors, the second of one to noisy
         regressors.
         """
-        data = Data.from_table(X, Y, known.loading)
         if self.input_std is None:
             return data
         for _ in range(passes):
-            slopes = ExactPosterior(self.kernel, self.noise, data).gradient(X)
-            data = Data.from_table(X, Y, slopes * self.input_std)
+            mean = ExactPosterior(self.kernel, self.noise, data).mean_function
+            data = data.with_slopes(mean, self.input_std)
         return data
 
 
@@ -216,21 +215,22 @@ def search(
     start = kernel.initialize(X, Y, random_state, singles)
     coarse = kernel.coarse().initialize(X, Y, random_state, singles)
     if coarse.n_dims < start.n_dims or input_noise:
-        half = -(-max_iter // 2)
+        half = min(-(-max_iter // 2), max_iter - 1)  # stage 3 has at least one
         coarse, noise, end = climb(coarse, noise, noise_bounds, data, half, stop, common=exact)
         n_iter = end.n_iter
         start = kernel.initialize(X, Y, random_state, singles, coarse)
     # Stage 3.
     bounds = noise_bounds
     if input_noise:
-        data = Hyperparameters(coarse, noise, scale).data(X, Y, 1)
+        data = Hyperparameters(coarse, noise, scale).noisy(data, 1).with_loadings()
         noise, input_bounds = _initial_input_noise(noise, data, len(scale))
         bounds = np.concatenate([noise_bounds, input_bounds])
     best, noise, end = climb(start, noise, bounds, data, max_iter - n_iter, stop, common=exact)
     if input_noise:
         if not (exact or stop.is_set()):
             # Stage 4; the white noise is learned again from all samples.
-            half_data = Hyperparameters(best, noise[:P], scale).data(X[::2], Y[::2], 1)
+            half_data = Data.from_table(X[::2], Y[::2])
+            half_data = Hyperparameters(best, noise[:P], scale).noisy(half_data, 1)
             noise = climb(best, noise, bounds, half_data, NOISE_STEPS, stop, noise_alone=True).noise
         input_std = scale * np.sqrt(noise[P:])
     return Hyperparameters(
@@ -414,7 +414,7 @@ class Objective:
         self.n_noise = n_noise
         coupled = any(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
         coupled |= common and data.sample_noise is not None
-        self.parts = [data] if coupled else data.by_output()
+        self.parts = [data.with_loadings()] if coupled else data.by_output()
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:
         """Return the kernel and the noise of [theta, log noise]."""
@@ -496,8 +496,10 @@ def maximize(
         Starting point.
     bounds : ndarray (n, 2)
     stop : threading.Event
-        Stops the search before the next evaluation when it is set. Ctrl-C sets it.
+        Stops the search before the next evaluation when it is set. Ctrl-C sets it inside
+        ``listening(..., keep_best=True)``.
     max_iter : int
+        Zero: the starting point is evaluated.
     tolerance : float
         Stop when one iteration raises the likelihood by less than this fraction.
     stage : str
@@ -509,7 +511,12 @@ def maximize(
     Returns
     -------
     Optimum
-        After Ctrl-C the best point so far; the caller warns.
+        If ``stop`` is set the best point so far; the caller warns.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, unless the best so far is kept.
     """
     step = grid * np.minimum(np.ptp(bounds, axis=1), WIDEST)
     step[step == 0.0] = 1.0
@@ -525,6 +532,8 @@ def maximize(
             loss, rounded(theta), bounds, rounded, max_iter, tolerance
         )
     except KeyboardInterrupt:
+        if not keeps_best():
+            raise
         stop.set()
     return Optimum(loss.theta, loss.value, n_iter, remaining, converged)
 
@@ -532,6 +541,8 @@ def maximize(
 def _minimized(loss, theta, bounds, rounded, max_iter, tolerance):
     """Return the number of iterations of L-BFGS-B, the expected rise by as many again, and whether it converged."""
     first = loss(theta)
+    if max_iter == 0:  # of which SciPy makes one
+        return 0, np.inf, False
     before = loss.latest
     unit = float(np.linalg.norm(first[1])) or 1.0  # so that the first step has length one
 

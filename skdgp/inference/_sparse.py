@@ -35,14 +35,14 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data
+from skdgp.inference._likelihood import Data, sample_table
 from skdgp.inference._posterior import FREQUENCIES, SinglePosterior
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle
 
 ROWS = 512  # samples in one step: their covariances fit the cache
 SHARES = 8  # largest number of shares of each output with independent noise
 SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated between outputs
-DIAGONAL_ROWS = 32  # rows of a block whose diagonal alone is needed
+DIAGONAL_ROWS = 64  # rows of a block whose diagonal alone is needed
 
 
 class SparsePosterior(SinglePosterior):
@@ -249,13 +249,15 @@ def shares_of(data: Data) -> list[SampleShare]:
 
 def _sample_table(data):
     """Return X, Y and loading of the samples."""
-    samples, first = np.unique(np.concatenate(data.sample_noise.sample), return_index=True)
+    sample, loadings = data.sample_noise.sample, data.sample_noise.loading
+    samples, X = sample_table(data.X, sample)
     n, P = len(samples), len(data.y)
-    Y, loading = np.full((n, P), np.nan), np.zeros((n, P, data.sample_noise.loading[0].shape[1]))
-    for i, (y, sample, G) in enumerate(zip(data.y, *data.sample_noise, strict=True)):
-        rows = np.searchsorted(samples, sample)
-        Y[rows, i], loading[rows, i] = y, G
-    return np.concatenate(data.X)[first], Y, loading
+    Y, loading = np.full((n, P), np.nan), np.zeros((n, P, loadings[0].shape[1]))
+    for i in range(P):
+        rows = np.searchsorted(samples, sample[i])
+        Y[rows, i] = data.y[i]
+        loading[rows, i] = loadings[i]
+    return X, Y, loading
 
 
 # -- sums for conditioning
@@ -300,7 +302,9 @@ def _share_sums(kernel, features, noise, Lu, share):
     size = features.size
     if len(outputs) == 1:  # slices instead of index arrays: nothing is copied
         size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
-    outer, inner = np.zeros((size, size)), np.zeros(size)
+    pairs = list(combinations_with_replacement(outputs, 2))
+    blocks = {(i, j): np.zeros((factors[i].shape[0], factors[j].shape[0])) for i, j in pairs}
+    inner = np.zeros(size)
     square = variance = log_determinant = 0.0
     noise = noise[list(share.outputs)]
     for rows in gen_batches(len(share.X), ROWS):
@@ -308,15 +312,13 @@ def _share_sums(kernel, features, noise, Lu, share):
         precision, log_determinants = precisions(share.Y[rows], share.loading[rows], noise)
         weighted = np.einsum("nij,nj->ni", precision, Y)
         V = [triangular_solve(factors[i], features.Kfu(share.outputs[i], X).T) for i in outputs]
-        for i, j in combinations_with_replacement(outputs, 2):
+        for i, j in pairs:
             if i == j:
                 weight = precision[:, i, i]
                 half = V[i] if (weight == 1.0).all() else V[i] * np.sqrt(weight)
-                outer[places[i, i]] += half @ half.T
+                blocks[i, i] += half @ half.T
             else:
-                block = (V[i] * precision[:, i, j]) @ V[j].T
-                outer[places[i, j]] += block
-                outer[places[j, i]] += block.T
+                blocks[i, j] += (V[i] * precision[:, i, j]) @ V[j].T
             if kernel.couples(share.outputs[i], share.outputs[j]):
                 prior = _variance(kernel, share.outputs[i], share.outputs[j], X)
                 variance += (1 if i == j else 2) * precision[:, i, j] @ prior
@@ -324,6 +326,11 @@ def _share_sums(kernel, features, noise, Lu, share):
             inner[columns[i]] += V[i] @ weighted[:, i]
         square += np.sum(Y * weighted)
         log_determinant += log_determinants.sum()
+    outer = np.zeros((size, size))
+    for i, j in pairs:
+        outer[places[i, j]] += blocks[i, j]
+        if i != j:
+            outer[places[j, i]] += blocks[i, j].T
     return Statistics(outer, inner, square, variance, log_determinant, len(share.X))
 
 

@@ -93,7 +93,8 @@ class FlightCheck(TableTransformer):
     Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to 0.25 s
     are interpolated linearly, in channels with a value in nearly every row; longer ones
     stay NaN, which :class:`RegressorSelector` refuses. Raises ValueError if ``time`` is missing, or
-    does not increase within a flight; in ``transform`` if an airspeed is not positive.
+    does not increase within a flight; if the table has no channel of docs/notation.md; in
+    ``transform`` if an airspeed is not positive.
 
     Parameters
     ----------
@@ -119,10 +120,9 @@ class FlightCheck(TableTransformer):
     def __init__(self, *, ignore: Sequence[str] = ()) -> None:
         self.ignore = ignore
 
-    def _has_known_column(self, X):
-        return super()._has_known_column(X) and "time" in X
-
     def _fit_table(self, table):
+        check_columns(table, ["time"])
+        self._check_any(table, BRIDGED)
         check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
 
     def _transform_table(self, table):
@@ -186,7 +186,7 @@ class FlightSmoother(TableTransformer):
     upper end of P. Rates of change are derivatives of the cubic spline through the smoothed
     channel. Missing values (NaN) stay missing; a slow sensor is filtered at its own rate. Raises
     ValueError if ``time`` is missing, does not increase within a flight or is too irregular; if a
-    named column is missing or not numeric; if angles or rates are too large for radians.
+    named column is missing or not numeric, or "auto" finds none; if angles or rates are too large for radians.
 
     Parameters
     ----------
@@ -249,6 +249,8 @@ class FlightSmoother(TableTransformer):
         wanted = _present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
         self.derivatives_ = [name for name in wanted if f"{name}_dot" not in table]
         check_columns(table, ["time", *self.columns_, *wanted])
+        if self.columns == "auto" and not wanted:
+            self._check_any(table, SMOOTHED)
         numeric(table, {*self.columns_, *wanted})
         check_radians(table, IN_RADIANS)
         used = {*self.columns_, *self.derivatives_}

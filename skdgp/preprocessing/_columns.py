@@ -274,8 +274,6 @@ class RegressorSelector(TableTransformer):
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
         X = as_pandas(X)
         super().fit(X, y)
-        if self._passes:
-            return self
         values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
         targeted = y is not None and len(y) == len(X)
         if targeted:
@@ -299,10 +297,6 @@ class RegressorSelector(TableTransformer):
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None
         return self
-
-    def _has_known_column(self, X):
-        listed = not isinstance(self.regressors, str)
-        return super()._has_known_column(X) or (listed and isinstance(X, pd.DataFrame))
 
     def _fit_table(self, table):
         self.absent_ = []

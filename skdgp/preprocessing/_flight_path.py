@@ -22,6 +22,7 @@ from skdgp._flight.channels import (
     EULER,
     RATES,
     SPECIFIC_FORCE,
+    VANES,
     WIND,
 )
 from skdgp._flight.checks import check_columns, check_radians, numeric
@@ -101,7 +102,8 @@ class FlightPathReconstruction(TableTransformer):
         (``missing_``), or an inertial sensor, or two of air data, contradict the others: residuals
         are larger than their noise, 6 times of an inertial sensor, 1.4 times of airspeed, alpha and
         beta. A log without alpha or beta is reconstructed all the same. If only flights of
-        ``transform`` lack a channel, `FlightSmoother` smooths them.
+        ``transform`` lack a channel, `FlightSmoother` smooths them. A table without any of the
+        channels is refused.
     max_rows : int, default=65536
         Rows of a flight that are estimated at a time, of 20 kB each: a longer flight is estimated
         in parts of equal length that overlap, each with its own biases, wind and gusts.
@@ -185,6 +187,7 @@ class FlightPathReconstruction(TableTransformer):
         return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
 
     def _fit_table(self, table):
+        self._check_any(table, (*NEEDED, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
         self.used_ = not self.missing_
         self.reason_ = "no sensor contradicts the others"

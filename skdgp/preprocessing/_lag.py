@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -113,8 +113,8 @@ class LagCorrector(TableTransformer):
     (Jategaonkar 2006, chapter 10). About eight pieces of the flights, each with its own B, C and
     lag, give its standard error: an error of the linear model moves their lags apart. Lags of
     throttle and propeller speed can be given, not estimated: engines respond slowly. Raises
-    ValueError if ``time`` is missing; if ``lags`` names neither a group nor a column, or is not
-    finite.
+    ValueError if ``time`` is missing; if the table has no column of the groups; if ``lags`` names
+    neither a group nor a column, or is not finite.
 
     Parameters
     ----------
@@ -152,6 +152,7 @@ class LagCorrector(TableTransformer):
     def _fit_table(self, table):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
+            self._check_any(table, _columns_of(GROUPS))
             segments = segments_of(table)
             found = _lags_of_motion(segments) | dict.fromkeys(KINEMATIC, UNKNOWN)
             complete = bool(segments) and not missing_channels(table)
@@ -175,6 +176,8 @@ class LagCorrector(TableTransformer):
             }
             if wrong:
                 raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
+            if lags:
+                self._check_any(table, _columns_of(lags))
             rows = {
                 name: (float(each), np.nan, float(each), "given") for name, each in lags.items()
             }
@@ -198,6 +201,11 @@ class LagCorrector(TableTransformer):
                     if name in WRAPPED:
                         new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
+
+
+def _columns_of(names: Iterable[str]) -> list[str]:
+    """Return the columns of groups and of single columns."""
+    return [column for name in names for column in GROUPS.get(name, (name,))]
 
 
 def _shifted(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +12,6 @@ from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import (
     check_feature_names_in,
     fit_context,
@@ -19,7 +19,6 @@ from skdgp._compute.sklearn_compat import (
     set_output_container,
 )
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import check_table, numeric
 
 
@@ -29,8 +28,9 @@ class TableTransformer(  # type: ignore[call-arg]
     """Base of transformers that read named columns of a flight table and add or choose others.
 
     Only the columns that the transformer reads must be present, in any order; others pass through,
-    and may differ between ``fit`` and ``transform``. An array, or a table without any known name,
-    passes through unchanged, with a warning.
+    and may differ between ``fit`` and ``transform``. ``fit`` raises TypeError at an array, and
+    ValueError at a table without any of the columns that the transformer works on. ``transform``
+    reads an array by the order of the columns of ``fit``.
     """
 
     in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
@@ -38,36 +38,21 @@ class TableTransformer(  # type: ignore[call-arg]
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:
         """Check the columns of the flight table X, and learn from them; y is ignored."""
-        X = as_pandas(X)
-        self._passes = not self._has_known_column(X)
-        if self._passes:
-            self._check_other_input(X, reset=True)
-            warn(
-                f"{type(self).__name__} got a table without column names that it knows, so it "
-                f"passes it through "
-                "unchanged. Give a DataFrame with the names of docs/notation.md "
-                "(skdgp.io.read_flight makes one).",
-                stacklevel=2,
-            )
-        else:
-            check_table(X)
-            validate_data(self, X, skip_check_array=True)
-            self._fit_table(X)
+        table = check_table(as_pandas(X))
+        validate_data(self, table, skip_check_array=True)
+        self._fit_table(table)
         return self
 
     def transform(self, X: Any) -> Any:
-        """Return the transformed flight table X, with its index; an array for an array."""
+        """Return the transformed flight table X, with its index."""
         check_is_fitted(self)
-        X = as_pandas(X)
-        if self._passes:
-            return self._as_output(self._check_other_input(X))
-        return self._as_output(self._transform_table(self._as_table(X)))
+        return self._as_output(self._transform_table(self._as_table(as_pandas(X))))
 
     def get_feature_names_out(self, input_features: Any = None) -> np.ndarray:
         """Return the column names of the transformed table; ``input_features`` must equal ``feature_names_in_``."""
         check_is_fitted(self)
         names = check_feature_names_in(self, input_features)
-        return names if self._passes else np.asarray(self._columns_out(list(names)), dtype=object)
+        return np.asarray(self._columns_out(list(names)), dtype=object)
 
     def set_output(self, *, transform: str | None = None) -> Self:
         """Set the container of transformed tables: "default", "pandas" or "polars"; None changes nothing."""
@@ -91,38 +76,24 @@ class TableTransformer(  # type: ignore[call-arg]
         """Return the columns of the transformed table for those of the input; the default is the same columns."""
         return names
 
-    def _has_known_column(self, X: Any) -> bool:
-        return any(isinstance(name, str) and name in CHANNELS for name in getattr(X, "columns", ()))
-
     def _as_table(self, X: Any) -> pd.DataFrame:
-        if self._has_known_column(X):
+        if isinstance(X, pd.DataFrame):
             return check_table(X)
         array = validate_data(self, X, reset=False, ensure_all_finite=False)
-        return pd.DataFrame(array, columns=self.feature_names_in_, index=getattr(X, "index", None))
+        return pd.DataFrame(array, columns=self.feature_names_in_)
 
-    def _check_other_input(self, X: Any, *, reset: bool = False) -> Any:
-        """Return an array, or a table without a known name, as scikit-learn validates it."""
-        named = isinstance(X, pd.DataFrame)
-        try:
-            checked = validate_data(
-                self, X, reset=reset, ensure_all_finite=False, skip_check_array=named
-            )
-        except ValueError as error:
-            if "could not convert string" not in str(error):
-                raise
+    def _check_any(self, table: pd.DataFrame, names: Iterable[str]) -> None:
+        """Raise ValueError if the table has none of the columns that the transformer works on."""
+        names = list(names)
+        if not any(name in table for name in names):
             raise ValueError(
-                f"Got {type(X).__name__} of shape {np.shape(X)} with texts in it, but expected a "
-                f"DataFrame with named columns: give the flight table itself, not its values."
-            ) from error
-        return X if named else checked
+                f"Got a table with the columns {[*map(str, table.columns[:20])]}, but "
+                f"{type(self).__name__} expected at least one of {names}. Rename yours; "
+                f"docs/notation.md lists every name with its unit."
+            )
 
-    def _as_output(self, result: Any) -> Any:
-        choice = output_container(self, get_config()["transform_output"])
-        if choice == "default":
-            return result
-        if not isinstance(result, pd.DataFrame):
-            result = pd.DataFrame(result, columns=self.get_feature_names_out())
-        if choice == "pandas":
+    def _as_output(self, result: pd.DataFrame) -> Any:
+        if output_container(self, get_config()["transform_output"]) != "polars":
             return result
         import polars
 
@@ -131,6 +102,7 @@ class TableTransformer(  # type: ignore[call-arg]
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()
         tags.input_tags.allow_nan = True
+        tags.input_tags.two_d_array = False  # columns are found by their names
         return tags
 
 

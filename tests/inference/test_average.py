@@ -346,7 +346,7 @@ class TestRegressor:
             model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0)
         )
 
-    def test_ctrl_c_while_members_are_fitted_keeps_the_whole(self, data):
+    def test_an_interrupt_while_members_are_fitted_keeps_the_whole(self, data):
         """The search has ended: what it found is kept, alone."""
         options = {"n_latent": 0, "max_iter": 5, "random_state": 0}
         joint = DependentGPRegressor(structure="joint", **options).fit(*data)
@@ -355,7 +355,10 @@ class TestRegressor:
             if stage == "members":
                 raise KeyboardInterrupt
 
-        with listening(press), pytest.warns(UserWarning, match=r"interrupted.*kept"):
+        with (
+            listening(press, keep_best=True),
+            pytest.warns(UserWarning, match=r"interrupted.*kept"),
+        ):
             model = DependentGPRegressor(**options).fit(*data)
         assert list(model.weights_) == ["joint"]
         np.testing.assert_allclose(model.predict(AT), joint.predict(AT), rtol=1e-6, atol=1e-9)

@@ -46,6 +46,44 @@ def test_every_second_value_keeps_its_own_noise(noisy):
         np.testing.assert_array_equal(some.sample_noise.loading[i], loading[i][::2])
 
 
+class TestSlopes:
+    """Noise that the slopes of a function carry into the outputs."""
+
+    STD = np.array([[0.2, 0.5], [0.1, 0.3], [0.4, 0.0]])  # by output and regressor
+
+    @pytest.fixture
+    def carried(self, one_problem, central_difference):
+        """The problem with the noise that its mean carries, whose slopes are differences here."""
+        posterior = ExactPosterior(one_problem.kernel, one_problem.noise, one_problem.data)
+        slopes = [
+            central_difference(lambda x: posterior.predict(x[None])[0], x) for x in one_problem.X
+        ]
+        one_problem.loading = np.array(slopes) * self.STD
+        one_problem.data = one_problem.data.with_slopes(posterior.mean_function, self.STD)
+        return one_problem
+
+    def test_loadings_are_slopes_times_deviations(self, carried):
+        for i, (rows, loading) in enumerate(
+            zip(np.isfinite(carried.Y).T, carried.data.sample_noise.loading, strict=True)
+        ):
+            np.testing.assert_allclose(loading, carried.loading[rows, i], atol=1e-6)
+
+    def test_likelihood(self, carried):
+        expected = multivariate_normal(cov=dense(carried)).logpdf(carried.y)
+        found = log_likelihood(carried.kernel, carried.noise, carried.data)
+        assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_outputs_of_the_same_rows_share_their_inputs():
+    X, Y = np.arange(8.0).reshape(4, 2), np.ones((4, 4))
+    Y[1, 2:] = np.nan
+    data = Data.from_table(X, Y)
+    assert data.X[0] is data.X[1] is X
+    assert data.X[2] is data.X[3]
+    np.testing.assert_array_equal(data.X[2], X[[0, 2, 3]])
+    np.testing.assert_array_equal(data.sample[2], [0, 2, 3])
+
+
 class TestExact:
     def test_likelihood(self, noisy):
         expected = multivariate_normal(cov=dense(noisy)).logpdf(noisy.y)

@@ -5,6 +5,7 @@ from threading import Event
 import numpy as np
 import pytest
 
+from skdgp import listening
 from skdgp.inference import maximize
 
 BOUNDS = np.array([[-5.0, 5.0], [-5.0, 5.0]])
@@ -89,7 +90,14 @@ def test_a_start_that_fails_says_so_by_its_value():
 
 
 class TestInterrupt:
-    def test_keeps_the_best_point(self):
+    def test_leaves_the_search(self):
+        def interrupted(theta):
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS, Event())
+
+    def test_keeps_the_best_point_where_it_is_wanted(self):
         points = []
 
         def interrupted(theta):
@@ -99,7 +107,8 @@ class TestInterrupt:
             return ridge(theta)
 
         stop = Event()
-        best = maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS, stop)
+        with listening(print, keep_best=True):
+            best = maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS, stop)
         assert stop.is_set()
         value, theta = max(points, key=lambda point: point[0])
         assert best.value == value

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from sklearn import config_context
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.exceptions import UndefinedMetricWarning
@@ -175,6 +176,31 @@ class TestScorers:
             assert (
                 covers(clone(estimator).fit(X, y), X, y) == 1.0
             )  # 1.5 lies inside 0.994 * 2, not inside 0.994
+
+    @pytest.mark.parametrize("routing", [False, True])
+    def test_scores_do_not_depend_on_metadata_routing(self, routing):
+        """A pipeline passes the scorers' wish for standard deviations on, whatever it would route."""
+        rng = np.random.default_rng(0)
+        X = rng.normal(size=(40, 1))
+        y = np.full(40, 1.5)
+        models = [NoisyModel(), make_pipeline(StandardScaler(), NoisyModel())]
+        density = -0.5 * np.log(2 * np.pi * 2.0**2) - 0.5 * (1.5 / 2.0) ** 2  # std 2, mean 0
+        with config_context(enable_metadata_routing=routing):
+            for model in models:
+                options = {"scoring": SCORERS, "cv": 2, "error_score": "raise"}
+                scores = cross_validate(model, X, y + 1e-6 * X[:, 0], **options)
+                search = GridSearchCV(model, {}, refit="log_predictive_density", **options)
+                search.fit(X, y + 1e-6 * X[:, 0])
+                results = {name: search.cv_results_[f"mean_test_{name}"] for name in SCORERS}
+                for name, expected in {
+                    "log_predictive_density": density,
+                    "interval_coverage": 1.0,
+                    "neg_median_relative_error": -1.0,
+                }.items():
+                    np.testing.assert_allclose(scores[f"test_{name}"], expected, rtol=1e-4)
+                    np.testing.assert_allclose(results[name], expected, rtol=1e-4)
+                one = GridSearchCV(model, {}, scoring=SCORERS["log_predictive_density"], cv=2)
+                assert one.fit(X, y).best_score_ == pytest.approx(density)
 
     def test_all_scorers_with_groups_and_missing_targets(self):
         rng = np.random.default_rng(0)

@@ -353,14 +353,16 @@ class MultiOutputKernel(Kernel):
                 start += f.n_elements
                 value, chosen = self.value(f.name).copy(), f.index >= 0
                 value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
-                values[f.name] = frozen(value)
+                values[f.name] = value
         arrays = self.__dict__.get("_cache", {}).get("arrays")
+        if arrays is not None:
+            arrays = arrays | {name: frozen(value) for name, value in values.items()}
         for name, value in values.items():
             setattr(self, name, value)
         # other values, the same parameters
         self._cache = {"contents": self._contents(), "free": free}
         if arrays is not None:
-            self._cache["arrays"] = arrays | values
+            self._cache["arrays"] = arrays
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
@@ -422,11 +424,12 @@ class MultiOutputKernel(Kernel):
 
     def __repr__(self):
         parameters = signature(type(self)).parameters
-        shown = [
-            f"{name}={_as_text(value)}"
-            for name, value in self.get_params(deep=False).items()
-            if not _equal(value, parameters[name].default)
-        ]
+        shown = []
+        for name, value in self.get_params(deep=False).items():
+            if isinstance(value, Mapping):  # bounds; of each entry they are too long
+                value = {key: pair for key, pair in value.items() if np.ndim(pair) < 2} or None
+            if not _equal(value, parameters[name].default):
+                shown.append(f"{name}={_as_text(value)}")
         return f"{type(self).__name__}({', '.join(shown)})"
 
     def is_stationary(self) -> bool:
@@ -557,8 +560,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
 class Rescaled(MultiOutputKernel):
     r"""The kernel of outputs multiplied by factors: :math:`f_i f_j K_{ij}`.
 
-    Theta is the theta of ``kernel``, but signed entries are divided by ``unit``, so that a search
-    does not depend on the unit of the outputs.
+    Theta is the theta of ``kernel``, but signed entries are divided by ``unit``, their starting
+    values, so that a search does not depend on the unit of the outputs.
 
     Parameters
     ----------
@@ -653,8 +656,8 @@ class Rescaled(MultiOutputKernel):
         kernel = self.kernel.initialize(X, Y / self.factor, random_state, width_factor=width_factor)
         units = [np.empty(0)]
         for f in kernel.free_parameters():
-            largest = np.abs(kernel.value(f.name)).max(initial=0.0)
-            units.append(np.full(f.n_elements, 1.0 if f.log or not largest else largest))
+            size = np.abs(f.elements(kernel.value(f.name)))
+            units.append(np.ones(f.n_elements) if f.log else np.where(size > 0, size, 1.0))
         return Rescaled(kernel, self.factor, np.concatenate(units))
 
     def summands(self) -> list[MultiOutputKernel]:
@@ -765,14 +768,19 @@ def _snapshot(value):
 
 
 def _as_text(value):
-    """Return a parameter as text in one line; of long arrays the ends."""
+    """Return a parameter as text in one line, with three digits; of long arrays the ends."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key!r}: {_as_text(entry)}' for key, entry in value.items())}}}"
     if isinstance(value, float):
         return f"{value:.3g}"
     if isinstance(value, (np.ndarray, list)):
-        options: Any = {"precision": 3, "threshold": SHOWN_ENTRIES, "edgeitems": 1}
-        return " ".join(np.array2string(np.asarray(value), separator=", ", **options).split())
+        options: Any = {
+            "separator": ", ",
+            "threshold": SHOWN_ENTRIES,
+            "edgeitems": 1,
+            "formatter": {"float_kind": lambda number: f"{number:.3g}"},
+        }
+        return " ".join(np.array2string(np.asarray(value), **options).split())
     return repr(value)
 
 

@@ -89,8 +89,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         Whether latent m contributes to output i, for example one latent for the lateral outputs
         only. It replaces ``n_latent`` and ``private_latents``.
     amplitude : array (M, P) or None
-        Signed w, shared latents first, then private ones. The last axis defines P. None: from the
-        data.
+        Signed w, in the units of the outputs, shared latents first, then private ones. The last
+        axis defines P. None: from the data.
     length_scale : array (M, P, d) or None
         Positive, in the units of the regressors. The last axis defines d. None: from the data.
     shift : array (M, P, d) or float

@@ -143,6 +143,7 @@ class Coregionalized(MultiOutputKernel):
 
     def _known_features(self):
         """Return the number of regressors that was given, of an anisotropic kernel, or None."""
+        check_kernel(self.kernel)
         if self.n_regressors is not None:
             return self.n_regressors
         n_scales = max((h.n_elements for h in self.kernel.hyperparameters), default=1)
@@ -167,7 +168,6 @@ class Coregionalized(MultiOutputKernel):
         coarse: MultiOutputKernel | None = None,
         width_factor: float = 1.0,
     ) -> MultiOutputKernel:
-        check_kernel(self.kernel)
         d = X.shape[1]
         if self._known_features() not in (None, d):
             raise ValueError(

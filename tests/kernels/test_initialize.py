@@ -242,7 +242,7 @@ class TestBounds:
             np.testing.assert_array_equal(copy.bounds, self.kernel.bounds)
         changed = {"amplitude": "fixed", "length_scale": np.array([0.5, 3.0])}
         assert clone(self.kernel).set_params(parameter_bounds=changed) != self.kernel
-        assert "parameter_bounds={'amplitude': 'fixed', 'length_scale': [0.5, 2. ]}" in repr(
+        assert "parameter_bounds={'amplitude': 'fixed', 'length_scale': [0.5, 2]}" in repr(
             self.kernel
         )
 

@@ -167,6 +167,15 @@ class TestUnits:
         with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*FourMethods"):
             quick(given).fit(X, Y[:, 0])
 
+    def test_the_size_of_the_start_decides_little(self):
+        X, Y = waves()
+        ends = []
+        for start in (1.0, 0.01, 10.0):
+            kernel = FourMethods([30.0 * start, -3e-3 * start], [1.5])
+            model = quick(kernel, trend="constant", max_iter=100).fit(X, Y)
+            ends.append(model.log_marginal_likelihood_value_)
+        np.testing.assert_allclose(ends, ends[0], atol=0.1)
+
     @pytest.mark.parametrize("factor", [[1.0, 2.0], [1.0, 2.0, 3.0, 4.0]])
     def test_factors_are_one_for_each_output(self, factor):
         kernel = ConvolvedGaussian(0, amplitude=np.eye(3), length_scale=1.0)
@@ -325,7 +334,7 @@ class TestSamples:
         X, Y = waves()
         model = quick(RBF(), max_iter=5).fit(X, Y[:, 0])
         assert model.sample_y(X[:3], 4).shape == (3, 4)
-        with pytest.raises(ValueError, match="n_samples=0, but expected a positive integer"):
+        with pytest.raises(ValueError, match="n_samples=0, but expected a number of samples"):
             model.sample_y(X[:3], 0)
 
     @pytest.mark.parametrize(

@@ -295,7 +295,7 @@ def _at_bounds(kernel):
         low, high, at = (np.log(scaled) if f.log else scaled).T
         tolerance = BOUND_TOLERANCE * np.minimum(high - low, 1.0 if f.log else np.inf)
         for side, distance in (("lower", at - low), ("upper", high - at)):
-            for k in np.flatnonzero(distance <= tolerance):
+            for k in np.flatnonzero(np.abs(distance) <= tolerance):
                 bound = pairs[k, int(side == "upper")]
                 entry = np.argwhere(f.index == k)[0].tolist()
                 text = f"{f.name}{entry} = {values[k]:.3g} ({side} bound {bound:.3g})"

@@ -567,7 +567,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         if has_prior_paths(self.kernel_):
             return np.moveaxis(self.sample_paths(n_samples, random_state)(X), 0, -1)
-        _check_positive("n_samples", n_samples)
+        _check_number("samples", n_samples)
         mean, cov = self.predict(X, return_cov=True, include_input_noise=False)
         normal = check_random_state(random_state).standard_normal((len(cov), n_samples))
         deviations = (covariance_root(cov) @ normal).reshape(-1, len(mean), n_samples)
@@ -599,7 +599,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ((50, 40), (50, 40, 1))
         """
         check_is_fitted(self)
-        _check_positive("n_paths", n_paths)
+        _check_number("paths", n_paths)
         return Paths(
             self.posterior_.paths(n_paths, random_state),
             n_paths,
@@ -776,10 +776,10 @@ def _name(kernel):
     return "joint" if several else "additive" if terms else "trend"
 
 
-def _check_positive(name, number):
+def _check_number(what, number):
     """Raise a ValueError unless this is a positive integer."""
     if not isinstance(number, Integral) or isinstance(number, bool) or number < 1:
-        raise ValueError(f"Got {name}={number!r}, but expected a positive integer.")
+        raise ValueError(f"Got n_{what}={number!r}, but expected a number of {what} from 1 on.")
 
 
 def _make_kernel(model, X, Z, log):

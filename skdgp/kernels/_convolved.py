@@ -278,7 +278,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         params["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
         for name in ("amplitude", "length_scale"):
             frozen(params[name])
-        return ConvolvedGaussian(**params)
+        return type(self)(**params)
 
     def _from_singles(self, w, lengths, singles):
         """Return starting values (M, P, ...) from separate fits of each output.

@@ -229,6 +229,16 @@ class TestBounds:
             model = quick(ConvolvedGaussian(1), trend="constant").fit(X, level)
             quick(model.kernel_, trend="constant").fit(X, level)
 
+    @pytest.mark.parametrize(
+        "kind", [ConvolvedGaussian, LinearTrend, lambda **b: Coregionalized(RBF(), **b)]
+    )
+    def test_by_no_name_or_a_wrong_one_are_refused(self, kind):
+        X, Y = waves()
+        with pytest.raises(TypeError, match=r"parameter_bounds=\(0.1, 1.0\).*by the name"):
+            quick(kind(parameter_bounds=(0.1, 1.0))).fit(X, Y)
+        with pytest.raises(ValueError, match=r"'width' in parameter_bounds: did you mean"):
+            quick(kind(parameter_bounds={"width": (0.1, 1.0)})).fit(X, Y)
+
 
 class TestTerms:
     @pytest.mark.parametrize("structure", ["average", "joint", "additive"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -715,6 +715,12 @@ def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]
             near = get_close_matches(str(name), defaults, n=1) or [" or ".join(defaults)]
             raise ValueError(f"Got {name!r} in parameter_bounds: did you mean {near[0]}?")
     return dict(defaults) | {k: v for k, v in (given or {}).items() if v is not None}
+
+
+def given_bounds(kernel: MultiOutputKernel, names: Iterable[str]) -> dict[str, Any]:
+    """Return the bounds that were given to a kernel, by the name of the parameter, one of ``names``."""
+    given = complete_bounds(kernel.get_params(deep=False)["parameter_bounds"], dict.fromkeys(names))
+    return {name: bounds for name, bounds in given.items() if bounds is not None}
 
 
 def _equal(mine, theirs):

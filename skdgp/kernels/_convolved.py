@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     frozen,
+    given_bounds,
     hyperparameter,
     renumber,
     rescaled_values,
@@ -203,10 +204,10 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self._cached("arrays", self._arrays)[name]
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_amplitude(self, factor)
+        return rescaled_amplitude(self, factor, PARAMETERS)
 
     def bounds_from_data(self, name: str) -> bool:
-        given = (self.parameter_bounds or {}).get(name)
+        given = given_bounds(self, PARAMETERS).get(name)
         return given is None or (isinstance(given, str) and given == SPACING)
 
     @property
@@ -457,17 +458,22 @@ def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None)
     return feeds
 
 
-def rescaled_amplitude(kernel: MultiOutputKernel, factor: Vector) -> MultiOutputKernel:
-    """Return a kernel whose amplitudes, and their bounds, are multiplied by factors of the outputs (P,)."""
+def rescaled_amplitude(
+    kernel: MultiOutputKernel, factor: Vector, names: Iterable[str]
+) -> MultiOutputKernel:
+    """Return a kernel whose amplitudes, and their bounds, are multiplied by factors of the outputs (P,).
+
+    ``names`` are the parameters that have bounds.
+    """
     factor = np.asarray(factor, dtype=float)
-    params = kernel.get_params(deep=False)
-    bounds = dict(params["parameter_bounds"] or {})
+    amplitude = kernel.get_params(deep=False)["amplitude"]
+    bounds = given_bounds(kernel, names)
     if "amplitude" in bounds:
         given = bounds["amplitude"]
         bounds["amplitude"] = rescaled_values("bounds of amplitude", given, factor, axis=-2)
     return clone(kernel).set_params(
-        amplitude=rescaled_values("amplitude", params["amplitude"], factor, axis=-1),
-        parameter_bounds=bounds or params["parameter_bounds"],
+        amplitude=rescaled_values("amplitude", amplitude, factor, axis=-1),
+        parameter_bounds=bounds or None,
     )
 
 

@@ -19,6 +19,7 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     frozen,
+    given_bounds,
     hyperparameter,
     renumber,
 )
@@ -187,10 +188,10 @@ class Coregionalized(MultiOutputKernel):
         )
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_amplitude(self, factor)
+        return rescaled_amplitude(self, factor, ["amplitude"])
 
     def bounds_from_data(self, name: str) -> bool:
-        return name == "amplitude" and (self.parameter_bounds or {}).get(name) is None
+        return name == "amplitude" and not given_bounds(self, ["amplitude"])
 
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         if regressors in self.term_regressors():

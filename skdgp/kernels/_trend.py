@@ -18,6 +18,7 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     frozen,
+    given_bounds,
     hyperparameter,
     rescaled_values,
 )
@@ -96,14 +97,14 @@ class LinearTrend(MultiOutputKernel):
             name: rescaled_values(name, getattr(self, name), factor, axis)
             for name, axis in OUTPUT_AXES.items()
         }
-        bounds = dict(self.parameter_bounds or {})
+        bounds = given_bounds(self, OUTPUT_AXES)
         for name in OUTPUT_AXES.keys() & bounds.keys():
             axis = OUTPUT_AXES[name] - 1  # the last axis of bounds is the pair
             bounds[name] = rescaled_values(f"bounds of {name}", bounds[name], factor, axis)
-        return clone(self).set_params(**values, parameter_bounds=bounds or self.parameter_bounds)
+        return clone(self).set_params(**values, parameter_bounds=bounds or None)
 
     def bounds_from_data(self, name: str) -> bool:
-        return (self.parameter_bounds or {}).get(name) is None
+        return name not in given_bounds(self, OUTPUT_AXES)
 
     def value(self, name: str) -> Array:
         return self._cached("arrays", self._arrays)[name]

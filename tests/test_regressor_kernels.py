@@ -17,6 +17,7 @@ from skdgp.kernels import (
     FreeParameter,
     LinearTrend,
     MultiOutputKernel,
+    prior_paths,
 )
 
 FAR = [[1e4]]  # where a posterior is the prior
@@ -355,3 +356,34 @@ class TestSamples:
         model = quick(kernel, max_iter=5).fit(X, Y[:, 0])
         with pytest.raises(NotImplementedError, match=rf"Got a {name}.*Use sample_y, or register"):
             model.sample_paths(2)
+
+
+class WithPaths(FourMethods):
+    """The same covariance, with sample paths."""
+
+
+@prior_paths.register
+def _(kernel: WithPaths, n_paths, n_frequencies, random_state):
+    amplitude = np.asarray(kernel.amplitude)[None]
+    length_scale = np.full((1, len(kernel.amplitude), 1), kernel.length_scale[0])
+    same = ConvolvedGaussian(
+        1, private_latents=False, amplitude=amplitude, length_scale=length_scale
+    )
+    return prior_paths(same, n_paths, n_frequencies, random_state)
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_registered_paths_are_in_the_units_of_the_outputs(inference):
+    X, Y = waves()
+    kernel = WithPaths([30.0, -3e-3], [1.5])
+    model = quick(kernel, inference=inference, n_inducing=20, max_iter=10).fit(X, Y)
+    at = np.array([[2.2], [14.0]])
+    paths = model.sample_paths(3000, random_state=0)
+    mean, std = model.predict(at, return_std=True)
+    values = paths(at)
+    np.testing.assert_allclose((values.mean(axis=0) - mean) / std, 0.0, atol=0.08)
+    np.testing.assert_allclose(values.std(axis=0) / std, 1.0, atol=0.06)
+    slopes = paths.gradient(at).mean(axis=0)
+    np.testing.assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
+    some = model.sample_y(at, 3000, random_state=0)
+    np.testing.assert_array_equal(some, np.moveaxis(values, 0, -1))

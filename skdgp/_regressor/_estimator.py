@@ -96,9 +96,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ``parameter_bounds={"length_scale": "spacing"}``. A kernel of scikit-learn is wrapped in
         ``Coregionalized``.
     n_latent : int or None
-        Number of latent processes that all outputs share; each output also has a private one. It
-        cannot be given together with ``kernel``. None:
-        two, or without ``time`` and with missing targets half as many as outputs, two to four.
+        Number of latent processes that all outputs share; each output also has a private one. Not
+        together with ``kernel``, which has its own. None: two, or without ``time`` and with missing
+        targets half as many as outputs, two to four.
     structure : {"average", "joint", "additive", "trend"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor
         alone for each output (main effects). "trend": the trend alone, with its weights integrated

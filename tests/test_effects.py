@@ -96,7 +96,7 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
         np.concatenate([Y[rows, i] for i, rows in enumerate(observed)]),
     )
     kernel, noise = (
-        model.kernel_,
+        model.posterior_.kernel,
         np.repeat(model.posterior_.noise, [rows.sum() for rows in observed]),
     )
     C = kernel(inputs) + np.diag(noise)
@@ -119,7 +119,7 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
 def test_sparse_terms_approach_the_exact_ones(data):
     options = {"structure": "additive", "n_latent": 0, "max_iter": 15, "random_state": 0}
     exact = DependentGPRegressor(**options).fit(data[0] / SCALE, data[1])
-    kernel, noise = exact.kernel_, exact.posterior_.noise
+    kernel, noise = exact.posterior_.kernel, exact.posterior_.noise
     sparse = copy(exact)
     X = data[0].to_numpy() / SCALE
     values = exact.posterior_.data

@@ -160,11 +160,10 @@ class TestPrediction:
         X, Y = make_data(25)
         kernel = ConvolvedGaussian(
             0,
-            amplitude=[[1.0]],
+            amplitude=[[Y[:, 0].std()]],
             length_scale=[[[1.2, 35.0]]],
-            parameter_bounds={"amplitude": "fixed"},
+            parameter_bounds={"amplitude": "fixed", "length_scale": "fixed"},
         )
-        kernel.parameter_bounds = {"amplitude": "fixed", "length_scale": "fixed"}
         model = DependentGPRegressor(kernel, trend="constant").fit(X, Y[:, 0])
         theirs = GaussianProcessRegressor(
             RBF([1.2, 35.0]),
@@ -230,7 +229,7 @@ def test_sharing_helps_where_an_output_is_rarely_observed():
     assert np.median(ratios) < 0.5
 
 
-@pytest.mark.filterwarnings("ignore:Got length scales that end at a bound")
+@pytest.mark.filterwarnings("ignore:Got hyperparameters that end at a bound")
 def test_smallest_widths_reach_the_fit():
     """White noise in six regressors: a free search takes it for a process of tiny widths, a bounded one cannot."""
     rng = np.random.default_rng(0)

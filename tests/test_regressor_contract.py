@@ -79,7 +79,8 @@ def test_a_width_that_ends_at_a_given_bound_is_said():
     X, _ = waves()
     y = np.sin(4 * X[:, 0])
     narrow = ConvolvedGaussian(1, parameter_bounds={"length_scale": (5.0, 10.0)})
-    with pytest.warns(ConvergenceWarning, match="end at a bound that the kernel gives"):
+    told = r"end at a bound of the kernel: length_scale\[0, 0, 0\] = 5 \(lower bound 5\)"
+    with pytest.warns(ConvergenceWarning, match=told):
         DependentGPRegressor(narrow, structure="joint", random_state=0).fit(X, y)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -23,6 +23,10 @@ SCALED = (
 )
 # independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
 LEAST_ROWS = 10
+# distance from a bound at which a value has reached it, over the width of the bounds or, of
+# logarithms, at most over one: guess
+BOUND_TOLERANCE = 1e-3
+MOST_TOLD = 5  # hyperparameters at bounds that a warning names
 WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
 
 
@@ -125,7 +129,7 @@ def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> K
     limits = None
     if bounds is not None:
         limits = np.asarray(bounds, dtype=float)
-        if limits.shape not in ((2,), (P, 2)) or not (0 < limits[..., 0]).all():
+        if limits.shape not in ((2,), (P, 2)) or not (limits[..., 0] > 0).all():
             raise ValueError(
                 f"Got noise_variance_bounds={bounds!r}, but expected a pair of positive numbers, or "
                 f"one for each of the {P} outputs."
@@ -303,19 +307,46 @@ def _warn(message, category=UserWarning, stacklevel=6):
     warn(message, category, stacklevel=stacklevel)
 
 
-def warn_of_bounds(given: MultiOutputKernel | None, kernel: MultiOutputKernel) -> None:
-    """Warn of length scales that end at a bound which the user gave, the kernel ``given``."""
-    terms = [] if given is None else given.summands()
-    widths = [(getattr(term, "parameter_bounds", None) or {}).get("length_scale") for term in terms]
-    if all(pair is None or isinstance(pair, str) for pair in widths):
-        return
-    free, theta = kernel.free_parameters(), kernel.theta
-    names = np.repeat([f.name for f in free], [f.n_elements for f in free])
-    low, high = kernel.bounds.T  # of logarithms
-    ended = (names == "length_scale") & ((theta <= low + 0.001) | (theta >= high - 0.001))
-    if ended.any():
+def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
+    """Warn of hyperparameters that end at a bound which the user gave.
+
+    ``kernel`` is the fitted one, in the units of ``given``, whose terms are its last ones. A value
+    that was given at its bound and stayed there is no news.
+    """
+    terms = given.summands()
+    reached = []
+    for term, fitted in zip(terms, kernel.summands()[-len(terms) :], strict=True):
+        before = _at_bounds(term) if term.has_values() else {}
+        reached += [
+            text
+            for name, text in _at_bounds(fitted).items()
+            if name not in before and not term.bounds_from_data(name[0])
+        ]
+    if reached:
+        more = f" and {len(reached) - MOST_TOLD} more" if len(reached) > MOST_TOLD else ""
         _warn(
-            "Got length scales that end at a bound that the kernel gives: "
-            f"{np.exp(theta[ended][:5]).round(6).tolist()}. Widen the bounds, unless they are known to hold.",
+            f"Got hyperparameters that end at a bound of the kernel: "
+            f"{', '.join(reached[:MOST_TOLD])}{more}. Widen the bounds, unless they are known to "
+            "hold.",
             ConvergenceWarning,
         )
+
+
+def _at_bounds(kernel):
+    """Return texts of the elements that are at a bound, by the name, number and side of each."""
+    reached = {}
+    for f in kernel.free_parameters():
+        if not f.n_elements:
+            continue
+        values = f.elements(kernel.value(f.name))
+        pairs = f.pairs()
+        scaled = np.column_stack([pairs, values])
+        low, high, at = (np.log(scaled) if f.log else scaled).T
+        tolerance = BOUND_TOLERANCE * np.minimum(high - low, 1.0 if f.log else np.inf)
+        for side, distance in (("lower", at - low), ("upper", high - at)):
+            for k in np.flatnonzero(np.abs(distance) <= tolerance):
+                bound = pairs[k, int(side == "upper")]
+                entry = np.argwhere(f.index == k)[0].tolist()
+                text = f"{f.name}{entry} = {values[k]:.3g} ({side} bound {bound:.3g})"
+                reached[f.name, int(k), side] = text
+    return reached

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.gaussian_process.kernels import Kernel
 from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.linalg import check_memory
+from skdgp._compute.linalg import check_memory, covariance_root
 from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp._regressor import _checks
@@ -38,7 +39,13 @@ from skdgp.inference import (
     residual_drift,
     stratified,
 )
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel
+from skdgp.kernels import (
+    ConvolvedGaussian,
+    LinearTrend,
+    MultiOutputKernel,
+    as_multi_output,
+    has_prior_paths,
+)
 
 LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
@@ -85,12 +92,15 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     Parameters
     ----------
-    kernel : MultiOutputKernel or None
-        Covariance of the processes. None: ``ConvolvedGaussian(n_latent)``, for a log with
-        ``parameter_bounds={"length_scale": "spacing"}``. Missing values are estimated from the data.
+    kernel : MultiOutputKernel, scikit-learn kernel or None
+        Covariance of the processes, with values and bounds in the units of the outputs. Missing
+        values are estimated from the data. None: ``ConvolvedGaussian(n_latent)``, for a log with
+        ``parameter_bounds={"length_scale": "spacing"}``. A kernel of scikit-learn is wrapped in
+        ``Coregionalized``.
     n_latent : int or None
-        Number of latent processes that all outputs share; each output also has a private one. None:
-        two, or without ``time`` and with missing targets half as many as outputs, two to four.
+        Number of latent processes that all outputs share; each output also has a private one. Not
+        together with ``kernel``, which has its own. None: two, or without ``time`` and with missing
+        targets half as many as outputs, two to four.
     structure : {"average", "joint", "additive", "trend"}
         "joint": a trend and the dependent processes. "additive": also a process of each regressor
         alone for each output (main effects). "trend": the trend alone, with its weights integrated
@@ -101,8 +111,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         not learned, has one member. With more regressors than rows "average" is "trend".
     trend : {"linear", "constant"} or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear
-        function of the regressors with weights that are integrated out; it extrapolates linearly,
-        with the uncertainty of the slopes. None: no trend and no centring.
+        function of the regressors with weights that are integrated out, unless ``kernel`` contains
+        a ``LinearTrend``; it extrapolates linearly, with the uncertainty of the slopes. None: no
+        trend and no centring.
 
     inference : {"auto", "exact", "sparse"}
         "exact" computes the posterior from every observed value. "sparse" computes it from all
@@ -140,7 +151,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     Attributes
     ----------
     kernel_ : MultiOutputKernel
-        Fitted covariance of the normalised outputs.
+        Fitted covariance of the outputs, in their units. A fit with ``kernel=model.kernel_``
+        continues there.
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, without misfit, in squared units of the outputs; the mean
         over the samples where it was given for each.
@@ -196,7 +208,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     """
 
     _parameter_constraints = {
-        "kernel": [MultiOutputKernel, None],
+        "kernel": [Kernel, None],
         "n_latent": [Interval(Integral, 0, None, closed="left"), None],
         "structure": [StrOptions({"average", "joint", "additive", "trend"})],
         "trend": [StrOptions({"linear", "constant"}), None],
@@ -212,7 +224,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def __init__(
         self,
-        kernel: MultiOutputKernel | None = None,
+        kernel: Kernel | None = None,
         *,
         n_latent: int | None = None,
         structure: str = "average",
@@ -363,13 +375,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             self._slopes = slopes.scaled(1 / self.scale_[:, None])
             Z = self._slopes.corrected(X, Z)
         self.max_iter_ = most_iterations(self.max_iter, Z, log)
+        kernel = _make_kernel(self, X, Z, log).rescaled(1 / self.scale_)
         known = noise.in_units(self.scale_)
-        fit = fit_structure(self, X, Z, log, inference, known)
+        fit = fit_structure(self, kernel, X, Z, log, inference, known)
         posterior, learned = fit.posterior, fit.learned
         self.inference_ = "exact" if isinstance(posterior.members[0], ExactPosterior) else "sparse"
         self.weights_ = weights_of(posterior)
         _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
-        _checks.warn_of_bounds(self.kernel, posterior.kernel)
+        self.kernel_ = posterior.kernel.rescaled(self.scale_)
+        if self.kernel is not None and self.optimizer is not None:
+            _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
         if not learned.interrupted:
             errors = Z - likeliest_mean(posterior, X)
             _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
@@ -389,7 +404,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 errors = self._slopes.replaced(errors)
             posterior = PosteriorWithErrors(posterior, errors)
         self.posterior_ = posterior
-        self.kernel_ = posterior.kernel
         self.misfit_variance_ = misfit * self.scale_**2
         self.noise_variance_ = white * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
@@ -572,9 +586,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """Return samples of the joint distribution of all outputs at X (n, d).
 
         Their mean and covariance are those of ``predict(X, return_cov=True)`` with the same
-        switches. They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
+        switches. They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets. A
+        kernel without sample paths has them from the joint covariance, in O(P^3 n^3) time.
         """
         X = self._check_regressors(X)
+        _check_number("samples", n_samples)
+        if not has_prior_paths(self.kernel_):
+            switches = {"include_noise": include_noise, "include_input_noise": include_input_noise}
+            mean, cov = self.predict(X, return_cov=True, **switches)
+            normal = check_random_state(random_state).standard_normal((len(cov), n_samples))
+            deviations = (covariance_root(cov) @ normal).reshape(-1, len(mean), n_samples)
+            return mean[..., None] + self._squeeze(deviations.swapaxes(0, 1))
         values = self.sample_paths(n_samples, random_state)(X).reshape(n_samples, len(X), -1)
         # other numbers than in the paths
         seed = check_random_state(random_state).randint(2**31 - 1, size=9)
@@ -612,8 +634,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         ((50, 40), (50, 40, 1))
         """
         check_is_fitted(self)
-        if not isinstance(n_paths, Integral) or isinstance(n_paths, bool) or n_paths < 1:
-            raise ValueError(f"Got n_paths={n_paths!r}, but expected a number of paths from 1 on.")
+        _check_number("paths", n_paths)
         return Paths(
             self.posterior_.paths(n_paths, random_state),
             n_paths,
@@ -705,18 +726,24 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
 
 def fit_structure(
-    model: BaseEstimator, X: Matrix, Z: Matrix, log: bool, inference: str, known: KnownNoise
+    model: BaseEstimator,
+    kernel: MultiOutputKernel,
+    X: Matrix,
+    Z: Matrix,
+    log: bool,
+    inference: str,
+    known: KnownNoise,
 ) -> Fit:
     """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
 
-    Parameters of the model, a DependentGPRegressor, are read; it is not changed. ``known`` is the
-    noise of Z.
+    ``kernel`` has all terms, and ``known`` is the noise, of the scaled targets. Parameters of the
+    model, a DependentGPRegressor, are read; it is not changed.
     """
     random_state = check_random_state(model.random_state)
     fits: list[Fit] = []
     data = Data.from_table(X, Z, known.loading)  # one copy for all
     while len(fits) < n_searches(model, log):
-        fits.append(_searched(model, X, Z, data, log, inference, known, random_state))
+        fits.append(_searched(model, kernel, X, Z, data, log, inference, known, random_state))
         if fits[-1].learned.interrupted:
             return fits[0].cut_short()
     return mean_of(fits)
@@ -727,9 +754,8 @@ def n_searches(model: BaseEstimator, log: bool) -> int:
     return SEARCHES if log and model.structure == "average" and model.optimizer is not None else 1
 
 
-def _searched(model, X, Z, data, log, inference, known, random_state):
+def _searched(model, kernel, X, Z, data, log, inference, known, random_state):
     """Return the fit of one search."""
-    kernel = _make_kernel(model, X, Z, log)
     learns_input_noise = model.input_noise == "learned" or (log and model.input_noise == "auto")
     options = {
         "known": known,
@@ -795,8 +821,18 @@ def _name(kernel):
     return "joint" if several else "additive" if terms else "trend"
 
 
+def _check_number(what, number):
+    """Raise a ValueError unless this is a positive integer."""
+    if not isinstance(number, Integral) or isinstance(number, bool) or number < 1:
+        raise ValueError(f"Got n_{what}={number!r}, but expected a number of {what} from 1 on.")
+
+
 def _make_kernel(model, X, Z, log):
-    """Return the kernel of all terms; raise ValueError if the structure needs another kernel or trend."""
+    """Return the kernel of all terms, in the units of the outputs.
+
+    Raises ValueError if the structure needs another kernel or trend, or if ``n_latent`` is given
+    beside a kernel.
+    """
     if model.structure == "trend" and (model.kernel is not None or model.trend != "linear"):
         raise ValueError(
             f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but "
@@ -808,23 +844,29 @@ def _make_kernel(model, X, Z, log):
             f"Got structure='additive' with kernel={model.kernel!r}, but expected kernel=None: add "
             "ConvolvedGaussian(0, regressors=[k]) to the kernel."
         )
+    if model.n_latent is not None and model.kernel is not None:
+        raise ValueError(
+            f"Got n_latent={model.n_latent} with kernel={model.kernel!r}, but expected one of them: "
+            f"leave out n_latent, and give it to the kernel, such as "
+            f"ConvolvedGaussian({model.n_latent})."
+        )
     n, d = X.shape
     # one centre for all searches and components
     trend = LinearTrend(center=X.mean(axis=0)) if model.trend == "linear" else None
-    averaged = model.structure == "average" and model.kernel is None and trend is not None
+    if model.kernel is not None:
+        given = as_multi_output(clone(model.kernel))
+        complete = trend is None or any(term.n_processes == 0 for term in given.summands())
+        return given if complete else trend + given
+    averaged = model.structure == "average" and trend is not None
     if model.structure == "trend" or (averaged and d > n):  # a process would have no weight
         return trend
     bounds = {"length_scale": "spacing"} if log else None
-    kernel: MultiOutputKernel | None = model.kernel and clone(model.kernel)
-    if kernel is None:
-        n_latent = model.n_latent
-        if n_latent is None:  # more where they can fill what is missing
-            n_latent = (
-                N_LATENT[0]
-                if log or np.isfinite(Z).all()
-                else int(np.clip(Z.shape[1] // 2, *N_LATENT))
-            )
-        kernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
+    n_latent = model.n_latent
+    if n_latent is None:  # more where they can fill what is missing
+        n_latent = (
+            N_LATENT[0] if log or np.isfinite(Z).all() else int(np.clip(Z.shape[1] // 2, *N_LATENT))
+        )
+    kernel: MultiOutputKernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
     if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
         for k in range(d):
             kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel

@@ -15,7 +15,6 @@ standard deviation of the regressors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np

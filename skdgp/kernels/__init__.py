@@ -2,11 +2,13 @@
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
+from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
 from skdgp.kernels._features import (
     Features,
     LatentFeatures,
     PathBundle,
     covariance_paths,
+    has_prior_paths,
     inducing_features,
     prior_paths,
 )
@@ -14,6 +16,7 @@ from skdgp.kernels._trend import LinearTrend
 
 __all__ = [
     "ConvolvedGaussian",
+    "Coregionalized",
     "Features",
     "FreeParameter",
     "LatentFeatures",
@@ -21,7 +24,9 @@ __all__ = [
     "MultiOutputKernel",
     "PathBundle",
     "Sum",
+    "as_multi_output",
     "covariance_paths",
+    "has_prior_paths",
     "inducing_features",
     "prior_paths",
 ]

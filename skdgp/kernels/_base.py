@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from skdgp._compute.linalg import RowPairs
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 
 DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
+SHOWN_ENTRIES = 12  # largest number of entries of an array that ``repr`` shows in full
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,27 @@ class FreeParameter:
 
     def elements(self, values: Array) -> Array:
         """Return the value of each element, (n_elements, ...), from an array of the values of all entries."""
-        found, free = np.empty((self.n_elements, *values.shape[self.index.ndim :])), self.index >= 0
-        found[self.index[free]] = values[free]
+        found = np.empty((self.n_elements, *values.shape[self.index.ndim :]))
+        if self.n_elements:
+            free = self.index >= 0
+            found[self.index[free]] = values[free]
         return found
+
+    def pairs(self) -> Matrix:
+        """Return the bounds of each element, (n_elements, 2), from one pair or one for each entry."""
+        bounds = np.asarray(self.bounds, dtype=float)
+        if (
+            bounds.shape[-1:] != (2,)
+            or not (bounds[..., 0] < bounds[..., 1]).all()
+            or (self.log and not (bounds > 0).all())
+        ):
+            raise ValueError(
+                f"Got bounds {self.bounds!r} of {self.name}, but expected "
+                f"{'0 < ' if self.log else ''}lower < upper: a pair, or one for each entry."
+            )
+        if bounds.shape == (2,):
+            return np.tile(bounds, (self.n_elements, 1))
+        return self.elements(np.broadcast_to(bounds, (*self.index.shape, 2)))
 
 
 class MultiOutputKernel(Kernel):
@@ -166,7 +186,30 @@ class MultiOutputKernel(Kernel):
                 f"{type(self).__name__} cannot estimate values from data: give all of its "
                 f"parameters."
             )
+        for what, data, expected in (
+            ("outputs", Y, self.n_outputs),
+            ("regressors", X, self.n_features),
+        ):
+            if data.shape[1] != expected:
+                raise ValueError(
+                    f"Got data of {data.shape[1]} {what}, but expected {expected}, as many as the "
+                    f"kernel {type(self).__name__} has."
+                )
         return self
+
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        """Return the kernel of the outputs in another unit, in which their values are multiplied by ``factor``.
+
+        The covariance of outputs i and j is multiplied by ``factor[i] * factor[j]``; factors (P,)
+        are positive. Values and bounds are converted. The default wraps the kernel, and unwraps it
+        when the product of all factors is one.
+        """
+        factor = np.asarray(factor, dtype=float)
+        return self if np.allclose(factor, 1.0, rtol=1e-12, atol=0.0) else Rescaled(self, factor)
+
+    def bounds_from_data(self, name: str) -> bool:
+        """Return whether ``initialize`` estimates the bounds of a parameter from data, by default False."""
+        return False
 
     def coarse(self) -> MultiOutputKernel:
         """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
@@ -220,42 +263,62 @@ class MultiOutputKernel(Kernel):
                 )
         return arrays if per_output else arrays * self.n_outputs
 
-    def __call__(self, X, Y=None):
+    def __call__(self, X, Y=None, eval_gradient=False):
         """Return the covariance matrix, (sum n_i, sum n_j), output-major.
 
         X and Y are arrays (n, d), or lists of one (n_i, d) array per output; ``Y=None`` means
-        ``Y=X``. Inference uses ``block`` and ``block_gradient``.
+        ``Y=X``. With ``eval_gradient`` also return its derivatives by theta, (N, N, n_theta), for
+        few samples: inference uses ``block`` and ``block_gradient``.
         """
+        if eval_gradient and Y is not None:
+            raise ValueError("Got eval_gradient=True with Y, but expected Y=None.")
         rows = self.split(X)
         columns = rows if Y is None else self.split(Y)
-        return np.block(
+        K = np.block(
             [
                 [self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)]
                 for i, Xi in enumerate(rows)
             ]
         )
+        return (K, self._gradient(rows)) if eval_gradient else K
+
+    def _gradient(self, rows):
+        """Return the derivatives of the covariance matrix by theta, entry by entry."""
+        samples = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi]
+        gradient = np.zeros((len(samples), len(samples), self.n_dims))
+        one = np.ones((1, 1))
+        for a, (i, x) in enumerate(samples):
+            for b, (j, z) in enumerate(samples[: a + 1]):
+                if self.couples(i, j):
+                    gradient[a, b] = self.block_gradient(i, j, x, z, one)
+                    gradient[b, a] = gradient[a, b]
+        return gradient
 
     def diag(self, X: Matrix) -> Vector:
         """Return the diagonal of ``kernel(X)``, (sum n_i,)."""
         return np.concatenate([self.block_diag(i, Xi) for i, Xi in enumerate(self.split(X))])
 
     def __add__(self, other):
-        if not isinstance(other, MultiOutputKernel):
-            raise TypeError(
-                f"Got {other!r} to add to a multi-output kernel, but expected another "
-                f"multi-output kernel. Leave out "
-                "measurement noise: DependentGPRegressor learns it for each output "
-                "(noise_variance_)."
-            )
-        return Sum(self, other)
+        return Sum(self, self._as_summand(other))
 
     def __radd__(self, other):
-        return self + other
+        return Sum(self._as_summand(other), self)
+
+    @staticmethod
+    def _as_summand(other):
+        from skdgp.kernels._coregionalized import as_multi_output  # which imports this module
+
+        if not isinstance(other, Kernel):
+            raise TypeError(
+                f"Got {other!r} to add to a multi-output kernel, but expected another kernel."
+            )
+        return as_multi_output(other)
 
     def _no_product(self, other):
         raise TypeError(
-            "Multi-output kernels can be added, not multiplied or raised to a power. Scale them "
-            "by their amplitudes."
+            f"Got a product with {other!r}, or a power, but multi-output kernels can be added, not "
+            "multiplied. Change the amplitudes, or multiply scikit-learn's kernels inside "
+            "Coregionalized."
         )
 
     __mul__ = __rmul__ = __pow__ = _no_product
@@ -266,13 +329,7 @@ class MultiOutputKernel(Kernel):
     @property
     def hyperparameters(self) -> list:
         """Each hyperparameter with its number of elements and bounds."""
-        return [
-            Hyperparameter(
-                f.name, "numeric", "fixed" if f.fixed else _pairs(f), 1 if f.fixed else f.n_elements
-            )
-            for f in self.free_parameters()
-            if f.fixed or f.n_elements
-        ]
+        return [_as_hyperparameter(f) for f in self.free_parameters() if f.fixed or f.n_elements]
 
     @property
     def theta(self):
@@ -298,11 +355,14 @@ class MultiOutputKernel(Kernel):
                 value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
                 values[f.name] = value
         arrays = self.__dict__.get("_cache", {}).get("arrays")
+        if arrays is not None:
+            arrays = arrays | {name: frozen(value) for name, value in values.items()}
         for name, value in values.items():
             setattr(self, name, value)
-        self._cache = {"free": free}  # other values, the same parameters
+        # other values, the same parameters
+        self._cache = {"contents": self._contents(), "free": free}
         if arrays is not None:
-            self._cache["arrays"] = arrays | values
+            self._cache["arrays"] = arrays
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
@@ -317,7 +377,7 @@ class MultiOutputKernel(Kernel):
     def bounds(self) -> Matrix:
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
         parts = [
-            np.log(_pairs(f)) if f.log else _pairs(f)
+            np.log(f.pairs()) if f.log else f.pairs()
             for f in self.free_parameters()
             if f.n_elements
         ]
@@ -333,11 +393,21 @@ class MultiOutputKernel(Kernel):
         return np.asarray(getattr(self, name), dtype=float)
 
     def _cached(self, name, compute):
-        """Return what ``compute()`` returned before: it depends on the parameters alone."""
-        cache = self.__dict__.setdefault("_cache", {})
+        """Return what ``compute()`` returned before, unless a parameter or an entry of one has changed."""
+        cache = self.__dict__.get("_cache")
+        if cache is None or any(_snapshot(value) != seen for value, seen in cache["contents"]):
+            cache = self.__dict__["_cache"] = {"contents": self._contents()}
         if name not in cache:
             cache[name] = compute()
         return cache[name]
+
+    def _contents(self):
+        """Return the parameters whose entries can be set, with their entries."""
+        return [
+            (value, _snapshot(value))
+            for name, value in self.__dict__.items()
+            if name != "_cache" and _is_mutable(value)
+        ]
 
     def __setattr__(self, name, value):
         if name != "theta":  # which sets parameters in turn
@@ -353,8 +423,14 @@ class MultiOutputKernel(Kernel):
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self):
-        shown = _without_arrays(self.get_params(deep=False))
-        return f"{type(self).__name__}({', '.join(f'{k}={v!r}' for k, v in shown.items())})"
+        parameters = signature(type(self)).parameters
+        shown = []
+        for name, value in self.get_params(deep=False).items():
+            if isinstance(value, Mapping):  # bounds; of each entry they are too long
+                value = {key: pair for key, pair in value.items() if np.ndim(pair) < 2} or None
+            if not _equal(value, parameters[name].default):
+                shown.append(f"{name}={_as_text(value)}")
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     def is_stationary(self) -> bool:
         """Return whether the covariance depends only on x - x'."""
@@ -477,6 +553,126 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
 
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
+
+
+class Rescaled(MultiOutputKernel):
+    r"""The kernel of outputs multiplied by factors: :math:`f_i f_j K_{ij}`.
+
+    Theta is the theta of ``kernel``, but signed entries are divided by ``unit``, their starting
+    values, so that a search does not depend on the unit of the outputs.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    factor : array (P,)
+        Positive.
+    unit : array (n_theta,) or None
+        Ones for logarithms. None: ones.
+    """
+
+    def __init__(self, kernel: MultiOutputKernel, factor: Any, unit: Any = None) -> None:
+        self.kernel = kernel
+        self.factor = factor
+        self.unit = unit
+
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        return self.kernel.rescaled(np.asarray(self.factor) * factor)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+        return self.kernel.n_outputs
+
+    @property
+    def n_features(self) -> int:
+        """Number of regressors d."""
+        return self.kernel.n_features
+
+    @property
+    def n_processes(self) -> int:
+        return self.kernel.n_processes
+
+    def couples(self, i: int, j: int) -> bool:
+        return self.kernel.couples(i, j)
+
+    def is_stationary(self) -> bool:
+        return self.kernel.is_stationary()
+
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
+        return self.factor[i] * self.factor[j] * self.kernel.block(i, j, Xi, Xj)
+
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
+        return self.factor[i] ** 2 * self.kernel.block_diag(i, Xi)
+
+    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
+        return self.factor[i] * self.factor[j] * self.kernel.block_derivative(i, j, Xi, Xj)
+
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
+        W = self.factor[i] * self.factor[j] * W
+        return self.kernel.block_gradient(i, j, Xi, Xj, W) * self._units()
+
+    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
+        square = self.factor[i] ** 2
+        values, gradient = self.kernel.at_pairs(i, pairs)
+        return square * values, lambda w: gradient(square * w) * self._units()
+
+    def free_parameters(self) -> list[FreeParameter]:
+        return self.kernel.free_parameters()
+
+    def value(self, name: str) -> Array:
+        return self.kernel.value(name)
+
+    @property
+    def theta(self):
+        """Free hyperparameters of the kernel, signed ones over their units, (n_theta,)."""
+        return self.kernel.theta / self._units()
+
+    @theta.setter
+    def theta(self, theta: Vector | None):
+        self.kernel = self.kernel.clone_with_theta(np.asarray(theta) * self._units())
+
+    @property
+    def bounds(self) -> Matrix:
+        """Bounds on theta, (n_theta, 2)."""
+        return self.kernel.bounds / self._units()[:, None]
+
+    def _units(self):
+        return np.ones(self.n_dims) if self.unit is None else self.unit
+
+    def has_values(self) -> bool:
+        return self.kernel.has_values()
+
+    def initialize(
+        self,
+        X: Matrix,
+        Y: Matrix,
+        random_state: Seed,
+        singles: Sequence | None = None,
+        coarse: MultiOutputKernel | None = None,
+        width_factor: float = 1.0,
+    ) -> MultiOutputKernel:
+        kernel = self.kernel.initialize(X, Y / self.factor, random_state, width_factor=width_factor)
+        units = [np.empty(0)]
+        for f in kernel.free_parameters():
+            size = np.abs(f.elements(kernel.value(f.name)))
+            units.append(np.ones(f.n_elements) if f.log else np.where(size > 0, size, 1.0))
+        return Rescaled(kernel, self.factor, np.concatenate(units))
+
+    def summands(self) -> list[MultiOutputKernel]:
+        parts = self.kernel.summands()
+        return [self] if len(parts) == 1 else [part.rescaled(self.factor) for part in parts]
+
+    def term_regressors(self) -> list[tuple[int, ...]]:
+        return self.kernel.term_regressors()
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        return Rescaled(self.kernel.term(regressors), self.factor)
+
+    def residual(self, X: Matrix, Y: Matrix) -> Matrix:
+        return self.kernel.residual(X, Y / self.factor) * self.factor
+
 
 def _difference(function, unit):
     """Return the derivative along a unit vector at zero, by central differences of fourth order."""
@@ -484,23 +680,6 @@ def _difference(function, unit):
         function(k * DERIVATIVE_STEP * unit) - function(-k * DERIVATIVE_STEP * unit) for k in (1, 2)
     )
     return (8 * near - far) / (12 * DERIVATIVE_STEP)
-
-
-def _pairs(f: FreeParameter) -> np.ndarray:
-    """Return the bounds of a free parameter, (n_elements, 2), from one pair or one pair for each entry."""
-    bounds = np.asarray(f.bounds, dtype=float)
-    if (
-        bounds.shape[-1:] != (2,)
-        or not (bounds[..., 0] < bounds[..., 1]).all()
-        or (f.log and not (bounds > 0).all())
-    ):
-        raise ValueError(
-            f"Got bounds {f.bounds!r} of {f.name}, but expected {'0 < ' if f.log else ''}lower < "
-            f"upper: a pair, or one for each entry."
-        )
-    if bounds.shape == (2,):
-        return np.tile(bounds, (f.n_elements, 1))
-    return f.elements(np.broadcast_to(bounds, (*f.index.shape, 2)))
 
 
 def as_shape(name: str, value: Any, shape) -> np.ndarray:
@@ -513,6 +692,12 @@ def as_shape(name: str, value: Any, shape) -> np.ndarray:
             f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that "
             f"broadcasts to it."
         ) from None
+
+
+def frozen(array: Array) -> Array:
+    """Return an array of derived values, read-only from now on."""
+    array.setflags(write=False)
+    return array
 
 
 def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]) -> dict[str, Any]:
@@ -532,6 +717,12 @@ def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]
     return dict(defaults) | {k: v for k, v in (given or {}).items() if v is not None}
 
 
+def given_bounds(kernel: MultiOutputKernel, names: Iterable[str]) -> dict[str, Any]:
+    """Return the bounds that were given to a kernel, by the name of the parameter, one of ``names``."""
+    given = complete_bounds(kernel.get_params(deep=False)["parameter_bounds"], dict.fromkeys(names))
+    return {name: bounds for name, bounds in given.items() if bounds is not None}
+
+
 def _equal(mine, theirs):
     """Return whether two parameters are equal: numbers, arrays, kernels or mappings of these."""
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
@@ -539,10 +730,99 @@ def _equal(mine, theirs):
     return np.array_equal(mine, theirs)
 
 
-def _without_arrays(params):
-    """Return the parameters, and entries of mappings among them, that have one value."""
-    short = {k: _without_arrays(v) if isinstance(v, Mapping) else v for k, v in params.items()}
-    return {k: v for k, v in short.items() if np.ndim(v) == 0 and v not in (None, {})}
+class FrozenBounds(Mapping):
+    """Bounds by the name of the parameter that cannot be set, with copies of the arrays."""
+
+    def __init__(self, bounds: Mapping[str, Any]) -> None:
+        self._bounds = {
+            name: pairs if isinstance(pairs, str) else frozen(np.array(pairs, dtype=float))
+            for name, pairs in bounds.items()
+        }
+
+    def __getitem__(self, name: str) -> Any:
+        return self._bounds[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._bounds)
+
+    def __len__(self) -> int:
+        return len(self._bounds)
+
+    def __repr__(self) -> str:
+        return _as_text(self)
+
+    def __reduce__(self):
+        return FrozenBounds, (self._bounds,)  # the arrays of a copy are read-only, too
+
+
+def _is_mutable(value):
+    """Return whether entries of a parameter can be set."""
+    if isinstance(value, np.ndarray):
+        return value.flags.writeable or value.base is not None  # a view of an array that can be
+    return isinstance(value, (list, Mapping)) and not isinstance(value, FrozenBounds)
+
+
+def _snapshot(value):
+    """Return the entries of a parameter, which compare as equal as long as none of them is set."""
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    if isinstance(value, Mapping):
+        return {key: _snapshot(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_snapshot(entry) for entry in value]
+    return value
+
+
+def _as_text(value):
+    """Return a parameter as text in one line, with three digits; of long arrays the ends."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_as_text(entry)}' for key, entry in value.items())}}}"
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    if isinstance(value, (np.ndarray, list)):
+        options: Any = {
+            "separator": ", ",
+            "threshold": SHOWN_ENTRIES,
+            "edgeitems": 1,
+            "formatter": {"float_kind": lambda number: f"{number:.3g}"},
+        }
+        return " ".join(np.array2string(np.asarray(value), **options).split())
+    return repr(value)
+
+
+def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
+    """Return a parameter, or bounds, in the unit of the outputs multiplied by factors (P,); None and texts stay.
+
+    ``axis`` is the axis of the outputs, counted from the last one.
+    """
+    if value is None or isinstance(value, str):
+        return value
+    values = np.asarray(value, dtype=float)
+    if (factor == factor[0]).all():
+        return values * factor[0]
+    try:
+        return values * factor.reshape(-1, *(1,) * (-1 - axis))
+    except ValueError:
+        raise ValueError(
+            f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, one for each "
+            f"output, along axis {axis}."
+        ) from None
+
+
+def hyperparameter(name: str) -> property:
+    """Return scikit-learn's attribute ``hyperparameter_<name>`` of a kernel."""
+
+    def get(kernel):
+        (parameter,) = (f for f in kernel.free_parameters() if f.name == name)
+        return _as_hyperparameter(parameter)
+
+    return property(get, doc=f"Number of free elements and bounds of ``{name}``.")
+
+
+def _as_hyperparameter(f):
+    if f.fixed:
+        return Hyperparameter(f.name, "numeric", "fixed", 1)
+    return Hyperparameter(f.name, "numeric", f.pairs(), f.n_elements)
 
 
 def renumber(index: Indices, free):

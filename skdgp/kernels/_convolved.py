@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,10 +18,15 @@ from skdgp._compute.linalg import (
 from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
+    FrozenBounds,
     MultiOutputKernel,
     as_shape,
     complete_bounds,
+    frozen,
+    given_bounds,
+    hyperparameter,
     renumber,
+    rescaled_values,
 )
 from skdgp.kernels._gaussian_filters import FilterPair
 
@@ -85,8 +90,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         Whether latent m contributes to output i, for example one latent for the lateral outputs
         only. It replaces ``n_latent`` and ``private_latents``.
     amplitude : array (M, P) or None
-        Signed w, shared latents first, then private ones. The last axis defines P. None: from the
-        data.
+        Signed w, in the units of the outputs, shared latents first, then private ones. The last
+        axis defines P. None: from the data.
     length_scale : array (M, P, d) or None
         Positive, in the units of the regressors. The last axis defines d. None: from the data.
     shift : array (M, P, d) or float
@@ -167,12 +172,13 @@ class ConvolvedGaussian(MultiOutputKernel):
                 "Got length scales that differ along the outputs with covariance_type='tied', but "
                 "expected equal ones: use covariance_type='diag', or give equal length scales."
             )
-        return {
+        arrays = {
             "feeds": feeds,
             "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
             "length_scale": lengths,
             "shift": as_shape("shift", self.shift, (M, P, d)),
         }
+        return {name: frozen(array) for name, array in arrays.items()}
 
     def without_effect(self, d: int) -> Mask:
         """Return the mask (d,) of regressors that the outputs do not depend on."""
@@ -188,28 +194,21 @@ class ConvolvedGaussian(MultiOutputKernel):
 
     def _feed_matrix(self, P):
         """Return the matrix (M, P) that is one where a latent contributes to an output."""
-        if self.feeds is None:
-            feeds = np.concatenate(
-                [np.ones((self.n_latent, P)), np.eye(P)[: P * bool(self.private_latents)]]
-            )
-        else:
-            feeds = np.asarray(self.feeds, dtype=float)
-        if (
-            feeds.ndim != 2
-            or feeds.shape[1] != P
-            or not feeds.any(axis=1).all()
-            or not feeds.any(axis=0).all()
-        ):
-            raise ValueError(
-                f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one "
-                f"latent for every "
-                "output, and at least one output for every latent: raise n_latent, or set "
-                "private_latents=True."
-            )
-        return feeds
+        return feed_matrix(self.n_latent, self.private_latents, P, self.feeds)
+
+    hyperparameter_amplitude = hyperparameter("amplitude")
+    hyperparameter_length_scale = hyperparameter("length_scale")
+    hyperparameter_shift = hyperparameter("shift")
 
     def value(self, name: str) -> Array:
         return self._cached("arrays", self._arrays)[name]
+
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        return rescaled_amplitude(self, factor, PARAMETERS)
+
+    def bounds_from_data(self, name: str) -> bool:
+        given = given_bounds(self, PARAMETERS).get(name)
+        return given is None or (isinstance(given, str) and given == SPACING)
 
     @property
     def n_outputs(self) -> int:
@@ -259,7 +258,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         if given is not None and from_data:  # "spacing"
             smallest = bounds["length_scale"][..., 0]
             np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
-        params["parameter_bounds"] = self._bounds(bounds)
+        params["parameter_bounds"] = FrozenBounds(self._bounds(bounds))
         if singles:
             start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
             if given is None:
@@ -278,7 +277,9 @@ class ConvolvedGaussian(MultiOutputKernel):
                 params[name] = value
         params["length_scale"] = np.array(params["length_scale"])
         params["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
-        return ConvolvedGaussian(**params)
+        for name in ("amplitude", "length_scale"):
+            frozen(params[name])
+        return type(self)(**params)
 
     def _from_singles(self, w, lengths, singles):
         """Return starting values (M, P, ...) from separate fits of each output.
@@ -434,6 +435,46 @@ class ConvolvedGaussian(MultiOutputKernel):
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
+
+
+def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None) -> Matrix:
+    """Return the matrix (M, P) that is one where a latent contributes to an output, or ``feeds`` if given."""
+    if feeds is None:
+        private = np.eye(P)[: P * bool(private_latents)]
+        feeds = np.concatenate([np.ones((n_latent, P)), private])
+    else:
+        feeds = np.array(feeds, dtype=float)
+    if (
+        feeds.ndim != 2
+        or feeds.shape[1] != P
+        or not feeds.any(axis=1).all()
+        or not feeds.any(axis=0).all()
+    ):
+        raise ValueError(
+            f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one "
+            f"latent for every output, and at least one output for every latent: raise n_latent, "
+            "or set private_latents=True."
+        )
+    return feeds
+
+
+def rescaled_amplitude(
+    kernel: MultiOutputKernel, factor: Vector, names: Iterable[str]
+) -> MultiOutputKernel:
+    """Return a kernel whose amplitudes, and their bounds, are multiplied by factors of the outputs (P,).
+
+    ``names`` are the parameters that have bounds.
+    """
+    factor = np.asarray(factor, dtype=float)
+    amplitude = kernel.get_params(deep=False)["amplitude"]
+    bounds = given_bounds(kernel, names)
+    if "amplitude" in bounds:
+        given = bounds["amplitude"]
+        bounds["amplitude"] = rescaled_values("bounds of amplitude", given, factor, axis=-2)
+    return clone(kernel).set_params(
+        amplitude=rescaled_values("amplitude", amplitude, factor, axis=-1),
+        parameter_bounds=bounds or None,
+    )
 
 
 # -- starting values from the data

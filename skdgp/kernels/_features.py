@@ -18,8 +18,8 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from skdgp._compute.linalg import consecutive
-from skdgp._compute.typing import Array, Indices, Matrix, Seed
-from skdgp.kernels._base import MultiOutputKernel, Sum
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp.kernels._base import MultiOutputKernel, Rescaled, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import CovarianceColumns
 from skdgp.kernels._trend import LinearTrend
@@ -96,6 +96,25 @@ class SumPaths(PathBundle):
 
     def gradient(self, X):
         return self.first.gradient(X) + self.second.gradient(X)
+
+
+class RescaledPaths(PathBundle):
+    """Paths whose outputs are multiplied by factors (P,)."""
+
+    def __init__(self, paths: PathBundle, factor: Vector):
+        self.paths, self.factor = paths, factor
+
+    def take(self, index):
+        return RescaledPaths(self.paths.take(index), self.factor)
+
+    def doubles(self, same_points):
+        return self.paths.doubles(same_points)
+
+    def each(self, X):
+        return self.paths.each(X) * self.factor
+
+    def gradient(self, X):
+        return self.paths.gradient(X) * self.factor[:, None]
 
 
 class MixedPaths(PathBundle):
@@ -286,12 +305,28 @@ def prior_paths(
     PathBundle
     """
     raise NotImplementedError(
-        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths: register them "
-        "with skdgp.kernels.prior_paths."
+        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths. Use sample_y, or "
+        "register paths of this class with skdgp.kernels.prior_paths."
     )
 
 
+def has_prior_paths(kernel: MultiOutputKernel) -> bool:
+    """Return whether sample paths are registered for the class of every term of a kernel."""
+    missing = prior_paths.dispatch(object)
+    for term in kernel.summands():
+        original = term.kernel if isinstance(term, Rescaled) else term
+        if prior_paths.dispatch(type(original)) is missing:
+            return False
+    return True
+
+
 prior_paths.register(ConvolvedGaussian, draw_waves)
+
+
+@prior_paths.register
+def _(kernel: Rescaled, n_paths, n_frequencies, random_state):
+    paths = prior_paths(kernel.kernel, n_paths, n_frequencies, random_state)
+    return RescaledPaths(paths, np.asarray(kernel.factor))
 
 
 @prior_paths.register
@@ -528,6 +563,34 @@ class SumFeatures(Features):
         return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
 
+class RescaledFeatures(Features):
+    """The features of a kernel whose outputs are multiplied by factors."""
+
+    def __init__(self, kernel: Rescaled, features: Features):
+        self.kernel, self.features = kernel, features
+        self.size = features.size
+
+    def rebuild(self, kernel):
+        return RescaledFeatures(kernel, self.features.rebuild(kernel.kernel))
+
+    def columns(self, i):
+        return self.features.columns(i)
+
+    def Kuu(self):
+        return self.features.Kuu()
+
+    def Kfu(self, i, X):
+        return self.kernel.factor[i] * self.features.Kfu(i, X)
+
+    def Kfu_derivative(self, i, X):
+        features: Any = self.features
+        return self.kernel.factor[i] * features.Kfu_derivative(i, X)
+
+    def prior_paths(self, n_paths, n_frequencies, random_state):
+        paths, u = self.features.prior_paths(n_paths, n_frequencies, random_state)
+        return RescaledPaths(paths, np.asarray(self.kernel.factor)), u
+
+
 # -- features of a kernel
 # -----------------------------------------------------------------------------------------------
 
@@ -555,6 +618,11 @@ def _(kernel: ConvolvedGaussian, Z):
 @inducing_features.register
 def _(kernel: LinearTrend, Z):
     return TrendFeatures(kernel)
+
+
+@inducing_features.register
+def _(kernel: Rescaled, Z):
+    return RescaledFeatures(kernel, inducing_features(kernel.kernel, Z))
 
 
 @inducing_features.register

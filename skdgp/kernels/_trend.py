@@ -11,7 +11,17 @@ from sklearn.linear_model import BayesianRidge
 
 from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, as_shape, complete_bounds
+from skdgp.kernels._base import (
+    FreeParameter,
+    FrozenBounds,
+    MultiOutputKernel,
+    as_shape,
+    complete_bounds,
+    frozen,
+    given_bounds,
+    hyperparameter,
+    rescaled_values,
+)
 
 # Prior standard deviation of the intercept, in standard deviations of the output. It is not
 # learned: outputs are centred by their own mean, where the likelihood is largest at zero, and a
@@ -20,6 +30,8 @@ INTERCEPT_SCALE = 3.0
 # Bounds on ``slope_scale``, in standard deviations of the output for one of the regressor. A
 # smaller lower bound makes slopes that are not significant too certain (benchmark ``coverage``).
 SLOPE_BOUNDS = 0.3, 1e2
+
+OUTPUT_AXES = {"intercept_scale": -1, "slope_scale": -2}  # axis of the outputs of each parameter
 
 
 class LinearTrend(MultiOutputKernel):
@@ -83,6 +95,24 @@ class LinearTrend(MultiOutputKernel):
     def n_processes(self) -> int:
         return 0
 
+    hyperparameter_intercept_scale = hyperparameter("intercept_scale")
+    hyperparameter_slope_scale = hyperparameter("slope_scale")
+
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        factor = np.asarray(factor, dtype=float)
+        values = {
+            name: rescaled_values(name, getattr(self, name), factor, axis)
+            for name, axis in OUTPUT_AXES.items()
+        }
+        bounds = given_bounds(self, OUTPUT_AXES)
+        for name in OUTPUT_AXES.keys() & bounds.keys():
+            axis = OUTPUT_AXES[name] - 1  # the last axis of bounds is the pair
+            bounds[name] = rescaled_values(f"bounds of {name}", bounds[name], factor, axis)
+        return clone(self).set_params(**values, parameter_bounds=bounds or None)
+
+    def bounds_from_data(self, name: str) -> bool:
+        return name not in given_bounds(self, OUTPUT_AXES)
+
     def value(self, name: str) -> Array:
         return self._cached("arrays", self._arrays)[name]
 
@@ -93,10 +123,11 @@ class LinearTrend(MultiOutputKernel):
                 f"or let "
                 "DependentGPRegressor.fit estimate them from the data."
             )
-        slope = np.atleast_2d(np.asarray(self.slope_scale, dtype=float))
+        slope = np.atleast_2d(np.array(self.slope_scale, dtype=float))
         intercept = as_shape("intercept_scale", np.ravel(self.intercept_scale), (len(slope),))
-        center = np.zeros(1) if self.center is None else np.asarray(self.center, dtype=float)
-        return {"slope_scale": slope, "intercept_scale": intercept, "center": center}
+        center = np.zeros(1) if self.center is None else np.array(self.center, dtype=float)
+        arrays = {"slope_scale": slope, "intercept_scale": intercept, "center": center}
+        return {name: frozen(array) for name, array in arrays.items()}
 
     def has_values(self) -> bool:
         return self.intercept_scale is not None and self.slope_scale is not None
@@ -132,8 +163,8 @@ class LinearTrend(MultiOutputKernel):
             bounds["slope_scale"] = "fixed"
         params = {name: start[name] if given[name] is None else given[name] for name in start}
         for name, shape in (("intercept_scale", (P,)), ("slope_scale", (P, d)), ("center", (d,))):
-            params[name] = as_shape(name, params[name], shape)
-        params["parameter_bounds"] = complete_bounds(self.parameter_bounds, bounds)
+            params[name] = frozen(as_shape(name, params[name], shape))
+        params["parameter_bounds"] = FrozenBounds(complete_bounds(self.parameter_bounds, bounds))
         return clone(self).set_params(**params)
 
     def basis(self, i: int, X: Matrix) -> Matrix:

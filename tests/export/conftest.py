@@ -72,7 +72,9 @@ def fitted(cut_short):
 
     @cache
     def get(kind):
-        options = {"n_latent": 1, "max_iter": 2, "random_state": 0} | KINDS[kind]
+        options = {"max_iter": 2, "random_state": 0} | KINDS[kind]
+        if "kernel" not in options:
+            options["n_latent"] = 1
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
             model = pipeline_of(DependentGPRegressor(**options)).fit(

@@ -7,11 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 from sklearn.base import clone
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
 
 import skdgp.kernels
 from skdgp._compute.linalg import RowPairs
 from skdgp.kernels import (
     ConvolvedGaussian,
+    Coregionalized,
     LinearTrend,
     MultiOutputKernel,
     Sum,
@@ -52,6 +54,13 @@ def trend(P=3, d=2, seed=1):
     )
 
 
+def coregionalized(kernel, seed=2, **parameters):
+    """One shared process and a private one of each of three outputs."""
+    rng = np.random.default_rng(seed)
+    amplitude = np.concatenate([rng.uniform(0.5, 2.0, (1, 3)) * [1, -1, 1], np.eye(3)])
+    return Coregionalized(kernel, amplitude=amplitude, **parameters)
+
+
 KERNELS = {
     **{
         f"{kind}, shifted": convolved(covariance_type=kind, shift=True) for kind in ("diag", "tied")
@@ -74,6 +83,13 @@ KERNELS = {
         }
     ),
     "trend": trend(),
+    "of scikit-learn": coregionalized(Matern([0.8, 1.7], nu=2.5)),
+    "product of scikit-learn, partly fixed": coregionalized(
+        ConstantKernel(2.0, "fixed") * RBF(0.9),
+        n_regressors=2,
+        parameter_bounds={"amplitude": "fixed"},
+    ),
+    "trend + sum of scikit-learn": trend() + coregionalized(RBF(0.9) + Matern([0.8, 1.7], nu=2.5)),
     "trend + dependent": trend() + convolved(1, private=False, covariance_type="tied", seed=5),
 }
 
@@ -87,7 +103,8 @@ FEW = (
         "of one regressor, named twice",
     ),
     *("additive", "bounds for each entry", "everything fixed", "trend + dependent"),
-)  # every class, kind of width and term once
+)  # every class, kind of width and term once, with sample paths
+ALSO = "of scikit-learn", "trend + sum of scikit-learn"  # without sample paths
 
 
 def n_features(kernel):
@@ -167,6 +184,29 @@ class TestContract:
                 got = kernel.block_gradient(i, j, Xi, Xj, W.copy())
                 equal(got, np.einsum("ab,abt->t", W, block), rtol=1e-8, atol=1e-9)
 
+    def test_gradient_is_the_derivative_of_the_matrix(self, kernel, name, gradient_by_differences):
+        X = inputs(kernel)
+        K, gradient = kernel(X, eval_gradient=True)
+        equal(K, kernel(X))
+        equal(gradient, gradient_by_differences(name), rtol=1e-8, atol=1e-9)
+        with pytest.raises(ValueError, match=r"eval_gradient=True with Y.*expected Y=None"):
+            kernel(X, X, eval_gradient=True)
+
+    def test_in_another_unit_it_is_the_covariance_of_the_outputs_in_that_unit(self, kernel):
+        factor = np.array([1e-3, 2.0, 50.0])[: kernel.n_outputs]
+        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        rows, columns = (np.repeat(factor, [len(x) for x in inputs]) for inputs in (X, Z))
+        other = kernel.rescaled(factor)
+        equal(other(X, Z), kernel(X, Z) * np.multiply.outer(rows, columns))
+        equal(other.diag(X), kernel.diag(X) * rows**2)
+        assert other.n_dims == kernel.n_dims
+        assert (other.bounds[:, 0] < other.theta).all()
+        assert (other.theta < other.bounds[:, 1]).all()
+        back = other.rescaled(1 / factor)
+        assert type(back) is type(kernel)
+        equal(back.theta, kernel.theta)
+        equal(back.bounds, kernel.bounds)
+
     def test_block_derivative_is_the_derivative_along_the_first_input(
         self, kernel, central_difference
     ):
@@ -245,7 +285,7 @@ class TestContract:
 class TestUse:
     """What is the same code for every formula."""
 
-    @pytest.fixture(params=FEW)
+    @pytest.fixture(params=[*FEW, *ALSO])
     def name(self, request):
         return request.param
 
@@ -311,6 +351,7 @@ class TestUse:
                     atol=1e-11,
                 )
 
+    @pytest.mark.parametrize("name", FEW)
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
         paths = prior_paths(kernel, 8000, 4, np.random.RandomState(12)).values(X[None])
@@ -323,6 +364,7 @@ class TestUse:
             < 5 * np.sqrt((variance + K**2) / len(paths))
         ).all()
 
+    @pytest.mark.parametrize("name", FEW)
     def test_slopes_of_paths_are_their_derivatives(self, kernel, central_difference):
         X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
         paths = prior_paths(kernel, 3, 8, np.random.RandomState(14))

@@ -38,11 +38,13 @@ def kernel_of_the_page():
 
 contract = module("contract_of_kernels", HERE / "test_contract.py")
 contract.KERNELS[NAME] = kernel_of_the_page()
+RESCALED = "four methods, in other units"
+contract.KERNELS[RESCALED] = contract.KERNELS[NAME].rescaled([0.01, 2.0, 30.0])
 gradient_by_differences = contract.gradient_by_differences  # a fixture
 
 
 class TestContractOfThePage(contract.TestContract):
-    @pytest.fixture(params=[NAME])
+    @pytest.fixture(params=[NAME, RESCALED])
     def name(self, request):
         return request.param
 
@@ -52,5 +54,6 @@ class TestContractOfThePage(contract.TestContract):
 
 
 def test_paths_that_a_kernel_lacks_are_said_to_be_missing():
-    with pytest.raises(NotImplementedError, match="prior_paths"):
-        prior_paths(contract.KERNELS[NAME], 1, 4, None)
+    for name in (NAME, RESCALED):
+        with pytest.raises(NotImplementedError, match=r"SharedMatern.*sample_y.*prior_paths"):
+            prior_paths(contract.KERNELS[name], 1, 4, None)

@@ -1,0 +1,317 @@
+"""Kernels of scikit-learn on several outputs: the intrinsic model of coregionalisation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from sklearn.base import clone
+from sklearn.gaussian_process.kernels import CompoundKernel, Kernel, WhiteKernel
+from sklearn.gaussian_process.kernels import Sum as SklearnSum
+
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp.kernels._base import (
+    FreeParameter,
+    FrozenBounds,
+    MultiOutputKernel,
+    Sum,
+    as_shape,
+    complete_bounds,
+    frozen,
+    given_bounds,
+    hyperparameter,
+    renumber,
+)
+from skdgp.kernels._convolved import (
+    DEFAULT_BOUNDS,
+    feed_matrix,
+    rescaled_amplitude,
+    starting_values,
+)
+
+PREFIX = "kernel__"  # of the parameters of scikit-learn's kernel, as in ``get_params``
+
+
+class Coregionalized(MultiOutputKernel):
+    r"""Covariance of outputs that are combinations of independent processes with a kernel of scikit-learn.
+
+    .. math:: K_{ij}(s, s') = B_{ij} \, k(s, s'), \quad B = W^T W
+
+    which is the intrinsic model of coregionalisation (Bonilla, Chai & Williams 2008). A sum of such
+    kernels is the linear model of coregionalisation.
+
+    Parameters
+    ----------
+    kernel : sklearn.gaussian_process.kernels.Kernel
+        The kernel k, with its values and bounds, without ``WhiteKernel``.
+    n_latent : int
+        Number of processes that all outputs share.
+    private_latents : bool
+        Whether each output also has a private process. A single output has one process in all.
+    amplitude : array (M, P) or None
+        Signed W, in the unit of the output, shared processes first, then private ones. None: from
+        the data.
+    n_regressors : int or None
+        Number of regressors. None: from the data, or of an anisotropic kernel.
+    parameter_bounds : mapping or None
+        Bounds by the name ``"amplitude"``: a pair, an array (..., 2), or "fixed". None: from the
+        data.
+
+    Examples
+    --------
+    >>> from sklearn.gaussian_process.kernels import Matern
+    >>> from skdgp.kernels import Coregionalized
+    >>> kernel = Coregionalized(Matern(nu=1.5), private_latents=False, amplitude=[[1.0, -2.0]])
+    >>> kernel([[0.0]])
+    array([[ 1., -2.],
+           [-2.,  4.]])
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        n_latent: int = 1,
+        *,
+        private_latents: bool = True,
+        amplitude: Any = None,
+        n_regressors: int | None = None,
+        parameter_bounds: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.kernel = kernel
+        self.n_latent = n_latent
+        self.private_latents = private_latents
+        self.amplitude = amplitude
+        self.n_regressors = n_regressors
+        self.parameter_bounds = parameter_bounds
+
+    hyperparameter_amplitude = hyperparameter("amplitude")
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the parameters by name, with ``deep`` also the parameters of ``kernel``."""
+        params = super().get_params(deep=False)
+        if deep:
+            inner = self.kernel.get_params(deep=True)
+            params |= {PREFIX + name: value for name, value in inner.items()}
+        return params
+
+    # -- shapes and values
+    # ---------------------------------------------------------------------------------
+
+    def _feed_matrix(self, P):
+        """Return the matrix (M, P) that is one where a process contributes to an output."""
+        if P == 1:  # several processes of one output would be one
+            return np.ones((1, 1))
+        return feed_matrix(self.n_latent, self.private_latents, P)
+
+    def _arrays(self):
+        """Return the amplitudes W, the matrix B, and where W can differ from zero."""
+        check_kernel(self.kernel)
+        if self.amplitude is None:
+            raise ValueError(
+                "Coregionalized has no values yet: give amplitude, or let "
+                "DependentGPRegressor.fit estimate it from the data."
+            )
+        w = np.array(self.amplitude, dtype=float)
+        feeds = self._feed_matrix(w.shape[-1] if w.ndim else 1)
+        w = as_shape("amplitude", w, feeds.shape) * feeds
+        return {"amplitude": frozen(w), "B": frozen(w.T @ w), "coupled": feeds.T @ feeds > 0}
+
+    def _array(self, name):
+        return self._cached("coregionalization", self._arrays)[name]
+
+    def value(self, name: str) -> Array:
+        if name.startswith(PREFIX):
+            inner = self.kernel.get_params(deep=True)[name.removeprefix(PREFIX)]
+            return np.atleast_1d(np.asarray(inner, dtype=float))
+        return self._array(name)
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of outputs P."""
+        return self._array("amplitude").shape[1]
+
+    @property
+    def n_features(self) -> int:
+        """Number of regressors d."""
+        d = self._known_features()
+        if d is None:
+            raise ValueError(
+                "Coregionalized has no number of regressors yet: give n_regressors, or let "
+                "DependentGPRegressor.fit set it."
+            )
+        return d
+
+    def _known_features(self):
+        """Return the number of regressors that was given, of an anisotropic kernel, or None."""
+        check_kernel(self.kernel)
+        if self.n_regressors is not None:
+            return self.n_regressors
+        n_scales = max((h.n_elements for h in self.kernel.hyperparameters), default=1)
+        return None if n_scales == 1 else n_scales
+
+    def split(self, X: Matrix) -> list[np.ndarray]:
+        if self._known_features() is None:  # an isotropic kernel takes any number
+            first = X[0] if isinstance(X, (list, tuple)) and np.ndim(X[0]) == 2 else X
+            d = np.shape(first)[-1]
+            return clone(self).set_params(n_regressors=d).split(X)
+        return super().split(X)
+
+    def has_values(self) -> bool:
+        return self.amplitude is not None
+
+    def initialize(
+        self,
+        X: Matrix,
+        Y: Matrix,
+        random_state: Seed,
+        singles: Sequence | None = None,
+        coarse: MultiOutputKernel | None = None,
+        width_factor: float = 1.0,
+    ) -> MultiOutputKernel:
+        d = X.shape[1]
+        if self._known_features() not in (None, d):
+            raise ValueError(
+                f"Got data of {d} regressors, but expected {self.n_features}, as many as the kernel "
+                f"{self.kernel!r} has."
+            )
+        feeds = self._feed_matrix(Y.shape[1])
+        values, bounds = starting_values(feeds, X, Y, random_state)
+        amplitude = values["amplitude"]
+        if self.amplitude is not None:
+            amplitude = as_shape("amplitude", self.amplitude, feeds.shape)
+        complete = complete_bounds(self.parameter_bounds, {"amplitude": bounds["amplitude"]})
+        return clone(self).set_params(
+            n_regressors=d,
+            amplitude=frozen(amplitude),
+            parameter_bounds=FrozenBounds(complete),
+        )
+
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        return rescaled_amplitude(self, factor, ["amplitude"])
+
+    def bounds_from_data(self, name: str) -> bool:
+        return name == "amplitude" and not given_bounds(self, ["amplitude"])
+
+    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
+        if regressors in self.term_regressors():
+            return self
+        return clone(self).set_params(amplitude=np.zeros_like(self.value("amplitude")))
+
+    # -- theta: amplitudes, then the theta of the kernel
+    # ----------------------------------------------------------------------
+
+    def free_parameters(self) -> list[FreeParameter]:
+        w = self.value("amplitude")
+        feeds = self._feed_matrix(w.shape[1]) > 0
+        index = renumber(np.arange(w.size).reshape(w.shape), feeds)
+        amplitude_bounds = {"amplitude": DEFAULT_BOUNDS["amplitude"]}
+        bounds = complete_bounds(self.parameter_bounds, amplitude_bounds)["amplitude"]
+        inner = [
+            FreeParameter(PREFIX + h.name, np.arange(h.n_elements), True, h.bounds)
+            for h in self.kernel.hyperparameters
+        ]
+        return [FreeParameter("amplitude", index, False, bounds), *inner]
+
+    @property
+    def theta(self):
+        """Free amplitudes, then the theta of ``kernel``, (n_theta,)."""
+        amplitude, *_ = self.free_parameters()
+        values = amplitude.elements(self.value("amplitude"))
+        return np.concatenate([values, self.kernel.theta])
+
+    @theta.setter
+    def theta(self, theta: Vector | None):
+        amplitude, *_ = self.free_parameters()
+        n = amplitude.n_elements
+        theta = np.asarray(theta, dtype=float)
+        expected = n + self.kernel.n_dims
+        if theta.shape != (expected,):
+            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
+        w = self.value("amplitude").copy()
+        if n:
+            free = amplitude.index >= 0
+            w[free] = theta[:n][amplitude.index[free]]
+        self.amplitude = frozen(w)
+        self.kernel = self.kernel.clone_with_theta(theta[n:])
+
+    # -- the equation
+    # --------------------------------------------------------------------------------------
+
+    def couples(self, i: int, j: int) -> bool:
+        return bool(self._array("coupled")[i, j])
+
+    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
+        return self._array("B")[i, j] * self.kernel(Xi, Xj)
+
+    def block_diag(self, i: int, Xi: Matrix) -> Vector:
+        return self._array("B")[i, i] * self.kernel.diag(Xi)
+
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
+        w = self.value("amplitude")
+        k, slopes = self._inner_gradient(Xi, Xj)
+        by_B = np.sum(W * k)
+        by_amplitude = np.zeros_like(w)
+        by_amplitude[:, i] += w[:, j] * by_B
+        by_amplitude[:, j] += w[:, i] * by_B
+        by_theta = self._array("B")[i, j] * np.einsum("ab,abt->t", W, slopes)
+        gradients = {"amplitude": by_amplitude}
+        start = 0
+        for h in self.kernel.hyperparameters:
+            if not h.fixed:
+                gradients[PREFIX + h.name] = by_theta[start : start + h.n_elements]
+                start += h.n_elements
+        return self.theta_gradient(gradients)
+
+    def _inner_gradient(self, Xi, Xj):
+        """Return k(Xi, Xj) and its derivatives by theta, which scikit-learn has for equal inputs alone."""
+        if Xi is Xj:
+            return self.kernel(Xi, eval_gradient=True)
+        k, slopes = self.kernel(np.vstack([Xi, Xj]), eval_gradient=True)
+        n = len(Xi)
+        return k[:n, n:], slopes[:n, n:]
+
+    def is_stationary(self) -> bool:
+        """Return whether the covariance depends only on x - x'."""
+        return self.kernel.is_stationary()
+
+
+def as_multi_output(kernel: Kernel) -> MultiOutputKernel:
+    """Return a kernel of scikit-learn, or a sum of such and of multi-output kernels, as a multi-output kernel.
+
+    Raises TypeError for products and powers of multi-output kernels, and for white noise.
+    """
+    if isinstance(kernel, MultiOutputKernel):
+        return kernel
+    if any(isinstance(part, MultiOutputKernel) for part in _parts(kernel)):
+        if isinstance(kernel, SklearnSum):
+            return Sum(as_multi_output(kernel.k1), as_multi_output(kernel.k2))
+        raise TypeError(
+            f"Got {kernel!r}, a product or power of a multi-output kernel, but such kernels can "
+            "only be added. Multiply scikit-learn's kernels inside Coregionalized."
+        )
+    check_kernel(kernel)
+    return Coregionalized(kernel)
+
+
+def check_kernel(kernel: Any) -> None:
+    """Raise TypeError unless this is a kernel of scikit-learn for one output, without white noise."""
+    if not isinstance(kernel, Kernel) or isinstance(kernel, (MultiOutputKernel, CompoundKernel)):
+        raise TypeError(
+            f"Got the kernel {kernel!r}, but expected a kernel of scikit-learn for one output, "
+            "such as RBF()."
+        )
+    if any(isinstance(part, WhiteKernel) for part in _parts(kernel)):
+        raise TypeError(
+            f"Got {kernel!r} as the kernel of several outputs, but expected one without "
+            "WhiteKernel. Leave out measurement noise: DependentGPRegressor learns it for each "
+            "output (noise_variance_)."
+        )
+
+
+def _parts(kernel: Kernel) -> Iterator[Kernel]:
+    """Yield a kernel and the kernels that it is made of."""
+    yield kernel
+    for value in kernel.get_params(deep=False).values():
+        if isinstance(value, Kernel):
+            yield from _parts(value)

@@ -1,0 +1,220 @@
+"""Contracts of scikit-learn's kernels, beside the mathematics of test_contract.py."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import (
+    RBF,
+    CompoundKernel,
+    ConstantKernel,
+    Matern,
+    WhiteKernel,
+)
+from sklearn.metrics.pairwise import pairwise_kernels
+
+from skdgp.kernels import (
+    ConvolvedGaussian,
+    Coregionalized,
+    LinearTrend,
+    as_multi_output,
+    has_prior_paths,
+)
+
+X = np.random.default_rng(0).normal(size=(5, 2))
+
+
+def convolved(**parameters):
+    values = {"amplitude": np.array([[1.0, 2.0]]), "length_scale": np.ones((1, 2, 2))}
+    return ConvolvedGaussian(1, private_latents=False, **(values | parameters))
+
+
+KERNELS = {
+    "convolved": convolved(),
+    "trend": LinearTrend(np.ones(2), np.ones((2, 2)), np.zeros(2)),
+    "of scikit-learn": Coregionalized(
+        Matern([1.0, 2.0]), private_latents=False, amplitude=np.array([[1.0, 2.0]])
+    ),
+    "sum": convolved() + LinearTrend(np.ones(2), np.ones((2, 2)), np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
+class TestEveryKernel:
+    def test_attributes_say_what_is_free(self, kernel):
+        for term in kernel.summands():
+            named = {name for name in dir(term) if name.startswith("hyperparameter_")}
+            free = {h.name for h in term.hyperparameters}
+            assert named >= {f"hyperparameter_{name}" for name in free if "__" not in name}
+            for name in named:
+                attribute = getattr(term, name)
+                assert f"hyperparameter_{attribute.name}" == name
+                assert attribute == getattr(clone(term), name)
+
+    def test_is_a_pairwise_kernel(self, kernel):
+        np.testing.assert_allclose(pairwise_kernels(X, metric=kernel), kernel(X))
+        np.testing.assert_allclose(pairwise_kernels(X, X[:3], metric=kernel), kernel(X, X[:3]))
+
+    def test_entries_that_are_set_count(self, kernel):
+        """After a call, too: nothing derived is remembered longer than its parameters."""
+        kernel = clone(kernel)
+        before = kernel(X), kernel.theta
+        for term in kernel.summands():
+            array = term.slope_scale if isinstance(term, LinearTrend) else term.amplitude
+            array[0, 0] = 9.0
+        fresh = clone(kernel)  # which remembers nothing
+        np.testing.assert_array_equal(kernel(X), fresh(X))
+        np.testing.assert_array_equal(kernel.theta, fresh.theta)
+        assert not np.allclose(kernel(X), before[0])
+        assert not np.allclose(kernel.theta, before[1])
+
+    def test_products_and_powers_are_refused(self, kernel):
+        for combine in (lambda k: 2 * k, lambda k: k * 2, lambda k: k * RBF(), lambda k: k**2):
+            with pytest.raises(TypeError, match=r"can be added, not multiplied.*Coregionalized"):
+                combine(kernel)
+
+
+class TestEntries:
+    def test_of_lists_and_of_bounds_count_too(self):
+        kernel = convolved(amplitude=[[1.0, 2.0]], parameter_bounds={"shift": [-1.0, 1.0]})
+        assert kernel(X)[0, 0] == pytest.approx(1.0)
+        n = kernel.n_dims
+        kernel.amplitude[0][0] = 3.0
+        assert kernel(X)[0, 0] == pytest.approx(9.0)
+        kernel.parameter_bounds["shift"][1] = 2.0
+        assert kernel.hyperparameter_shift.bounds.max() == pytest.approx(2.0)
+        kernel.parameter_bounds["amplitude"] = "fixed"
+        assert kernel.n_dims == n - 2
+
+    def test_of_an_array_of_the_caller_stay_writable(self):
+        given = np.array([[1.0, 2.0]])
+        kernel = convolved(amplitude=given)
+        kernel.initialize(X, X, 0)
+        kernel.theta = 1.1 * kernel.theta
+        assert kernel(X).shape == (10, 10)
+        given[0, 0] = 5.0
+        np.testing.assert_array_equal(given, [[5.0, 2.0]])
+
+    def test_of_estimated_bounds_cannot_be_set(self):
+        kernel = LinearTrend().initialize(X, X, 0)
+        for copied in (
+            kernel,
+            clone(kernel),
+            copy.deepcopy(kernel),
+            pickle.loads(pickle.dumps(kernel)),
+        ):
+            bounds = copied.parameter_bounds["slope_scale"]
+            with pytest.raises(ValueError, match="read-only"):
+                bounds[0] = 1.0
+            assert copied == kernel
+
+
+class TestText:
+    @pytest.mark.parametrize(
+        ("kernel", "expected"),
+        [
+            (ConvolvedGaussian(1), "ConvolvedGaussian()"),
+            (
+                ConvolvedGaussian(0, amplitude=[[50.0]], length_scale=np.array([[[1 / 3]]])),
+                "ConvolvedGaussian(n_latent=0, amplitude=[[50]], length_scale=[[[0.333]]])",
+            ),
+            (
+                LinearTrend([1e-4], [[2.0, 3e5]], parameter_bounds={"slope_scale": (1.0, 1e6)}),
+                "LinearTrend(intercept_scale=[0.0001], slope_scale=[[2, 3e+05]], "
+                "parameter_bounds={'slope_scale': (1.0, 1000000.0)})",
+            ),
+            (
+                Coregionalized(RBF(2.0)) + LinearTrend(),
+                "Coregionalized(kernel=RBF(length_scale=2)) + LinearTrend()",
+            ),
+        ],
+    )
+    def test_shows_what_is_not_the_default(self, kernel, expected):
+        assert repr(kernel) == expected
+
+    def test_is_one_short_line(self):
+        kernel = ConvolvedGaussian(6).initialize(X, np.tile(X, 3), 0)
+        assert "\n" not in repr(kernel)
+        assert len(repr(kernel)) < 300
+
+
+class TestCoregionalized:
+    @pytest.mark.parametrize(
+        "inner", [RBF([0.8, 1.5]), ConstantKernel(2.0) * Matern(0.7), RBF(0.6)]
+    )
+    def test_is_the_kronecker_product(self, inner):
+        W = np.random.default_rng(1).normal(size=(2, 3))
+        kernel = Coregionalized(inner, 2, private_latents=False, amplitude=W)
+        np.testing.assert_allclose(kernel(X), np.kron(W.T @ W, inner(X)), rtol=1e-12)
+        np.testing.assert_allclose(kernel(X, X[:2]), np.kron(W.T @ W, inner(X, X[:2])), rtol=1e-12)
+
+    def test_of_an_rbf_is_the_tied_convolved_kernel(self):
+        W = np.random.default_rng(1).normal(size=(1, 3))
+        tied = ConvolvedGaussian(
+            1,
+            private_latents=False,
+            covariance_type="tied",
+            amplitude=W,
+            length_scale=np.broadcast_to([0.8, 1.5], (1, 3, 2)),
+        )
+        same = Coregionalized(RBF([0.8, 1.5]), private_latents=False, amplitude=W)
+        np.testing.assert_allclose(same(X), tied(X), rtol=1e-12)
+
+    def test_private_processes_couple_nothing(self):
+        alone = Coregionalized(RBF(), 0, amplitude=np.diag([1.0, 2.0]))
+        assert not alone.couples(0, 1)
+        assert alone.n_dims == 3
+        assert Coregionalized(RBF(), amplitude=[[2.0]]).n_dims == 2  # one process of one output
+
+    def test_takes_amplitudes_and_the_number_of_regressors_from_the_data(self):
+        Y = np.random.default_rng(2).normal(size=(5, 3)) * [1.0, 10.0, 1e-3]
+        kernel = Coregionalized(RBF()).initialize(X, Y, 0)
+        assert (kernel.n_outputs, kernel.n_features) == (3, 2)
+        variance = kernel.diag(X[:1]) / Y.var(axis=0)
+        assert ((variance > 0.5) & (variance < 5)).all()
+        with pytest.raises(ValueError, match="no values yet: give amplitude"):
+            Coregionalized(RBF())(X)
+        with pytest.raises(ValueError, match="no number of regressors yet: give n_regressors"):
+            _ = Coregionalized(RBF(), amplitude=[[1.0]]).n_features
+        with pytest.raises(ValueError, match=r"2 regressors, but expected 3"):
+            Coregionalized(RBF([1.0, 2.0, 3.0])).initialize(X, Y, 0)
+
+    @pytest.mark.parametrize(
+        "inner", [RBF() + WhiteKernel(), CompoundKernel([RBF()]), 1.0, convolved()]
+    )
+    def test_refuses_what_is_no_kernel_of_one_function(self, inner):
+        with pytest.raises(TypeError, match="but expected"):
+            Coregionalized(inner, amplitude=[[1.0]])(X)
+
+    def test_inner_parameters_have_names(self):
+        kernel = Coregionalized(RBF(2.0), amplitude=[[1.0]])
+        assert kernel.get_params()["kernel__length_scale"] == 2.0
+        kernel(X)
+        kernel.set_params(kernel__length_scale=0.5)
+        np.testing.assert_allclose(kernel(X), RBF(0.5)(X))
+
+
+def test_sums_with_kernels_of_scikit_learn():
+    kernel = convolved()
+    expected = kernel + Coregionalized(RBF())
+    assert kernel + RBF() == expected
+    assert as_multi_output(RBF() + kernel) == Coregionalized(RBF()) + kernel
+    assert as_multi_output(kernel) is kernel
+    assert has_prior_paths(kernel)
+    assert not has_prior_paths(expected)
+
+
+def test_one_output_fits_scikit_learns_regressor():
+    y = np.sin(2 * X[:, 0])
+    one = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[1.0, 1.0]]])
+    one.parameter_bounds = {"length_scale": "fixed"}
+    mine = GaussianProcessRegressor(one, alpha=0.1).fit(X, y)
+    theirs = GaussianProcessRegressor(ConstantKernel() * RBF([1.0, 1.0], "fixed"), alpha=0.1).fit(
+        X, y
+    )
+    assert mine.kernel_.amplitude.item() ** 2 == pytest.approx(
+        theirs.kernel_.k1.constant_value, rel=1e-3
+    )

@@ -1,0 +1,389 @@
+"""DependentGPRegressor with a given kernel: units, terms, kernels of scikit-learn and of four methods."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+from sklearn.base import clone
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
+
+from skdgp import DependentGPRegressor
+from skdgp.kernels import (
+    ConvolvedGaussian,
+    Coregionalized,
+    FreeParameter,
+    LinearTrend,
+    MultiOutputKernel,
+    prior_paths,
+)
+
+FAR = [[1e4]]  # where a posterior is the prior
+FIXED = {"amplitude": "fixed", "length_scale": "fixed"}
+
+
+class FourMethods(MultiOutputKernel):
+    """One process exp(-r^2 / 2) times an amplitude for each output."""
+
+    def __init__(self, amplitude, length_scale, amplitude_bounds=(-1e4, 1e4)):
+        self.amplitude = amplitude
+        self.length_scale = length_scale
+        self.amplitude_bounds = amplitude_bounds
+
+    @property
+    def n_outputs(self):
+        return len(self.amplitude)
+
+    @property
+    def n_features(self):
+        return 1
+
+    def free_parameters(self):
+        index = np.arange(self.n_outputs)
+        return [
+            FreeParameter("amplitude", index, False, self.amplitude_bounds),
+            FreeParameter("length_scale", np.arange(1), True, (1e-2, 1e2)),
+        ]
+
+    def shape(self, Xi, Xj):
+        square = cdist(Xi, Xj, "sqeuclidean") / self.length_scale[0] ** 2
+        return np.exp(-0.5 * square), square
+
+    def block(self, i, j, Xi, Xj):
+        return self.amplitude[i] * self.amplitude[j] * self.shape(Xi, Xj)[0]
+
+    def block_diag(self, i, Xi):
+        return np.full(len(Xi), self.amplitude[i] ** 2)
+
+    def block_gradient(self, i, j, Xi, Xj, W):
+        k, square = self.shape(Xi, Xj)
+        by_amplitude = np.zeros(self.n_outputs)
+        by_amplitude[i] += self.amplitude[j] * np.sum(W * k)
+        by_amplitude[j] += self.amplitude[i] * np.sum(W * k)
+        by_length = self.amplitude[i] * self.amplitude[j] * np.sum(W * k * square)
+        return self.theta_gradient(
+            {"amplitude": by_amplitude, "length_scale": np.array([by_length])}
+        )
+
+
+def waves(seed=0, n=40):
+    """Two outputs of opposite sign of one regressor, in the units of a force and of a coefficient."""
+    rng = np.random.default_rng(seed)
+    X = np.linspace(0, 10, n)[:, None]
+    Y = np.column_stack([50 * np.sin(X[:, 0]), -2e-3 * np.sin(X[:, 0])])
+    return X, Y + rng.normal(size=Y.shape) * [2.0, 1e-4]
+
+
+def quick(kernel, **more):
+    return DependentGPRegressor(kernel, **({"structure": "joint", "random_state": 0} | more))
+
+
+class TestUnits:
+    """Values and bounds of a given kernel, and kernel_, are in the units of the outputs."""
+
+    @pytest.mark.parametrize("trend", [None, "constant"])
+    @pytest.mark.parametrize(
+        "kernel",
+        [
+            ConvolvedGaussian(
+                1,
+                private_latents=False,
+                amplitude=[[50.0, -2e-3]],
+                length_scale=1.0 + np.zeros((1, 2, 1)),
+                parameter_bounds=FIXED,
+            ),
+            Coregionalized(
+                RBF(1.0, "fixed"),
+                private_latents=False,
+                amplitude=[[50.0, -2e-3]],
+                parameter_bounds={"amplitude": "fixed"},
+            ),
+            FourMethods([50.0, -2e-3], [1.0], amplitude_bounds="fixed"),
+        ],
+        ids=lambda kernel: type(kernel).__name__,
+    )
+    def test_far_from_the_samples_the_deviation_is_the_amplitude(self, kernel, trend):
+        model = quick(kernel, trend=trend).fit(*waves())
+        _, std = model.predict(FAR, return_std=True)
+        np.testing.assert_allclose(std, [[50.0, 2e-3]])
+        np.testing.assert_allclose(model.kernel_.diag(FAR), np.square([50.0, 2e-3]))
+
+    def test_a_trend_has_the_scales_that_were_given(self):
+        X, Y = waves()
+        fixed = {"intercept_scale": "fixed", "slope_scale": "fixed"}
+        kernel = LinearTrend([30.0, 1e-3], [[3.0], [2e-4]], [5.0], parameter_bounds=fixed)
+        model = DependentGPRegressor(kernel, structure="joint", trend=None).fit(X, Y)
+        at = np.array([[5.0], [7.0]])
+        expected = np.square([30.0, 30.0, 1e-3, 1e-3]) + np.square([0, 6.0, 0, 4e-4])
+        np.testing.assert_allclose(model.kernel_.diag(at), expected)
+        # Bayesian linear regression, typed from the textbook
+        Phi, tau = np.column_stack([np.ones(len(X)), X - 5.0]), np.array([30.0, 3.0])
+        A = np.diag(tau**-2) + Phi.T @ Phi / model.noise_variance_[0]
+        weights = np.linalg.solve(A, Phi.T @ Y[:, 0] / model.noise_variance_[0])
+        np.testing.assert_allclose(model.predict(at)[:, 0], weights @ [[1, 1], [0, 2]], rtol=1e-6)
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    @pytest.mark.parametrize(
+        "kernel",
+        [
+            ConvolvedGaussian(
+                1,
+                private_latents=False,
+                amplitude=[[30.0, -3e-3]],
+                length_scale=1.5 + np.zeros((1, 2, 1)),
+                parameter_bounds={"amplitude": np.array([[-100.0, 100.0], [-0.01, 0.01]])},
+            ),
+            LinearTrend(parameter_bounds={"slope_scale": (1e-6, 1e3)}) + ConvolvedGaussian(1),
+            Coregionalized(Matern(), amplitude=[[30.0, -3e-3], [1.0, 0.0], [0.0, 1e-4]]),
+            FourMethods([30.0, -3e-3], [1.5]),
+        ],
+        ids=lambda kernel: type(kernel).__name__,
+    )
+    def test_the_unit_of_the_outputs_decides_nothing(self, kernel, inference):
+        X, Y = waves()
+        gain = 2.0 ** np.array([-20, 15])
+        options = {"inference": inference, "n_inducing": 40, "max_iter": 8, "trend": "constant"}
+        here = quick(kernel, **options).fit(X, Y)
+        there = quick(kernel.rescaled(gain), **options).fit(X, gain * Y)
+        for mine, other in zip(here.predict(X, True), there.predict(X, True), strict=True):
+            np.testing.assert_allclose(
+                other / gain / Y.std(axis=0), mine / Y.std(axis=0), rtol=1e-6
+            )
+        rows = np.repeat(gain, len(X))
+        np.testing.assert_allclose(
+            there.kernel_(X), here.kernel_(X) * np.multiply.outer(rows, rows), rtol=1e-6
+        )
+
+    def test_a_kernel_of_four_methods_comes_back_with_its_learned_values(self):
+        X, Y = waves()
+        given = FourMethods([30.0, -3e-3], [1.5])
+        model = quick(given, trend="constant", max_iter=40).fit(X, Y)
+        assert type(model.kernel_) is FourMethods
+        assert model.kernel_.amplitude[0] / model.kernel_.amplitude[1] == pytest.approx(
+            -25e3, rel=0.05
+        )
+        assert (given.amplitude, given.length_scale) == ([30.0, -3e-3], [1.5])
+        with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*FourMethods"):
+            quick(given).fit(X, Y[:, 0])
+
+    def test_the_size_of_the_start_decides_little(self):
+        X, Y = waves()
+        ends = []
+        for start in (1.0, 0.01, 10.0):
+            kernel = FourMethods([30.0 * start, -3e-3 * start], [1.5])
+            model = quick(kernel, trend="constant", max_iter=100).fit(X, Y)
+            ends.append(model.log_marginal_likelihood_value_)
+        np.testing.assert_allclose(ends, ends[0], atol=0.1)
+
+    @pytest.mark.parametrize("factor", [[1.0, 2.0], [1.0, 2.0, 3.0, 4.0]])
+    def test_factors_are_one_for_each_output(self, factor):
+        kernel = ConvolvedGaussian(0, amplitude=np.eye(3), length_scale=1.0)
+        with pytest.raises(
+            ValueError, match=rf"amplitude of shape \(3, 3\).*{len(factor)} entries"
+        ):
+            kernel.rescaled(factor)
+
+
+class TestBounds:
+    def test_of_the_amplitude_are_in_the_unit_of_the_output_and_told(self):
+        X, Y = waves()
+        kernel = ConvolvedGaussian(
+            1, private_latents=False, parameter_bounds={"amplitude": (-20.0, 20.0)}
+        )
+        told = r"of the kernel: amplitude\[0, 0\] = -?20 \((lower|upper) bound -?20\)\. Widen"
+        with pytest.warns(ConvergenceWarning, match=told):
+            model = quick(kernel, trend="constant").fit(X, Y[:, 0])
+        assert np.abs(model.kernel_.amplitude) == pytest.approx(20.0)
+
+    @pytest.mark.parametrize(
+        ("kernel", "told"),
+        [
+            (
+                LinearTrend(parameter_bounds={"slope_scale": (0.01, 0.02)}),
+                r"slope_scale\[0, 0\] = 0.02 \(upper bound 0.02\)",
+            ),
+            (
+                Coregionalized(RBF(0.3, (0.1, 0.5))),
+                r"kernel__length_scale\[0\] = 0.5 \(upper bound 0.5\)",
+            ),
+            (
+                FourMethods([10.0], [1.0], (-20.0, 20.0)),
+                r"amplitude\[0\] = 20 \(upper bound 20\)",
+            ),
+        ],
+    )
+    def test_of_every_hyperparameter_are_told(self, kernel, told):
+        X, Y = waves()
+        with pytest.warns(ConvergenceWarning, match=told) as caught:
+            quick(kernel, trend="constant").fit(X, Y[:, 0] + X[:, 0])
+        caught = [warning for warning in caught if warning.category is ConvergenceWarning]
+        assert len(caught) == 1
+        assert caught[0].filename == __file__
+
+    def test_from_the_data_are_not_told_nor_those_where_a_refit_starts(self):
+        X, Y = waves()
+        level = np.column_stack([Y[:, 0], 0.3 * X[:, 0]])  # a line needs no width
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            model = quick(ConvolvedGaussian(1), trend="constant").fit(X, level)
+            quick(model.kernel_, trend="constant").fit(X, level)
+
+    @pytest.mark.parametrize(
+        "kind", [ConvolvedGaussian, LinearTrend, lambda **b: Coregionalized(RBF(), **b)]
+    )
+    def test_by_no_name_or_a_wrong_one_are_refused(self, kind):
+        X, Y = waves()
+        with pytest.raises(TypeError, match=r"parameter_bounds=\(0.1, 1.0\).*by the name"):
+            quick(kind(parameter_bounds=(0.1, 1.0))).fit(X, Y)
+        with pytest.raises(ValueError, match=r"'width' in parameter_bounds: did you mean"):
+            quick(kind(parameter_bounds={"width": (0.1, 1.0)})).fit(X, Y)
+
+
+class TestTerms:
+    @pytest.mark.parametrize("structure", ["average", "joint", "additive"])
+    @pytest.mark.parametrize("log", [False, True])
+    def test_a_refit_with_the_fitted_kernel_reproduces_the_model(self, structure, log):
+        X, Y = waves()
+        time = {"time": 0.1 * np.arange(len(X))} if log else {}
+        model = DependentGPRegressor(structure=structure, random_state=0).fit(X, Y, **time)
+        again = "joint" if structure == "additive" else structure
+        refit = DependentGPRegressor(model.kernel_, structure=again, random_state=0)
+        refit.fit(X, Y, **time)
+        assert len(refit.kernel_.summands()) == len(model.kernel_.summands())
+        assert sum(isinstance(k, LinearTrend) for k in refit.kernel_.summands()) == 1
+        gain = refit.log_marginal_likelihood_value_ - model.log_marginal_likelihood_value_
+        assert gain > -0.1
+        _, std = model.predict(X, return_std=True)
+        assert (np.abs(refit.predict(X) - model.predict(X)) < 0.5 * std).all()
+
+    def test_a_kernel_with_a_trend_is_averaged_with_the_trend(self):
+        X, Y = waves()
+        for kernel in (ConvolvedGaussian(1), LinearTrend() + ConvolvedGaussian(1)):
+            model = DependentGPRegressor(kernel, random_state=0).fit(X, Y)
+            assert list(model.weights_) == ["joint", "trend"]
+            assert len(model.kernel_.summands()) == 2
+
+    def test_latents_beside_a_kernel_are_refused(self):
+        with pytest.raises(ValueError, match=r"n_latent=3 with kernel=.*ConvolvedGaussian\(3\)"):
+            quick(ConvolvedGaussian(1), n_latent=3).fit(*waves())
+
+
+class TestKernelsOfScikitLearn:
+    def test_one_output_is_scikit_learns_regressor(self):
+        X, Y = waves()
+        kernel = Coregionalized(
+            Matern(1.3, "fixed", nu=1.5),
+            amplitude=[[40.0]],
+            parameter_bounds={"amplitude": "fixed"},
+        )
+        model = quick(kernel, trend=None).fit(X, Y[:, 0])
+        theirs = GaussianProcessRegressor(
+            ConstantKernel(40.0**2) * Matern(1.3, nu=1.5),
+            alpha=model.noise_variance_[0],
+            optimizer=None,
+        ).fit(X, Y[:, 0])
+        new = np.linspace(-1, 11, 7)[:, None]
+        for mine, other in zip(model.predict(new, True), theirs.predict(new, True), strict=True):
+            np.testing.assert_allclose(mine, other, rtol=1e-6, atol=1e-6)
+
+    @pytest.mark.parametrize(
+        "kernel", [RBF(), ConstantKernel() * RBF([1.0]), RBF() + Matern(), RBF(2.0, "fixed")]
+    )
+    def test_several_outputs_share_what_they_have_in_common(self, kernel):
+        X, Y = waves()
+        truth = -2e-3 * np.sin(X[:, 0])
+        Y[12:28, 1] = np.nan
+        model = quick(kernel).fit(X, Y)
+        gap = slice(12, 28)
+        assert np.abs(model.predict(X)[gap, 1] - truth[gap]).max() < 5e-4
+        assert type(model.kernel_.k2) is Coregionalized
+        assert clone(model).get_params()["kernel"] == kernel  # which is left alone
+
+    def test_sums_are_of_both_kinds(self):
+        X, Y = waves()
+        for kernel in (RBF() + LinearTrend(), LinearTrend() + RBF()):
+            fitted = quick(kernel).fit(X, Y).kernel_
+            assert {type(term) for term in fitted.summands()} == {LinearTrend, Coregionalized}
+
+    @pytest.mark.parametrize(
+        ("kernel", "told"),
+        [
+            (RBF() + WhiteKernel(), r"without WhiteKernel\. Leave out measurement noise"),
+            (RBF() * ConvolvedGaussian(), r"product or power.*can only be added"),
+            (ConstantKernel() + RBF() * LinearTrend(), r"product or power.*inside Coregionalized"),
+        ],
+    )
+    def test_what_cannot_be_meant_is_refused(self, kernel, told):
+        with pytest.raises(TypeError, match=told):
+            quick(kernel).fit(*waves())
+
+
+class TestSamples:
+    """Of a kernel without sample paths."""
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_have_the_moments_of_the_posterior(self, inference):
+        X, Y = waves()
+        model = quick(RBF(), inference=inference, n_inducing=15, max_iter=10).fit(X, Y)
+        at = np.array([[2.2], [2.4], [15.0]])
+        samples = model.sample_y(at, 20000, random_state=1)
+        assert samples.shape == (3, 2, 20000)
+        mean, cov = model.predict(at, return_cov=True)
+        stacked = samples.swapaxes(0, 1).reshape(6, -1)
+        std = np.sqrt(np.diag(cov))
+        np.testing.assert_allclose(stacked.mean(axis=1) / std, mean.T.ravel() / std, atol=0.03)
+        np.testing.assert_allclose(
+            np.cov(stacked) / np.multiply.outer(std, std),
+            cov / np.multiply.outer(std, std),
+            atol=0.04,
+        )
+        np.testing.assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
+
+    def test_of_one_output_have_no_axis_of_outputs(self):
+        X, Y = waves()
+        model = quick(RBF(), max_iter=5).fit(X, Y[:, 0])
+        assert model.sample_y(X[:3], 4).shape == (3, 4)
+        with pytest.raises(ValueError, match="n_samples=0, but expected a number of samples"):
+            model.sample_y(X[:3], 0)
+
+    @pytest.mark.parametrize(
+        ("kernel", "name"), [(RBF(), "Coregionalized"), (FourMethods([1.0], [1.0]), "FourMethods")]
+    )
+    def test_are_no_functions(self, kernel, name):
+        X, Y = waves()
+        model = quick(kernel, max_iter=5).fit(X, Y[:, 0])
+        with pytest.raises(NotImplementedError, match=rf"Got a {name}.*Use sample_y, or register"):
+            model.sample_paths(2)
+
+
+class WithPaths(FourMethods):
+    """The same covariance, with sample paths."""
+
+
+@prior_paths.register
+def _(kernel: WithPaths, n_paths, n_frequencies, random_state):
+    amplitude = np.asarray(kernel.amplitude)[None]
+    length_scale = np.full((1, len(kernel.amplitude), 1), kernel.length_scale[0])
+    same = ConvolvedGaussian(
+        1, private_latents=False, amplitude=amplitude, length_scale=length_scale
+    )
+    return prior_paths(same, n_paths, n_frequencies, random_state)
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_registered_paths_are_in_the_units_of_the_outputs(inference):
+    X, Y = waves()
+    kernel = WithPaths([30.0, -3e-3], [1.5])
+    model = quick(kernel, inference=inference, n_inducing=20, max_iter=10).fit(X, Y)
+    at = np.array([[2.2], [14.0]])
+    paths = model.sample_paths(3000, random_state=0)
+    mean, std = model.predict(at, return_std=True)
+    values = paths(at)
+    np.testing.assert_allclose((values.mean(axis=0) - mean) / std, 0.0, atol=0.08)
+    np.testing.assert_allclose(values.std(axis=0) / std, 1.0, atol=0.06)
+    slopes = paths.gradient(at).mean(axis=0)
+    np.testing.assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
+    some = model.sample_y(at, 3000, random_state=0)
+    np.testing.assert_array_equal(some, np.moveaxis(values, 0, -1))

@@ -84,7 +84,7 @@ def joint_covariance(pipeline, n_paths=2000):
 
     They are those of `simulate`; all n of the first coefficient come first.
     """
-    drawn = as_aerodynamics(pipeline).sample(n_paths, 0, correlated=True)
+    drawn = as_aerodynamics(pipeline).sample(n_paths, 0)
 
     def covariance(X):
         values = drawn(np.broadcast_to(X, (n_paths, *X.shape)))

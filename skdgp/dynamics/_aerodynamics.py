@@ -27,10 +27,7 @@ from skdgp._flight.channels import COEFFICIENTS
 DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-# Correlation time [s] of an error of the function, a guess: the time in which a manoeuvre changes
-# the regressors
-MISFIT_MEMORY = 2.0
-LEARNED = ("slope_errors", "function_errors", "training_rows")  # of a model with a posterior
+LEARNED = ("function_errors", "narrowing", "training_rows")  # of a model with a posterior
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 
@@ -47,25 +44,17 @@ class Drift(NamedTuple):
 
     variance: Array  # tau^2 of each coefficient, (6,)
     memory: Array  # T [s], (6,)
-    # Part of the variance that is an error of the function, whatever the air, (6,). Its T is
-    # `MISFIT_MEMORY`.
-    misfit: Array | float = 0.0
 
     def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
         """Return draws (n, *shape, 6) at times (n,) that increase."""
         seed = check_random_state(random_state).randint(
             2**31 - 1, size=4
         )  # other numbers than the paths have
-        rng, total = np.random.default_rng(seed), np.zeros((len(time), *shape, 6))
-        misfit = np.broadcast_to(self.misfit, self.variance.shape)
-        processes = [(self.variance - misfit, self.memory), (misfit, np.full(6, MISFIT_MEMORY))]
-        for variance, memory in processes:
-            if variance.any():
-                drawn = rng.standard_normal(total.shape) * np.sqrt(variance)
-                for k, r in enumerate(np.exp(-np.diff(time)[:, None] / memory), start=1):
-                    drawn[k] = r * drawn[k - 1] + np.sqrt(1 - r**2) * drawn[k]
-                total += drawn
-        return total
+        rng = np.random.default_rng(seed)
+        drawn = rng.standard_normal((len(time), *shape, 6)) * np.sqrt(self.variance)
+        for k, r in enumerate(np.exp(-np.diff(time)[:, None] / self.memory), start=1):
+            drawn[k] = r * drawn[k - 1] + np.sqrt(1 - r**2) * drawn[k]
+        return drawn
 
 
 @dataclass(eq=False, repr=False)
@@ -102,9 +91,12 @@ class Aerodynamics:
     servo_lag : float, default=0.0
         Time constant [s] of the servos, from the commands of a simulation to the surfaces, which
         are the regressors.
-    slope_errors, function_errors : callable, optional
-        Regressors (n, d) to errors of the slopes, and () to errors of the function or None, that
-        the paths do not contain: see ``DependentGPRegressor``.
+    function_errors : callable, optional
+        () to the part of the errors of the paths that comes from the time series of the fit, or to
+        None: see ``DependentGPRegressor``.
+    narrowing : callable, optional
+        Regressors (k, d) of rows that are flown next to the factor (6, d) by which they narrow
+        deviations of slopes.
     training_rows : callable, optional
         () to the regressors (n, d) that the model was learned from, or to None.
     training_seconds : float, optional
@@ -143,8 +135,8 @@ class Aerodynamics:
     mixing: Mixing | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     servo_lag: float = 0.0
-    slope_errors: Callable | None = None
     function_errors: Callable | None = None
+    narrowing: Callable | None = None
     training_rows: Callable | None = None
     training_seconds: float | None = None
     n_paths: int | None = None
@@ -181,33 +173,20 @@ class Aerodynamics:
             return self._differences(X)
         return self._evaluated(self.slopes, X, 6, X.shape[-1])
 
-    def sample(
-        self, n_paths: int, random_state: Any = 0, *, correlated: bool = False
-    ) -> Aerodynamics:
+    def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
         The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors
-        of its own. ``correlated``: with errors by noise that is correlated between the samples of a
-        model learned from flights.
+        of its own.
         """
         if self.sampler is None:
             raise ValueError(
-                f"Got a model without posterior samples ({self!r}), but expected one that can "
-                f"draw functions: a "
-                "pipeline that ends in DependentGPRegressor, or Aerodynamics(..., sampler=...)."
+                f"Got a model without posterior samples ({self!r}), but expected one that can draw "
+                "functions: a pipeline that ends in DependentGPRegressor, or "
+                "Aerodynamics(..., sampler=...)."
             )
         values, slopes = self.sampler(n_paths, random_state)
-        errors = self.function_errors() if correlated and self.function_errors else None
-        if errors is None:
-            return replace(self, function=values, slopes=slopes, sampler=None, n_paths=n_paths)
-        off = errors.draw(n_paths, random_state)
-        return replace(
-            self,
-            function=lambda X: values(X) + off(X),
-            slopes=None if slopes is None else lambda X: slopes(X) + off.gradient(X),
-            sampler=None,
-            n_paths=n_paths,
-        )
+        return replace(self, function=values, slopes=slopes, sampler=None, n_paths=n_paths)
 
     def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
         """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
@@ -334,18 +313,11 @@ class _Chain:
             / self.scale
         )
 
-    def slope_errors(self, X: Array, added: Array | None = None) -> Any:
-        """Return the errors of the slopes (n, 6, d) that the posterior does not contain, None where none are known.
-
-        With ``added`` (k, d): expected after these rows are flown too.
-        """
-        errors = getattr(self.regressor, "slope_errors", lambda X, added: None)
-        if added is not None:
-            added = (added - self.shift) / self.scale
-        slope_errors = errors((X - self.shift) / self.scale, added)
-        return (
-            None if slope_errors is None else slope_errors.take(self.order).scaled(1.0 / self.scale)
-        )
+    def narrowing(self, added: Array) -> Array:
+        """Return the factor (6, d) by which rows (k, d) that are flown next narrow deviations of slopes."""
+        if not hasattr(self.regressor, "narrowing"):
+            return np.ones((len(COEFFICIENTS), added.shape[-1]))
+        return self.regressor.narrowing((added - self.shift) / self.scale)[self.order]
 
     def training_rows(self) -> Array | None:
         """Return the regressors (n, d) that the model was learned from, None where they are not known."""
@@ -353,13 +325,16 @@ class _Chain:
         return None if data is None else data.X[0] * self.scale + self.shift
 
     def function_errors(self) -> Any:
-        """Return the errors of the function that the posterior does not contain, None where none are known."""
+        """Return the errors of the function that come from the time series, None where none are known."""
         return self._function_errors
 
     @cached_property
     def _function_errors(self) -> Any:
         errors = getattr(self.regressor, "function_errors", lambda: None)()
-        return None if errors is None else errors.in_units(self.shift, self.scale, self.order)
+        if errors is None:
+            return None
+        units = np.ones(len(errors.discrepancy))
+        return errors.in_units(self.shift, self.scale, units).of_outputs(self.order)
 
     def drift(self) -> Drift | None:
         """Return the drift of the regressor, or None if it has none."""
@@ -367,8 +342,9 @@ class _Chain:
         if not np.any(variance > 0):
             return None
         memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
-        misfit = np.minimum(getattr(self.regressor, "misfit_variance_", 0.0), variance)
-        return Drift(variance[self.order], memory[self.order], misfit[self.order])
+        # the discrepancy is an error of the function, which its paths have
+        variance = np.maximum(variance - getattr(self.regressor, "misfit_variance_", 0.0), 0.0)
+        return Drift(variance[self.order], memory[self.order])
 
     def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
         """Return values and slopes of functions drawn from the posterior."""

@@ -17,11 +17,9 @@ from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import ROTATION_OF, unsteady_terms
+from skdgp.dynamics._unsteady import ROTATION_OF, std_by_method, unsteady_terms
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
-# Columns whose squares add up to the square of ``std``
-PARTS = ("std_posterior", "std_random", "std_method")
 NORMAL_95 = 1.959963984540054
 
 
@@ -74,17 +72,17 @@ def stability_derivatives(
         A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``),
         with columns ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``,
         ``regressor``, and ``per``, the unit of the regressor. Several points have an outer level
-        ``point``, and columns ``airspeed``, ``alpha``, ``beta``. Of a model learned from flights,
-        ``std`` is the root of the sum of the squares of
+        ``point``, and columns ``airspeed``, ``alpha``, ``beta``. ``std`` is the standard deviation
+        over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too. Of
+        a model learned from flights its square is the sum of the squares of
 
-        - ``std_posterior``: over functions drawn from the posterior,
         - ``std_random``: errors correlated between samples and between outputs, estimated block by
           block,
         - ``std_method``: difference to the slopes of a polynomial with past regressors as
-          instruments, what third powers change, and how far noise of the regressors may flatten a
-          slope.
+          instruments, and how far noise of the regressors flattens a slope,
+        - ``std_posterior``: the rest.
 
-        Compact models lack ``std_random`` and ``std_method``.
+        Models without a time series lack these parts.
 
         ``std_merged`` is how far derivatives by alpha_dot and beta_dot alone may differ from what
         the model merges with others, see the notes; ``merged`` names the larger one.
@@ -118,7 +116,7 @@ def stability_derivatives(
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
     motion = Motion(model, aircraft, thrust=thrust, air=air)
-    if added is not None and motion.aerodynamics.slope_errors is None:
+    if added is not None and motion.aerodynamics.narrowing is None:
         raise ValueError(
             "Got rows that are added to a model without its own, but expected one that holds the "
             "rows it was learned from: give a pipeline of identify."
@@ -159,29 +157,37 @@ def _deviations(
 ) -> dict[str, Array]:
     """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
     model = motion.aerodynamics
-    posterior = _posterior_deviation(motion, now, frame, n_paths, random_state)
-    if model.slope_errors is None:
-        return {"std_posterior": posterior}
-    errors = model.slope_errors(now.regressors)
-    if errors is not None and added is not None:
-        before = errors
-        errors = model.slope_errors(now.regressors, np.asarray(added, dtype=float))
-        posterior = posterior * _narrowing(frame, before, errors)
-    scatter = 0.0 if errors is None else np.linalg.norm(errors.method, axis=-1)
+    total = _deviation_of_paths(motion, now, frame, n_paths, random_state)
+    if model.function_errors is None:
+        return {"std": total, "std_posterior": total}
+    errors = model.function_errors()
+    of_parts = {"std_random": np.zeros_like(total), "std_method": np.zeros_like(total)}
+    if errors is not None:
+        shape = now.regressors.shape[:1]
+        for name, slopes in zip(of_parts, errors.slopes(), strict=True):
+            of_parts[name] = frame.errors(np.broadcast_to(slopes, (*shape, *slopes.shape)))
+    # what the errors of the function do not explain
+    of_errors = sum(part**2 for part in of_parts.values())
+    posterior = np.sqrt(np.maximum(total**2 - of_errors, 0.0))
+    if added is not None and model.narrowing is not None:
+        factor = _narrowing(frame, model.narrowing(np.asarray(added, dtype=float)), now)
+        posterior = posterior * factor
+        of_parts["std_random"] = of_parts["std_random"] * factor
+        of_errors = sum(part**2 for part in of_parts.values())
+        total = np.sqrt(posterior**2 + of_errors)
+    scatter = std_by_method(errors)
     unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), scatter)
     merged = frame.errors(unsteady.errors, apart=True)
-    parts = {
+    return {
+        "std": total,
         "std_posterior": posterior,
         "std_merged": np.hypot(*merged),
         "merged": np.where(merged.any(axis=0), 1 + merged.argmax(axis=0), 0),
+        **of_parts,
     }
-    if errors is not None:
-        parts["std_random"] = frame.errors(errors.random)
-        parts["std_method"] = frame.errors(errors.method)
-    return parts
 
 
-def _posterior_deviation(
+def _deviation_of_paths(
     motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed
 ) -> Array:
     """Return the standard deviation (n, rows, 1 + columns) over functions drawn from the posterior."""
@@ -191,15 +197,13 @@ def _posterior_deviation(
     return values.std(axis=0, ddof=1)
 
 
-def _narrowing(frame: _Frame, before: Any, after: Any) -> Array:
-    """Return the factor of a posterior's deviation by added rows, which is that of least squares.
-
-    With too few rows for least squares no promise is made.
-    """
-    white = frame.errors(_each_output(before.white))
-    expected = frame.errors(_each_output(after.white))
-    ratio = np.ones_like(white)
-    np.divide(expected, white, out=ratio, where=white > 0)
+def _narrowing(frame: _Frame, factor: Array, now: Instant) -> Array:
+    """Return the ``factor`` (6, d) of deviations of slopes for every entry of the table, (n, rows, 1 + columns)."""
+    n, d = now.regressors.shape
+    before = frame.errors(_each_output(np.ones((n, 6, d))))
+    after = frame.errors(_each_output(np.broadcast_to(factor, (n, 6, d))))
+    ratio = np.ones_like(before)
+    np.divide(after, before, out=ratio, where=before > 0)
     return ratio
 
 
@@ -272,7 +276,7 @@ class _Frame:
         )
         columns = {name: part.ravel() for name, part in parts.items()}
         if columns:
-            table["std"] = np.sqrt(sum(columns[name] ** 2 for name in PARTS if name in columns))
+            table["std"] = columns.pop("std")
             table["lower"] = table["value"] - NORMAL_95 * table["std"]
             table["upper"] = table["value"] + NORMAL_95 * table["std"]
         table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))

@@ -183,11 +183,10 @@ def gusty_air(
 def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:
     r"""Return the drift in the turbulence that is met, besides the rates of its gusts, which are drawn.
 
-    Of the variance :math:`\tau^2` that the training flights had, the misfit m is of the function,
-    and the rates of their gusts explain g. The rest are other effects of gusts, and errors of
-    regressors that a simulation lacks. It is
+    Of the variance :math:`\tau^2` that the training flights had, the rates of their gusts explain g.
+    The rest are other effects of gusts, and errors of regressors that a simulation lacks. It is
 
-    .. math:: m + \min(1, \rho) (\tau^2 - g - m),
+    .. math:: \min(1, \rho) (\tau^2 - g),
               \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
 
     where :math:`\sigma_0` is what sensors show of calm air.
@@ -209,8 +208,7 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drif
         np.square(flown.intensity).sum() + SENSOR_GUST**2
     )  # none in calm air
     largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
-    variance = drift.misfit + min(ratio, largest) * np.maximum(besides - drift.misfit, 0.0)
-    return drift._replace(variance=variance)
+    return drift._replace(variance=min(ratio, largest) * besides)
 
 
 def without_rotation(

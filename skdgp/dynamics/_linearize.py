@@ -27,7 +27,7 @@ from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
-from skdgp.dynamics._unsteady import UnsteadyTerms, unsteady_terms
+from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
 
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of the rigid body
 SERVO_STATE = "{}_position"  # Name of the state that is the deflection of a surface with a servo
@@ -205,29 +205,16 @@ def _drawn(
     model = motion.aerodynamics
     drawn = copy.copy(motion)
     drawn.aerodynamics = model.sample(n_paths, random_state)
-    if model.slope_errors is None:
+    if model.function_errors is None:
         return drawn, None
-    # other numbers than for the paths
-    seed = check_random_state(random_state).randint(2**31 - 1, size=4)
-    rng = np.random.default_rng(seed)
     now = motion.at(state, controls)
-    errors = model.slope_errors(now.regressors[None])
-    scatter = 0.0 if errors is None else np.linalg.norm(errors.method[0], axis=-1)
-    unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), scatter)
-    # slopes by alpha_dot and beta_dot of each path
-    sizes = rng.standard_normal((n_paths, 1, 2))
-    unsteady = unsteady._replace(slopes=sizes * unsteady.slopes)
-    if errors is not None:
-        off = _drawn_errors(errors.random[0], n_paths, rng)
-        off = off + _drawn_errors(errors.method[0], n_paths, rng)
-        slopes: Any = drawn.aerodynamics.slopes
-        drawn.aerodynamics.slopes = lambda X: slopes(X) + off[:, None]
-    return drawn, unsteady
-
-
-def _drawn_errors(errors: Array, n_paths: int, rng: np.random.Generator) -> Array:
-    """Return draws (n_paths, 6, d) of the sum of k independent errors of slopes (6, d, k)."""
-    return np.moveaxis(errors @ rng.standard_normal((errors.shape[-1], n_paths)), -1, 0)
+    unsteady = unsteady_terms(
+        motion, now, model.gradient(now.regressors), std_by_method(model.function_errors())
+    )
+    # slopes by alpha_dot and beta_dot of each path; other numbers than for the paths
+    seed = check_random_state(random_state).randint(2**31 - 1, size=4)
+    sizes = np.random.default_rng(seed).standard_normal((n_paths, 1, 2))
+    return drawn, unsteady._replace(slopes=sizes * unsteady.slopes)
 
 
 def _matrices(

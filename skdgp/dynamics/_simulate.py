@@ -370,7 +370,7 @@ def simulate(
         drift = drift_in(met, motion, speed) if described.drift else None
         if met is not None and np.any(met.intensity):
             local = gusty_air(described, met, local, motion, clock, states, n_paths, random_state)
-        motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, correlated=True)
+        motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, start_std, n_paths, random_state)
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
@@ -487,7 +487,7 @@ class Simulator:
             )
         self.motion.aerodynamics = self._mean
         if random_state is not None:
-            self.motion.aerodynamics = self._mean.sample(1, random_state, correlated=True)
+            self.motion.aerodynamics = self._mean.sample(1, random_state)
         self._state = states
         self._steps = 0
         self._reached: dict[str, Array] = {}  # deflections at the end of the last step

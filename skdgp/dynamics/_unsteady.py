@@ -12,7 +12,7 @@ deviation by method: where gusts make it vanish, :math:`C_{\dot\alpha}` need not
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,6 +66,11 @@ def unsteady_terms(
                 relation[..., j, k] -= units[..., k]
     missing = np.array([[name not in motion.regressors] for name in ROTATION_OF])
     return UnsteadyTerms(std, relation, missing)
+
+
+def std_by_method(errors: Any) -> Array | float:
+    """Return the standard deviation of slopes by method, (6, d), of errors of a function; 0 without them."""
+    return 0.0 if errors is None else np.linalg.norm(errors.slopes()[1], axis=-1)
 
 
 def _units(motion: Motion, now: Instant) -> Array:

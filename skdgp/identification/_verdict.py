@@ -334,7 +334,7 @@ def _least_squares(pipeline: Pipeline, fitted: Mapping[str, Mapping[str, float]]
     model = as_aerodynamics(pipeline)
     table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
     intercept, slopes = (table.loc[rows].to_numpy() for rows in ("intercept", [*model.regressors]))
-    unknown: dict[str, Any] = dict.fromkeys(("sampler", "drift", "slope_errors", "function_errors"))
+    unknown: dict[str, Any] = dict.fromkeys(("sampler", "drift", "narrowing", "function_errors"))
     return replace(
         model,
         function=lambda X: intercept + X @ slopes,
@@ -380,7 +380,7 @@ def simulation_errors(
         mean = as_aerodynamics(pipeline)  # whose paths differ by the gusts alone
         exact: dict[str, Any] = {
             "sampler": lambda n_paths, random_state: (mean, mean.gradient),
-            **dict.fromkeys(("drift", "slope_errors", "function_errors")),
+            **dict.fromkeys(("drift", "narrowing", "function_errors")),
         }
         model = replace(mean, function=mean, slopes=mean.gradient, **exact)
         drawn = _flown(model, aircraft, starts, parts, settings, gusts=met, n_paths=several)

@@ -314,7 +314,6 @@ def export(run: Run) -> None:
     c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
     jsbsim    aircraft/NAME/NAME.xml: an aircraft whose coefficients are the sums of their effects
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
-    onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
 
     With --max-kb the model gets fewer basis functions; the loss is printed in standard deviations
     of the posterior. All files are written into DIR, or none.

@@ -339,7 +339,7 @@ class PortableModel:
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
         and the deviation :math:`e / \max(\sigma, \sqrt{e})`. The factor 2 is five times the
-        largest error of C, ONNX and CasADi (measured).
+        largest error of C and CasADi (measured).
         """
         Z = self.scaled(X)
         p = self.trend(Z)

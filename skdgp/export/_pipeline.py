@@ -24,7 +24,7 @@ from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
 from skdgp.export._c import c_bytes, write_c
-from skdgp.export._graphs import write_casadi, write_onnx
+from skdgp.export._casadi import write_casadi
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
 from skdgp.export._reduce import reduced
@@ -339,7 +339,6 @@ FORMATS: dict[str, Format] = {
     "c": Format(write_c, c_bytes),
     "jsbsim": Format(write_jsbsim),
     "casadi": Format(write_casadi),
-    "onnx": Format(write_onnx),
 }
 
 

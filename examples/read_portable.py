@@ -22,7 +22,7 @@ class Model:
             self.head = json.loads(file["model.json"])
             self.arrays = {name: file[name] for name in file.files if name != "model.json"}
         found = self.head["format"], self.head["version"]
-        if found != ("skdgp portable model", 5):
+        if found != ("skdgp portable model", 6):
             raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):
@@ -66,7 +66,7 @@ class Model:
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
             half = p @ a[f"trend_root_{j}"]
             half[:, half.shape[1] - len(w) :] += g @ triangle
-            prior = a["prior_variance"][j] + ((p * a["trend_scale"][j]) ** 2).sum(axis=1)
+            prior = a["prior_variance"][j] + ((p @ a[f"trend_prior_{j}"]) ** 2).sum(axis=1)
             variance = prior - (half**2).sum(axis=1)
             means[:, component, i] = p @ a["trend_weights"][j] + g @ w
             variances[:, component, i] = np.maximum(variance, np.finfo(float).eps * prior)

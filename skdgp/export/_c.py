@@ -20,11 +20,11 @@ TOLERANCE = 1e-9
 N_VECTORS = 40
 PER_LINE = 8
 TERM_BYTES = 56
-PART_BYTES = 64  # pointers and numbers of a part
+PART_BYTES = 72  # pointers and numbers of a part
 CODE_BYTES = 4096  # of the functions and names
 SHARED = (
     *("shift", "scale", "center", "output_scale", "trend_center"),
-    *("mixture", "prior_variance", "trend_scale", "trend_weights"),
+    *("mixture", "prior_variance", "trend_weights"),
 )
 
 
@@ -82,6 +82,7 @@ def _tables(model: PortableModel) -> Iterator[tuple[str, Array]]:
         yield f"weights_{k}", readout.weights
         yield f"root_{k}", packed(readout.root)
     for j, part in enumerate(model.parts):
+        yield f"trend_prior_{j}", part.trend_prior.T.ravel()
         yield f"trend_root_{j}", part.trend_root.T.ravel()
 
 
@@ -122,8 +123,13 @@ def _source(model: PortableModel) -> dict[str, Any]:
         _array("first_term", np.cumsum([0, *(len(part.terms) for part in parts)])),
         _array("n_functions", [len(part.readout.weights) for part in parts]),
         _array("n_columns", [part.trend_root.shape[1] for part in parts]),
+        _array("n_prior", [part.trend_prior.shape[1] for part in parts]),
         _list("static const double *const weights", [f"weights_{k}" for k in numbers]),
         _list("static const double *const root", [f"root_{k}" for k in numbers]),
+        _list(
+            "static const double *const trend_prior",
+            [f"trend_prior_{j}" for j in range(len(parts))],
+        ),
         _list(
             "static const double *const trend_root", [f"trend_root_{j}" for j in range(len(parts))]
         ),

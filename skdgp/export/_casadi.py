@@ -58,7 +58,7 @@ def casadi_function(model: PortableModel) -> Any:
             value += ca.dot(ca.DM(weights), g)
             explained = ca.DM(root.T) @ g
             half += ca.vertcat(ca.DM.zeros(half.shape[0] - explained.shape[0]), explained)
-        prior = part.prior_variance + ca.sumsqr(ca.DM(part.trend_scale) * p)
+        prior = part.prior_variance + ca.sumsqr(ca.DM(part.trend_prior.T) @ p)
         means.append(value)
         variances.append(ca.fmax(prior - ca.sumsqr(half), ROUNDING * prior))
     of_parts = ca.vertcat(*means)

@@ -126,7 +126,7 @@ class Part:
 
     With scaled regressors z, p = (1, z - ``trend_center``) and the basis g(z) of the terms,
 
-    .. math:: \mu = v^T p + w^T g, \quad \nu = a + |\tau \circ p|^2 - |h|^2, \quad
+    .. math:: \mu = v^T p + w^T g, \quad \nu = a + |R^T p|^2 - |h|^2, \quad
               h = T^T p + (0, U^T g).
 
     Parameters
@@ -134,18 +134,20 @@ class Part:
     terms : tuple of Term
     readout : Readout
         w and U, which acts on the last k entries of h; parts may share one.
-    trend_weights, trend_scale : ndarray (d + 1,)
-        v, and tau: prior standard deviations of intercept and slopes.
+    trend_weights : ndarray (d + 1,)
+        v: posterior mean of intercept and slopes.
+    trend_prior : ndarray (d + 1, s)
+        R, a root of the prior covariance R R^T of intercept and slopes; any number s of columns.
     trend_root : ndarray (d + 1, r)
         T, with k <= r <= k + d + 1.
     prior_variance : float
-        a, of the Gaussian functions.
+        a, of the Gaussian functions, with the variance of the model discrepancy.
     """
 
     terms: tuple[Term, ...]
     readout: Readout
     trend_weights: Vector
-    trend_scale: Vector
+    trend_prior: Matrix
     trend_root: Matrix
     prior_variance: float
 
@@ -157,8 +159,8 @@ class Part:
         return values
 
     def prior(self, p: Matrix) -> Vector:
-        """Return the prior variance: a plus the squared norm of tau p, (n,)."""
-        return np.asarray(self.prior_variance + np.square(p * self.trend_scale).sum(axis=1))
+        """Return the prior variance a + |R^T p|^2, (n,)."""
+        return np.asarray(self.prior_variance + np.square(p @ self.trend_prior).sum(axis=1))
 
     def variance(self, p: Matrix, explained: Matrix) -> Vector:
         """Return nu (n,) from p and U^T g, (n, k)."""
@@ -217,6 +219,7 @@ class PortableModel:
         Scaled regressors are z = (x - shift) / scale.
     center, output_scale : ndarray (P,)
     trend_center : ndarray (d,)
+        Point of the intercepts, in scaled regressors, of all parts.
     parts : tuple of Part
         K P.
     mixture : ndarray (K, P)
@@ -398,6 +401,7 @@ class PortableModel:
         arrays["term_root"] = np.array(wide).reshape(-1, d, d)
         arrays["centres"] = np.concatenate([np.empty((0, d)), *centres])
         for j, part in enumerate(self.parts):
+            arrays[f"trend_prior_{j}"] = part.trend_prior
             arrays[f"trend_root_{j}"] = part.trend_root
         for k, readout in enumerate(self.readouts):
             arrays[f"weights_{k}"] = readout.weights
@@ -426,11 +430,11 @@ class PortableModel:
                 tuple(terms[j]),
                 readouts[arrays["readout_of"][j]],
                 v,
-                tau,
+                arrays[f"trend_prior_{j}"],
                 arrays[f"trend_root_{j}"],
                 float(a),
             )
-            for j, (v, tau, a) in enumerate(of_parts)
+            for j, (v, a) in enumerate(of_parts)
         )
         return cls(
             regressors=tuple(
@@ -461,7 +465,7 @@ NUMBERS = (
     *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
 # Arrays with one row for each part
-OF_PARTS = ("trend_weights", "trend_scale", "prior_variance")
+OF_PARTS = ("trend_weights", "prior_variance")
 
 
 def packed(triangle: Matrix) -> Vector:

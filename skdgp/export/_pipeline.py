@@ -82,8 +82,9 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     shift, scale = _scaling(pipeline, len(simulated.regressors))
     columns = {c for _, step in pipeline.steps for c in getattr(step, "feature_names_in_", ())}
     posterior = regressor.posterior_
-    misfit = regressor.misfit_variance_ / regressor.scale_**2
-    parts = [part for member in posterior.members for part in _parts(member, misfit)]
+    discrepancy = regressor.misfit_variance_ / regressor.scale_**2
+    center = _trend_of(posterior.members[0].kernel)[0]
+    parts = [part for member in posterior.members for part in _parts(member, discrepancy, center)]
     samples = training_inputs(posterior) * scale + shift
     seen = samples if simulated.limits is None else np.vstack([samples, simulated.limits])
     model = PortableModel(
@@ -94,7 +95,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         scale=scale,
         center=np.asarray(regressor.center_, dtype=float),
         output_scale=np.asarray(regressor.scale_, dtype=float),
-        trend_center=_trend_of(posterior.members[0].kernel)[0],
+        trend_center=center,
         parts=tuple(parts),
         mixture=np.asarray(posterior.mixture, dtype=float),
         noise_variance=np.asarray(regressor.noise_variance_),
@@ -156,8 +157,19 @@ def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
     return center, np.column_stack(values)
 
 
-def _parts(posterior: SinglePosterior, misfit: Vector) -> list[Part]:
-    """Return the parts of a single posterior, one for each output."""
+def _moved_trend(own: Vector, center: Vector) -> Matrix:
+    """Return the matrix M (d + 1, d + 1) with (1, z - own) = M (1, z - center)."""
+    moved = np.eye(len(center) + 1)
+    moved[1:, 0] = center - own
+    return moved
+
+
+def _parts(posterior: SinglePosterior, discrepancy: Vector, center: Vector) -> list[Part]:
+    """Return the parts of a single posterior, one for each output, with trends about a common centre.
+
+    A trend about another centre has the functions M p, p = (1, z - center). So its weights are
+    M^T v, and the roots of its prior and explained covariance M^T R and M^T T.
+    """
     terms = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in terms if not isinstance(term, ConvolvedGaussian)]
     if others:
@@ -165,17 +177,28 @@ def _parts(posterior: SinglePosterior, misfit: Vector) -> list[Part]:
             f"Got a model with the kernels {others}, but only ConvolvedGaussian and LinearTrend "
             f"have a portable form. {REMEDY}"
         )
-    center, tau = _trend_of(posterior.kernel)
-    prior = misfit + sum((kernel.value("amplitude") ** 2).sum(axis=0) for kernel in terms)
+    own, tau = _trend_of(posterior.kernel)
+    prior = discrepancy + sum((kernel.value("amplitude") ** 2).sum(axis=0) for kernel in terms)
     found = (
-        _exact(posterior, terms, center, tau)
+        _exact(posterior, terms, own, tau)
         if isinstance(posterior, ExactPosterior)
         else _sparse(cast(SparsePosterior, posterior), tau)
     )
-    return [
-        Part(tuple(of_part), readout, trend_weights, tau[i], trend_root, float(prior[i]))
-        for i, (of_part, readout, trend_weights, trend_root) in enumerate(found)
-    ]
+    moved = _moved_trend(own, center).T
+    parts = []
+    for i, (of_part, readout, weights, root) in enumerate(found):
+        trend_prior = moved * tau[i]
+        parts.append(
+            Part(
+                terms=tuple(of_part),
+                readout=readout,
+                trend_weights=moved @ weights,
+                trend_prior=trend_prior[:, tau[i] > 0],
+                trend_root=moved @ root,
+                prior_variance=float(prior[i]),
+            )
+        )
+    return parts
 
 
 def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:
@@ -251,7 +274,7 @@ def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
 # -- the portable file, and all formats
 # -------------------------------------------------------------------------------------
 
-FORMAT, VERSION = "skdgp portable model", 5
+FORMAT, VERSION = "skdgp portable model", 6
 HEAD = "model.json"
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
 MEMBER_BYTES = 300  # of an array in the file, besides its numbers

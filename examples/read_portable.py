@@ -83,14 +83,17 @@ def main(arguments=None):
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "file", nargs="?", help="model.npz: its coefficients at a flown point are printed"
+        "file", nargs="?", help="model.npz: its coefficients at a flown point, for exact regressors"
     )
     path = parser.parse_args(arguments).file
     if path is not None:
         model = Model(path)
-        mean, std = model.predict(model.arrays["samples"][:1])
+        a = model.arrays
+        mean, std = model.predict(a["reference_regressors"], input_noise=0.0)
         for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
             print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
+        off = np.abs(mean - a["reference_mean"]) / a["reference_std"]
+        print(f"largest difference from the pipeline: {off.max():.1e} standard deviations")
 
 
 if __name__ == "__main__":

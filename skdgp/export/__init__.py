@@ -3,7 +3,7 @@
 from skdgp.export._c import write_c
 from skdgp.export._casadi import casadi_function
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
+from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.export._pipeline import (
     FORMATS,
     PortableFileError,
@@ -19,6 +19,7 @@ __all__ = [
     "PortableFileError",
     "PortableModel",
     "Readout",
+    "Reference",
     "Regressor",
     "Term",
     "casadi_function",

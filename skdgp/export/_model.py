@@ -195,6 +195,22 @@ def _added(total: Matrix, half: Matrix) -> Matrix:
 
 
 @dataclass(frozen=True, eq=False)
+class Reference:
+    """Predictions of the pipeline that a model is exported from, at exact regressors.
+
+    Parameters
+    ----------
+    regressors : ndarray (n, d)
+        In their units, in and near the training data.
+    mean, std : ndarray (n, P)
+    """
+
+    regressors: Matrix
+    mean: Matrix
+    std: Matrix
+
+
+@dataclass(frozen=True, eq=False)
 class PortableModel:
     r"""The posterior of the coefficients of an aircraft, as arrays.
 
@@ -236,6 +252,8 @@ class PortableModel:
         Time constant T of the servos [s]: surfaces follow commands c by :math:`T \dot\delta = c - \delta`.
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
+    reference : Reference or None
+        What an export is compared with.
     """
 
     regressors: tuple[Regressor, ...]
@@ -254,6 +272,7 @@ class PortableModel:
     samples: Matrix
     servo_lag: Vector
     provenance: dict[str, Any] = field(default_factory=dict)
+    reference: Reference | None = None
 
     def __repr__(self) -> str:
         return f"PortableModel({', '.join(self.outputs)} of {', '.join(self.regressor_names)})"
@@ -406,6 +425,8 @@ class PortableModel:
         for k, readout in enumerate(self.readouts):
             arrays[f"weights_{k}"] = readout.weights
             arrays[f"root_{k}"] = packed(readout.root)
+        if self.reference is not None:
+            arrays |= {REFERENCE + name: array for name, array in vars(self.reference).items()}
         return arrays
 
     @classmethod
@@ -436,6 +457,11 @@ class PortableModel:
             )
             for j, (v, a) in enumerate(of_parts)
         )
+        reference = {
+            name.removeprefix(REFERENCE): array
+            for name, array in arrays.items()
+            if name.startswith(REFERENCE)
+        }
         return cls(
             regressors=tuple(
                 Regressor(**r | {name: tuple(r[name]) for name in ("sources", "factors")})
@@ -445,12 +471,13 @@ class PortableModel:
             aircraft=Aircraft.from_dict(head["aircraft"]),
             parts=parts,
             provenance=head["provenance"],
+            reference=Reference(**reference) if reference else None,
             **{name: arrays[name] for name in NUMBERS},
         )
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the names and numbers that predictions depend on, as hexadecimal digits."""
+        """SHA-256 of regressors, outputs and arrays, as hexadecimal digits."""
         formulas = [asdict(regressor) for regressor in self.regressors]
         found = hashlib.sha256(json.dumps([formulas, self.outputs]).encode())
         for name, array in sorted(self.arrays().items()):
@@ -464,6 +491,8 @@ NUMBERS = (
     *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
     *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
+# Prefix of the arrays of a `Reference`
+REFERENCE = "reference_"
 # Arrays with one row for each part
 OF_PARTS = ("trend_weights", "prior_variance")
 

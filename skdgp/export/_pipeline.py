@@ -7,12 +7,13 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+import pandas as pd
 from scipy.linalg import lapack, rq
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
@@ -26,12 +27,14 @@ from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircra
 from skdgp.export._c import c_bytes, write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
+from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.export._reduce import reduced
 from skdgp.inference import ExactPosterior, SinglePosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
 MAX_SAMPLES = 1000  # rows of the training data that a model holds
+REFERENCE_ROWS = 40  # at which a model holds the predictions of the pipeline
+REFERENCE_STEP = 0.5  # of every second one from the training data, in standard deviations
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -79,7 +82,8 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
             f"{REMEDY}"
         )
     simulated = as_aerodynamics(pipeline)
-    shift, scale = _scaling(pipeline, len(simulated.regressors))
+    behind = _behind_choice(pipeline)
+    shift, scale = _scaling(behind, len(simulated.regressors))
     columns = {c for _, step in pipeline.steps for c in getattr(step, "feature_names_in_", ())}
     posterior = regressor.posterior_
     discrepancy = regressor.misfit_variance_ / regressor.scale_**2
@@ -104,6 +108,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         samples=samples[:: -(-len(samples) // MAX_SAMPLES)],
         servo_lag=np.array([simulated.servo_lag]),
         provenance=plain(facts | {"inference": regressor.inference_}),
+        reference=_reference(behind, regressor, samples, simulated.regressors),
     )
     names = dict.fromkeys((*model.columns, *model.regressor_names, *model.outputs))
     if strange := [name for name in names if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
@@ -114,12 +119,35 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     return model
 
 
-def _scaling(pipeline: Pipeline, n_regressors: int) -> tuple[Array, Array]:
-    """Return shift and scale of the scalers behind the choice of regressors."""
+def _behind_choice(pipeline: Pipeline) -> list[Any]:
+    """Return the steps between the choice of regressors and the last step."""
     steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
     roles = [getattr(step, "in_simulation", "") for step in steps]
     chosen = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
-    shift, scale, others = scaling_of(steps[chosen + 1 :], n_regressors)
+    return steps[chosen + 1 :]
+
+
+def _reference(
+    steps: list[Any], regressor: DependentGPRegressor, samples: Matrix, names: Sequence[str]
+) -> Reference:
+    """Return the predictions of the steps and the regressor at and near some samples (n, d)."""
+    rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
+    X = samples[rows]
+    moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
+    X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
+    Z: Any = X
+    for step in [*steps, None]:
+        follower = regressor if step is None else step
+        if hasattr(follower, "feature_names_in_") and not hasattr(Z, "columns"):
+            Z = pd.DataFrame(Z, columns=list(names))
+        Z = Z if step is None else step.transform(Z)
+    mean, std = regressor.predict(Z, return_std=True, include_input_noise=False)
+    return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1))
+
+
+def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:
+    """Return shift and scale of scalers."""
+    shift, scale, others = scaling_of(steps, n_regressors)
     if others:
         raise ValueError(
             f"Got {type(others[0]).__name__} behind the choice of regressors, which has no "

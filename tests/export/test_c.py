@@ -10,6 +10,8 @@ import pytest
 
 from skdgp.dynamics import Aircraft
 from skdgp.export import export_model, write_c
+from skdgp.export._c import c_bytes
+from skdgp.export._reduce import reduced
 
 STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic"]
 CHECKED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -47,7 +49,7 @@ def test_equals_the_pipeline(case, tmp_path):
     model = case.model
     write_c(tmp_path, model)
     done(tmp_path, *STRICT, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    assert "passed: 40 points" in done(tmp_path, "./test")
+    assert "passed: 40 points, with the values of the pipeline" in done(tmp_path, "./test")
 
     library = Library(tmp_path, model)
     P, d = library.shape
@@ -70,6 +72,44 @@ def test_make_test_passes(portable_of, tmp_path):
     values = model.aircraft.to_dict() | {"name": 'a::b */ #error "é" \\ ??/ <&> $x --'}
     write_c(tmp_path, replace(model, aircraft=Aircraft.from_dict(values)))
     assert "passed: 40 points" in done(tmp_path, "make", "test")
+
+
+WRONG = {
+    "trend": lambda model: replace(model, trend_center=model.trend_center + 0.01),
+    "deviation": lambda model: replace(
+        model,
+        parts=[replace(part, prior_variance=part.prior_variance + 1e-4) for part in model.parts],
+    ),
+    "scale": lambda model: replace(model, output_scale=model.output_scale * (1 + 1e-6)),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path, wrong):
+    write_c(tmp_path, WRONG[wrong](case_of("identified").model))
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert "FAILED" in run.stdout
+
+
+def test_a_reduced_model_is_compared_with_the_pipeline(case_of, tmp_path):
+    model = case_of("identified").model
+    facts = export_model(tmp_path, model, "c", max_kb=100)
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    assert "with the values of the reduced model" in done(tmp_path, "./test")
+    less = {name: {"mean": loss["mean"], "std": 0.0} for name, loss in facts["loss"].items()}
+    small = replace(reduced(model, c_bytes, 100 * 1024), provenance={"reduction": less})
+    write_c(tmp_path, small)
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (run.returncode, "more than the stated losses" in run.stdout) == (1, True)
+
+
+def test_a_model_without_a_pipeline_is_compared_with_itself(portable_of, tmp_path):
+    write_c(tmp_path, replace(portable_of("trend"), reference=None))
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    assert "with the values of the portable model" in done(tmp_path, "./test")
 
 
 def test_a_size_is_kept(portable_of, tmp_path):

@@ -48,6 +48,8 @@ def test_is_the_same_model(portable, flight, tmp_path):
     assert found.content_hash == portable.content_hash
     assert found.aircraft == portable.aircraft
     assert found.provenance == portable.provenance
+    for name, array in vars(portable.reference).items():
+        np.testing.assert_array_equal(getattr(found.reference, name), array)
 
 
 def test_the_reader_of_the_examples(case, tmp_path):

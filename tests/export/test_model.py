@@ -64,6 +64,16 @@ def test_equals_the_pipeline_on_a_flight(case_of):
         expected.assert_std(deviation)
 
 
+def test_the_reference_is_the_prediction_of_the_pipeline(case):
+    """At exact regressors, in and near the flights."""
+    reference = case.model.reference
+    assert reference.regressors.shape == (40, len(case.model.regressors))
+    assert 15 <= case.model.inside(reference.regressors).sum() <= 40
+    mean, std = case._replace(X=reference.regressors).predict(0.0)
+    np.testing.assert_allclose(reference.mean, mean, rtol=1e-12)
+    np.testing.assert_allclose(reference.std, std, rtol=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["average", "sparse-joint"])
 def test_the_model_discrepancy_is_in_the_deviation(fitted, flight, kind):
     """Of outputs with different scales; the pipeline adds it to the variance of each coefficient."""

@@ -7,7 +7,8 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -399,6 +400,7 @@ def export_model(
     to: str,
     *,
     max_kb: float | None = None,
+    full: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
 
@@ -415,6 +417,8 @@ def export_model(
     max_kb : float, optional
         Largest size [kB], of the flash memory for C, else of the portable file: the
         model gets fewer basis functions. Default: the whole model.
+    full : mapping of str to float, optional
+        For JSBSim: see :func:`write_jsbsim`.
 
     Returns
     -------
@@ -425,6 +429,13 @@ def export_model(
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
     write, size, most = FORMATS[to]
+    if full:
+        if to != "jsbsim":
+            raise ValueError(
+                f"Got full deflections for the format {to}, but only jsbsim has commands: leave "
+                f"them out."
+            )
+        write = partial(write_jsbsim, full=full)
     portable = portable_model(**model) if isinstance(model, Bunch) else model
     if max_kb is not None:
         if not 0 < max_kb < np.inf:

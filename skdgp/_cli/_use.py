@@ -313,7 +313,7 @@ def export(run: Run) -> None:
     portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
     c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
     jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
-    casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
+    casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
     With --max-kb the model gets fewer basis functions; the loss is printed in standard deviations
     of the posterior. All files are written into DIR, or none.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.export._model import ROUNDING, Part, PortableModel, Term
 
 
@@ -26,52 +26,79 @@ def used_basis(part: Part) -> tuple[list[list[Term]], Vector, Matrix]:
     return (terms, weights, root) if len(rows) == len(root) else (terms, weights[rows], root[rows])
 
 
-def mixer(model: PortableModel) -> Array:
-    """Return the matrix (K P, P) of the weighted sums that make outputs from values of parts (n, K P)."""
-    return np.vstack([np.diag(weights) for weights in model.mixture])
-
-
-def casadi_function(model: PortableModel) -> Any:
+def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     """Return a ``casadi.Function`` from regressors ``x`` (d,) to ``mean`` (P,), ``std`` (P,) and ``jacobian`` (P, d).
 
     The function is named ``aero``. The regressors are in their units, in the order of
     ``model.regressor_names``. The Jacobian is the mean's. The function can be differentiated
     further, also the deviation, and be saved with its method ``save``. A reduced model
     (``export_model`` with ``max_kb``) is faster. Raises ImportError if CasADi is not installed.
+
+    Parameters
+    ----------
+    model : PortableModel
+    mean_only : bool, default=False
+        Return the function ``aero_mean`` from ``x`` to ``mean``: CasADi evaluates all results of a
+        function, and most of the time goes into the deviation.
     """
     ca = extra("casadi", "export")
     x = ca.MX.sym("x", len(model.regressors))
     z = (x - ca.DM(model.shift)) / ca.DM(model.scale)
     p = ca.vertcat(1, z - ca.DM(model.trend_center))
+    normalised = [_moments(ca, model, i, z, p, mean_only) for i in range(len(model.outputs))]
+    means, variances = zip(*normalised, strict=True)
+    scale = ca.DM(model.output_scale)
+    mean = ca.DM(model.center) + scale * ca.vertcat(*means)
+    if mean_only:
+        return ca.Function("aero_mean", [x], [mean], ["x"], ["mean"])
+    std = scale * ca.sqrt(ca.vertcat(*variances))
+    results = [mean, std, ca.jacobian(mean, x)]
+    return ca.Function("aero", [x], results, ["x"], ["mean", "std", "jacobian"])
+
+
+def _moments(ca: Any, model: PortableModel, i: int, z: Any, p: Any, mean_only: bool) -> Any:
+    """Return normalised mean and variance of an output, of its components whose weight is not zero."""
+    weights = model.mixture[:, i]
+    used = np.flatnonzero(weights).tolist()
+    parts = [model.parts[k * len(model.outputs) + i] for k in used]
+    moments = [_part_moments(ca, part, z, p, mean_only) for part in parts]
+    mean = sum(weights[k] * value for k, (value, _) in zip(used, moments, strict=True))
+    if mean_only:
+        return mean, None
+    variance = sum(
+        weights[k] * (own + (value - mean) ** 2)
+        for k, (value, own) in zip(used, moments, strict=True)
+    )
+    return mean, variance
+
+
+def _part_moments(ca: Any, part: Part, z: Any, p: Any, mean_only: bool) -> Any:
+    """Return normalised mean and variance of a part."""
 
     def functions(term):
         away = ca.repmat(ca.DM(term.root.T) @ z, 1, len(term.centres)) - ca.DM(term.centres.T)
         return term.gain * ca.exp(-0.5 * ca.sum1(away**2)).T
 
-    means, variances = [], []
-    for part in model.parts:
-        terms, weights, root = used_basis(part)
-        g = ca.vertcat(*(sum(map(functions, group)) for group in terms))
-        value = ca.dot(ca.DM(part.trend_weights), p)
-        half = ca.DM(part.trend_root.T) @ p
-        if terms:
-            value += ca.dot(ca.DM(weights), g)
-            explained = ca.DM(root.T) @ g
-            half += ca.vertcat(ca.DM.zeros(half.shape[0] - explained.shape[0]), explained)
-        prior = part.prior_variance + ca.sumsqr(ca.DM(part.trend_prior.T) @ p)
-        means.append(value)
-        variances.append(ca.fmax(prior - ca.sumsqr(half), ROUNDING * prior))
-    of_parts = ca.vertcat(*means)
-    mixed = ca.DM(mixer(model).T) @ of_parts
-    away = of_parts - ca.repmat(mixed, len(model.mixture), 1)
-    variance = ca.DM(mixer(model).T) @ (ca.vertcat(*variances) + away**2)
-    mean = ca.DM(model.center) + ca.DM(model.output_scale) * mixed
-    values = [mean, ca.DM(model.output_scale) * ca.sqrt(variance), ca.jacobian(mean, x)]
-    return ca.Function("aero", [x], values, ["x"], ["mean", "std", "jacobian"])
+    terms, weights, root = used_basis(part)
+    g = ca.vertcat(*(sum(map(functions, group)) for group in terms))
+    mean = ca.dot(ca.DM(part.trend_weights), p)
+    if terms:
+        mean += ca.dot(ca.DM(weights), g)
+    if mean_only:
+        return mean, None
+    half = ca.DM(part.trend_root.T) @ p
+    if terms:
+        explained = ca.DM(root.T) @ g
+        half += ca.vertcat(ca.DM.zeros(half.shape[0] - explained.shape[0]), explained)
+    prior = part.prior_variance + ca.sumsqr(ca.DM(part.trend_prior.T) @ p)
+    return mean, ca.fmax(prior - ca.sumsqr(half), ROUNDING * prior)
 
 
 def write_casadi(folder: Path, model: PortableModel) -> list[Path]:
-    """Save the function of a model; ``casadi.Function.load`` reads it, in Python, C++ and MATLAB."""
-    path = folder / "aero.casadi"
-    casadi_function(model).save(str(path))
-    return [path]
+    """Save both functions of a model; ``casadi.Function.load`` reads them, in Python, C++ and MATLAB."""
+    paths = []
+    for mean_only in (False, True):
+        function = casadi_function(model, mean_only=mean_only)
+        paths.append(folder / f"{function.name()}.casadi")
+        function.save(str(paths[-1]))
+    return paths

@@ -40,6 +40,10 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     mean_only : bool, default=False
         Return the function ``aero_mean`` from ``x`` to ``mean``: CasADi evaluates all results of a
         function, and most of the time goes into the deviation.
+
+    Returns
+    -------
+    casadi.Function
     """
     ca = extra("casadi", "export")
     x = ca.MX.sym("x", len(model.regressors))

@@ -137,13 +137,18 @@ def _reference(
     moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
     X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
     Z: Any = X
-    for step in [*steps, None]:
-        follower = regressor if step is None else step
-        if hasattr(follower, "feature_names_in_") and not hasattr(Z, "columns"):
-            Z = pd.DataFrame(Z, columns=list(names))
-        Z = Z if step is None else step.transform(Z)
+    for step in steps:
+        Z = step.transform(_as_fitted(Z, step, names))
+    Z = _as_fitted(Z, regressor, names)
     mean, std = regressor.predict(Z, return_std=True, include_input_noise=False)
     return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1))
+
+
+def _as_fitted(Z: Any, step: Any, names: Sequence[str]) -> Any:
+    """Return regressors as a table for a step that was fitted on one."""
+    if hasattr(step, "feature_names_in_") and not hasattr(Z, "columns"):
+        return pd.DataFrame(Z, columns=list(names))
+    return Z
 
 
 def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """Small models of every kind of posterior that can be exported, and the model that identify makes."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -142,12 +143,14 @@ class Case(NamedTuple):
     mean: np.ndarray
     std: np.ndarray  # at exact regressors
     slopes: np.ndarray
+    added: Any = None  # function of X: variance of further columns of the prior
 
     def predict(self, noise):
         """Return mean and standard deviation of the pipeline with a factor of the regressors' noise."""
         table = pd.DataFrame(self.X, columns=self.model.regressor_names)
         tail = self.pipeline[-2:]  # the scaler and the regressor
-        return tail.predict(table, return_std=True, include_input_noise=noise)
+        mean, std = tail.predict(table, return_std=True, include_input_noise=noise)
+        return mean, std if self.added is None else np.sqrt(std**2 + self.added(self.X))
 
     def assert_mean(self, mean, tolerance=1e-9):
         """The tolerance is of the largest value of each coefficient."""
@@ -185,10 +188,31 @@ def case_of(request, fitted, portable_of):
         mean, std = case.predict(0.0)
         return case._replace(mean=mean, std=std)
 
-    return cache(get)
+    def widened():
+        """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
+        case = get("average")
+        model = case.model
+        further = np.random.default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
+
+        def added(X):
+            z = (X - model.shift) / model.scale
+            p = np.column_stack([np.ones(len(z)), z - model.trend_center])
+            return model.output_scale**2 * np.square(np.einsum("nk,pkr->npr", p, further)).sum(2)
+
+        parts = [
+            replace(part, trend_prior=np.hstack([part.trend_prior, further[j % 6]]))
+            for j, part in enumerate(model.parts)
+        ]
+        known = model.reference
+        std = np.sqrt(known.std**2 + added(known.regressors))
+        model = replace(model, parts=tuple(parts), reference=replace(known, std=std))
+        wide = case._replace(kind="widened", model=model, added=added)
+        return wide._replace(std=wide.predict(0.0)[1])
+
+    return cache(lambda kind: widened() if kind == "widened" else get(kind))
 
 
-@pytest.fixture(params=[IDENTIFIED, *KINDS])
+@pytest.fixture(params=[IDENTIFIED, "widened", *KINDS])
 def case(request, case_of):
     """Return the `Case` of each kind, in turn."""
     return case_of(request.param)

@@ -89,7 +89,12 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     posterior = regressor.posterior_
     discrepancy = regressor.misfit_variance_ / regressor.scale_**2
     center = _trend_of(posterior.members[0].kernel)[0]
-    parts = [part for member in posterior.members for part in _parts(member, discrepancy, center)]
+    parts: list[Part] = []
+    for member, weights in zip(posterior.members, posterior.mixture, strict=True):
+        own = _parts(member, discrepancy, center)
+        parts += [
+            part if w > 0 else _unused(len(center)) for part, w in zip(own, weights, strict=True)
+        ]
     samples = training_inputs(posterior) * scale + shift
     seen = samples if simulated.limits is None else np.vstack([samples, simulated.limits])
     model = PortableModel(
@@ -233,6 +238,13 @@ def _parts(posterior: SinglePosterior, discrepancy: Vector, center: Vector) -> l
             )
         )
     return parts
+
+
+def _unused(d: int) -> Part:
+    """Return a part of weight zero: its values do not matter, so it has no functions."""
+    nothing = np.zeros((d + 1, 0))
+    none = Readout(np.empty(0), np.empty((0, 0)))
+    return Part((), none, np.zeros(d + 1), nothing, nothing, 1.0)
 
 
 def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:

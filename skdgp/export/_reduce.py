@@ -30,8 +30,7 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     interpolative decomposition (Cheng et al. 2005). Least squares fit mean and explained root as
     functions of p and g_S. The part whose reduction changes its output most gets the next
     functions, until the size is reached. ``provenance["reduction"]`` holds the loss of each output,
-    at the samples, around them or at the reference rows, whichever is largest. Raises ValueError if
-    no model is small enough.
+    at the samples or around them, whichever is larger. Raises ValueError if no model is small enough.
     """
     if size(model) <= most:
         return model
@@ -77,16 +76,11 @@ def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
 def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
     """Return root mean square changes of mean and deviation, over the deviation.
 
-    The largest of three: at the samples, where the standard deviation is least, around them, and at
-    the reference rows, from the values of the pipeline.
+    The larger of two: at the samples, where the standard deviation is least, and around.
     """
-    points = [model.samples, Z * model.scale + model.shift]
-    expected = [model.predict(X, return_std=True, include_input_noise=False) for X in points]
-    if model.reference is not None:
-        points.append(model.reference.regressors)
-        expected.append((model.reference.mean, model.reference.std))
     losses = []
-    for X, (mean, std) in zip(points, expected, strict=True):
+    for X in (model.samples, Z * model.scale + model.shift):
+        mean, std = model.predict(X, return_std=True, include_input_noise=False)
         changed, other = small.predict(X, return_std=True, include_input_noise=False)
         changes = np.stack([(changed - mean) / std, other / std - 1.0])
         losses.append(np.sqrt(np.mean(changes**2, axis=1)))
@@ -140,6 +134,8 @@ class _Choice:
 
         Changes are of the output, root mean square in its standard deviations.
         """
+        if self.weight == 0.0:
+            return self.part, 0.0
         e = self.p.shape[1]
         n = self.sizes[number]
         T = self.part.trend_root

@@ -15,7 +15,7 @@ from skdgp.identification import load_model, save_model
 @pytest.fixture
 def path(fitted, tmp_path):
     """Return a model file."""
-    return save_model(tmp_path / "model.joblib", **fitted("sparse"), flights=["monday"])
+    return save_model(tmp_path / "model.joblib", **fitted("sparse-joint"), flights=["monday"])
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def test_portable(run, path):
     ("to", "max_kb", "files"),
     [
         ("c", 30, ["aero.h", "aero.c", "test_aero.c", "Makefile"]),
-        ("jsbsim", 60, ["aircraft/uav/uav.xml"]),
+        ("jsbsim", 40, ["aircraft/uav/uav.xml"]),
     ],
 )
 def test_in_a_smaller_size(run, path, to, max_kb, files):

@@ -64,6 +64,13 @@ def test_equals_the_pipeline_on_a_flight(case_of):
         expected.assert_std(deviation)
 
 
+def test_parts_of_weight_zero_have_no_functions(case_of):
+    model = case_of("identified").model
+    sizes = np.array([len(part.terms) for part in model.parts]).reshape(model.mixture.shape)
+    assert (model.mixture == 0.0).any()
+    assert not sizes[model.mixture == 0.0].any()
+
+
 def test_the_reference_is_the_prediction_of_the_pipeline(case):
     """At exact regressors, in and near the flights."""
     reference = case.model.reference

@@ -22,7 +22,7 @@ class Model:
             self.head = json.loads(file["model.json"])
             self.arrays = {name: file[name] for name in file.files if name != "model.json"}
         found = self.head["format"], self.head["version"]
-        if found != ("skdgp portable model", 5):
+        if found != ("skdgp portable model", 6):
             raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):
@@ -66,7 +66,7 @@ class Model:
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
             half = p @ a[f"trend_root_{j}"]
             half[:, half.shape[1] - len(w) :] += g @ triangle
-            prior = a["prior_variance"][j] + ((p * a["trend_scale"][j]) ** 2).sum(axis=1)
+            prior = a["prior_variance"][j] + ((p @ a[f"trend_prior_{j}"]) ** 2).sum(axis=1)
             variance = prior - (half**2).sum(axis=1)
             means[:, component, i] = p @ a["trend_weights"][j] + g @ w
             variances[:, component, i] = np.maximum(variance, np.finfo(float).eps * prior)
@@ -83,14 +83,17 @@ def main(arguments=None):
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "file", nargs="?", help="model.npz: its coefficients at a flown point are printed"
+        "file", nargs="?", help="model.npz: its coefficients at a flown point, for exact regressors"
     )
     path = parser.parse_args(arguments).file
     if path is not None:
         model = Model(path)
-        mean, std = model.predict(model.arrays["samples"][:1])
+        a = model.arrays
+        mean, std = model.predict(a["reference_regressors"], input_noise=0.0)
         for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
             print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
+        off = np.abs(mean - a["reference_mean"]) / a["reference_std"]
+        print(f"largest difference from the pipeline: {off.max():.1e} standard deviations")
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ SHARED = {"_compute", "_flight", "_excitation", "_display"}
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),
-    *("casadi", "onnx"),
+    "casadi",
 }
 
 

@@ -20,7 +20,7 @@ NOT_RUN |= {
     "joblib-stubs",
     "pytest-cov",
 }
-NOT_RUN |= {"jsbsim", "onnxruntime", "lupa"}  # and programs that read what is exported
+NOT_RUN |= {"jsbsim", "lupa"}  # and programs that read what is exported
 
 
 def requirements(name=None):

@@ -312,9 +312,8 @@ def export(run: Run) -> None:
 
     portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
     c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
-    jsbsim    aircraft/NAME/NAME.xml: an aircraft whose coefficients are the sums of their effects
-    casadi    aero.casadi: mean, deviation and Jacobian as a Function, for optimisation; needs CasADi
-    onnx      aero.onnx: mean and deviation as a graph, for inference runtimes; needs ONNX
+    jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
+    casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
     With --max-kb the model gets fewer basis functions; the loss is printed in standard deviations
     of the posterior. All files are written into DIR, or none.
@@ -322,13 +321,16 @@ def export(run: Run) -> None:
     For example:
       skdgp export results/model.joblib --to portable -o portable
       skdgp export results/model.joblib --to c --max-kb 256 -o flight_code
+      skdgp export results/model.joblib --to jsbsim --full elevator=0.42 aileron=0.42 rudder=0.35 -o jsbsim
     """
     options = run.options
     run.console.stage("reading")
     model = read_model(options)
     run.console.stage(f"exporting to {options.to}")
     with tempfile.TemporaryDirectory() as temporary:
-        facts = export_model(temporary, model, options.to, max_kb=options.max_kb)
+        facts = export_model(
+            temporary, model, options.to, max_kb=options.max_kb, full=dict(options.full)
+        )
         files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
         sizes = {name: path.stat().st_size for name, path in files.items()}
         run.write({name: partial(shutil.copyfile, path) for name, path in files.items()})
@@ -492,6 +494,13 @@ COMMANDS: opt.Commands = {
                 "metavar": "KB",
                 "type": opt.positive("kB"),
                 "help": "largest size of the code, or of the portable form (default: whole model)",
+            },
+            "--full": opt.AXIS_VALUES
+            | {
+                "help": (
+                    "of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
+                    "file, else the largest that were flown)"
+                )
             },
         },
     },

@@ -19,7 +19,13 @@ from numpy.typing import ArrayLike
 from skdgp._compute.files import read_json, read_toml
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
+from skdgp._flight.channels import (
+    ACCELERATION_LENGTHS,
+    COEFFICIENTS,
+    LENGTHS,
+    RATE_LENGTHS,
+    SURFACES,
+)
 from skdgp._flight.checks import (
     as_floats,
     check_choice,
@@ -625,6 +631,8 @@ class Aircraft:
         Errors of the sizes, by their cause: :func:`skdgp.dynamics.stability_derivatives` says what
         they do. A pair (value, standard deviation) for mass, wing_area, span or chord, or (matrix,
         three standard deviations of Ixx, Iyy, Izz) for inertia, adds its own.
+    full_deflections : mapping of str to float, optional
+        Largest deflections [rad] of elevator, aileron and rudder, at the ends of their commands.
 
     Examples
     --------
@@ -646,6 +654,7 @@ class Aircraft:
     thrust_line: ThrustLine | None = None
     propeller: Propeller | None = None
     deviations: Mapping[str, ScaleFactor] | None = None
+    full_deflections: Mapping[str, float] | None = None
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.isprintable():
@@ -673,6 +682,8 @@ class Aircraft:
             propeller = Propeller.from_size(**propeller)
         object.__setattr__(self, "propeller", _part(Propeller, propeller, "propeller"))
         object.__setattr__(self, "thrust_line", _part(ThrustLine, self.thrust_line, "thrust_line"))
+        full = _full_deflections(self.full_deflections)
+        object.__setattr__(self, "full_deflections", full)
 
     @cached_property
     def inertia_inverse(self) -> np.ndarray:
@@ -717,7 +728,7 @@ class Aircraft:
         inertia : array-like of shape (3, 3), or pair, optional
             Where it was measured.
         **parts
-            name, thrust_line, propeller: as of `Aircraft`.
+            name, thrust_line, propeller, full_deflections: as of `Aircraft`.
 
         Examples
         --------
@@ -753,7 +764,8 @@ class Aircraft:
         value is not valid.
         """
         if isinstance(values, Mapping) and "kind" in values:
-            known = [*signature(cls.estimate).parameters, "name", "thrust_line", "propeller"]
+            parts = ["name", "thrust_line", "propeller", "full_deflections"]
+            known = [*signature(cls.estimate).parameters, *parts]
             check_keys(values, known, ["mass", "span"], what)
             return cls.estimate(**values)
         return _build(cls, values, what)
@@ -778,6 +790,22 @@ class Aircraft:
             f"m, "
             f"c {self.chord:g} m)"
         )
+
+
+def _full_deflections(values: Any) -> dict[str, float] | None:
+    """Return checked deflections by control, None without any."""
+    if not values:
+        return None
+    if not isinstance(values, Mapping):
+        raise TypeError(
+            f"Got {type(values).__name__} for full_deflections, but expected a mapping of controls "
+            f"to angles [rad]."
+        )
+    check_keys(values, SURFACES, [], "full_deflections")
+    return {
+        name: check_number(f"full deflection of the {name}", value, unit="rad")
+        for name, value in values.items()
+    }
 
 
 def _inertia(value: ArrayLike) -> Array:

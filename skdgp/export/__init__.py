@@ -1,9 +1,9 @@
 """Models that leave Python: the portable model, its file, and the formats of other programs."""
 
 from skdgp.export._c import write_c
-from skdgp.export._graphs import casadi_function, onnx_model
+from skdgp.export._casadi import casadi_function
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
+from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.export._pipeline import (
     FORMATS,
     PortableFileError,
@@ -19,12 +19,12 @@ __all__ = [
     "PortableFileError",
     "PortableModel",
     "Readout",
+    "Reference",
     "Regressor",
     "Term",
     "casadi_function",
     "export_model",
     "load_portable",
-    "onnx_model",
     "portable_model",
     "save_portable",
     "write_c",

@@ -13,18 +13,20 @@ import numpy as np
 
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
-from skdgp.export._model import PortableModel, packed
+from skdgp.export._model import PortableModel, Reference, packed
 
 # Of the self-test, relative to the largest value; of deviations at least PortableModel.rounding
 TOLERANCE = 1e-9
-N_VECTORS = 40
+# Allowed above the stated loss of a reduced model, in posterior standard deviations
+LOSS_TOLERANCE = 1e-6
+N_VECTORS = 40  # of the model's own values
 PER_LINE = 8
 TERM_BYTES = 56
-PART_BYTES = 64  # pointers and numbers of a part
+PART_BYTES = 72  # pointers and numbers of a part
 CODE_BYTES = 4096  # of the functions and names
 SHARED = (
     *("shift", "scale", "center", "output_scale", "trend_center"),
-    *("mixture", "prior_variance", "trend_scale", "trend_weights"),
+    *("mixture", "prior_variance", "trend_weights"),
 )
 
 
@@ -33,8 +35,9 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
 
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean,
     ``aero_inputs`` the regressors of flight data; ``aero_limits`` holds the range of the training
-    data. ``make test`` compares them with the model. :func:`export_model` with ``max_kb`` writes a
-    smaller form.
+    data. ``make test`` compares them with values of the pipeline that the model holds
+    (``model.reference``). :func:`export_model` with ``max_kb`` writes a smaller form, which is
+    compared with the smaller model, and with the pipeline within the stated loss.
 
     Parameters
     ----------
@@ -82,6 +85,7 @@ def _tables(model: PortableModel) -> Iterator[tuple[str, Array]]:
         yield f"weights_{k}", readout.weights
         yield f"root_{k}", packed(readout.root)
     for j, part in enumerate(model.parts):
+        yield f"trend_prior_{j}", part.trend_prior.T.ravel()
         yield f"trend_root_{j}", part.trend_root.T.ravel()
 
 
@@ -122,8 +126,13 @@ def _source(model: PortableModel) -> dict[str, Any]:
         _array("first_term", np.cumsum([0, *(len(part.terms) for part in parts)])),
         _array("n_functions", [len(part.readout.weights) for part in parts]),
         _array("n_columns", [part.trend_root.shape[1] for part in parts]),
+        _array("n_prior", [part.trend_prior.shape[1] for part in parts]),
         _list("static const double *const weights", [f"weights_{k}" for k in numbers]),
         _list("static const double *const root", [f"root_{k}" for k in numbers]),
+        _list(
+            "static const double *const trend_prior",
+            [f"trend_prior_{j}" for j in range(len(parts))],
+        ),
         _list(
             "static const double *const trend_root", [f"trend_root_{j}" for j in range(len(parts))]
         ),
@@ -152,22 +161,46 @@ def _terms(model: PortableModel) -> tuple[list[str], list[int]]:
 
 
 def _test(model: PortableModel) -> dict[str, Any]:
-    rows = np.linspace(0, len(model.samples) - 1, N_VECTORS).astype(int)
-    X = model.samples[rows]
-    X[1::2] += 0.5 * model.scale * np.random.default_rng(0).standard_normal(X[1::2].shape)
-    mean, std = model.predict(X, return_std=True, include_input_noise=False)
-    slope = model.predict_gradient(X)
-    size = np.abs(slope * model.scale).max(axis=(0, 2))[:, None] / model.scale
+    """Return the self-test: values of the pipeline; of a reduced model its own, and the pipeline's."""
+    reference = model.reference or _own_values(model)
+    losses = model.provenance.get("reduction", {})
+    X = reference.regressors
+    expected = reference
+    if losses:
+        expected = Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
+    slopes = model.predict_gradient(X)
+    size = np.abs(slopes * model.scale).max(axis=(0, 2))[:, None] / model.scale
+    rounding = model.rounding(X)
+    allowed = np.zeros((2, len(model.outputs)))
+    if losses:
+        stated = [(losses[name]["mean"], losses[name]["std"]) for name in model.outputs]
+        allowed = np.transpose(stated) + LOSS_TOLERANCE
     texts = [
         _array("at", X),
-        _array("model_mean", mean),
-        _array("model_std", std),
-        _array("model_slope", slope),
-        _array("mean_size", np.abs(mean).max(axis=0)),
-        _array("std_size", np.maximum(std.max(axis=0), model.rounding(X) / TOLERANCE)),
+        _array("expected_mean", expected.mean),
+        _array("expected_std", expected.std),
+        _array("expected_slope", slopes),
+        _array("mean_size", np.abs(expected.mean).max(axis=0)),
+        _array("std_size", np.maximum(expected.std.max(axis=0), rounding / TOLERANCE)),
         _array("slope_size", np.where(size > 0, size, 1.0)),
+        _array("pipeline_mean", reference.mean),
+        _array("pipeline_std", reference.std),
+        _array("allowed", allowed),
     ]
-    return {"n": len(X), "tolerance": TOLERANCE, "tables": "\n".join(texts)}
+    source = "the pipeline" if model.reference else "the portable model"
+    return {
+        "n": len(X),
+        "tolerance": TOLERANCE,
+        "reduced": int(bool(losses)),
+        "source": "the reduced model" if losses else source,
+        "tables": "\n".join(texts),
+    }
+
+
+def _own_values(model: PortableModel) -> Reference:
+    """Return the values of the model itself at some of its samples."""
+    X = model.samples[np.linspace(0, len(model.samples) - 1, N_VECTORS).astype(int)]
+    return Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
 
 
 def _formulas(model: PortableModel) -> Iterator[str]:

@@ -1,11 +1,12 @@
-"""JSBSim: an aircraft with the aerodynamics of a model, as the effects of its regressors."""
+"""JSBSim: an aircraft with the aerodynamics of a model."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from string import Template
 from typing import Any, TypeAlias
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -13,10 +14,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from skdgp._compute.files import text_writer, write_atomically
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.checks import check_number
 from skdgp.dynamics import Aircraft, ThrustLine
 from skdgp.export._model import PortableModel, Regressor, Term
+from skdgp.io import FULL_THROW
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
@@ -59,11 +63,10 @@ NOTE = """
  Made by skdgp from flights. Forces act along body axes (x forward, y right, z down) at the centre of gravity, which is
  the origin. Properties of the aerodynamics:
    aero/regressor/NAME      regressors, SI units and radians, or the unit of the control; NAME_hat: non-dimensional rate
-   aero/coefficient/CX      coefficients CX CY CZ Cl Cm Cn: a constant and the effects of the regressors
-   aero/effect/CX-NAME      effect of a regressor, with mean zero over the flights; CX-joint: of all together
- Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. A command of 1 is the largest
- deflection of the flights, which surfaces follow with the lag of the servos. Of a model with controls in parts of
- their full throw, -pos-rad holds these parts.
+   aero/coefficient/CX      coefficients CX CY CZ Cl Cm Cn
+ Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. Surfaces follow commands with the lag
+ of the servos. Of a model with controls in parts of their full throw, -pos-rad holds these parts.
+ Deflections at a command of 1: $full.
 """
 # Of an element: other elements and comments, or a text or a number
 Content: TypeAlias = "Element[Any] | str | float"
@@ -71,43 +74,94 @@ Content: TypeAlias = "Element[Any] | str | float"
 Gaussians: TypeAlias = "list[tuple[Term, Vector]]"
 
 
-def write_jsbsim(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
+def write_jsbsim(
+    folder: str | os.PathLike[str],
+    model: PortableModel,
+    *,
+    full: Mapping[str, float] | None = None,
+) -> list[Path]:
     """Write an aircraft that JSBSim loads: metrics, mass, inertia, thrust and aerodynamics; return its file.
 
     ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``, NAME
-    the name of the aircraft. A coefficient is its posterior mean, a constant and the
-    :func:`~skdgp.effects` of the regressors: lines and sums of exponentials. The thrust is of
+    the name of the aircraft. A coefficient is its posterior mean: a constant, a linear function and
+    Gaussian functions. The thrust is of
     ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
     ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property
     ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if the model lacks a
-    coefficient, or a regressor is an acceleration.
+    coefficient, a regressor is an acceleration, or ``full`` names another control or is no number > 0.
 
     Parameters
     ----------
     folder : path-like
         Created if it does not exist.
     model : PortableModel
+    full : mapping of str to float, optional
+        Deflections of elevator, aileron and rudder at a command of 1, in the unit of the control,
+        [rad] unless it is "full throw". Default: the ``full_deflections`` of the aircraft, or 1 of
+        a control in parts of its full throw.
 
     Returns
     -------
     list of Path
         The files.
+
+    Warns
+    -----
+    UserWarning
+        If no full deflection of a control is known. A command of 1 is then the largest deflection
+        of the flights, so gains tuned in JSBSim are too large for servos that throw more.
     """
     if lacking := [name for name in COEFFICIENTS if name not in model.outputs]:
         raise ValueError(
             f"Got a model without {lacking}, but expected all six coefficients: learn them all."
         )
+    full = _full_deflections(model, full or {})
     name = re.sub(r"[^\w-]", "_", model.aircraft.name, flags=re.ASCII) or "aircraft"
     path = Path(folder, "aircraft", name, f"{name}.xml")
+    root = _config(name, model, full)
     path.parent.mkdir(parents=True, exist_ok=True)
-    root = _config(name, model)
     ElementTree.indent(root, space=" ")
     text = ElementTree.tostring(root, encoding="unicode")
     write_atomically(path, text_writer(f'<?xml version="1.0"?>\n{text}\n'))
     return [path]
 
 
-def _config(name: str, model: PortableModel) -> Element:
+def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[str, float]:
+    """Return the deflections at a command of 1: given, of the aircraft, or the largest flown with a warning."""
+    units = {r.name: r.unit for r in model.regressors if r.name in SURFACES}
+    for name, value in full.items():
+        if name not in units:
+            raise ValueError(
+                f"Got a full deflection of {name!r}, but expected one of the commands of this "
+                f"model: {', '.join(units) or 'it has none'}."
+            )
+        check_number(f"full deflection of the {name}", value, unit=units[name])
+    of_aircraft = model.aircraft.full_deflections or {}
+    deflections = {}
+    flown = {}
+    for name, unit in units.items():
+        if name in full:
+            deflections[name] = float(full[name])
+        elif unit == FULL_THROW:
+            deflections[name] = 1.0
+        elif name in of_aircraft:
+            deflections[name] = of_aircraft[name]
+        else:
+            column = model.regressor_names.index(name)
+            flown[name] = deflections[name] = float(np.abs(model.limits[:, column]).max())
+    if flown:
+        values = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in flown.items())
+        example = " ".join(f"{name}=..." for name in flown)
+        warn(
+            f"Got no full deflections, so a command of 1 is the largest deflection of the flights: "
+            f"{values}. Gains tuned with it are too large for servos that throw more: give full "
+            f"(--full {example}).",
+            stacklevel=3,
+        )
+    return deflections
+
+
+def _config(name: str, model: PortableModel, full: Mapping[str, float]) -> Element:
     """Return the file of an aircraft."""
     aircraft = model.aircraft
     controls = [r.name for r in model.regressors if not r.power and r.name not in SOURCES]
@@ -124,10 +178,11 @@ def _config(name: str, model: PortableModel) -> Element:
         for r, shift, scale in zip(model.regressor_names, model.shift, model.scale, strict=True)
     ]
     coefficients = [each for c in COEFFICIENTS for each in _coefficient(model, c)]
+    note = Template(NOTE).substitute(full=_full_text(model, full))
     settable = [*([] if has_engine else [THROTTLE]), *(f"fcs/{c}" for c in controls)]
     return element(
         "fdm_config",
-        ElementTree.Comment(NOTE),
+        ElementTree.Comment(note),
         element(
             "fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")
         ),
@@ -145,7 +200,7 @@ def _config(name: str, model: PortableModel) -> Element:
         element("ground_reactions"),
         _thrust(aircraft),
         *([_engine()] if has_engine else []),
-        _controls(model, settable),
+        _controls(model, settable, full),
         element("aerodynamics", *regressors, *scaled, *coefficients, *map(_load, COEFFICIENTS)),
         name=name,
         version="2.0",
@@ -235,11 +290,19 @@ def _engine() -> Element:
     return element("propulsion", element("engine", power, thruster))
 
 
-def _controls(model: PortableModel, properties: Sequence[str]) -> Element:
+def _full_text(model: PortableModel, full: Mapping[str, float]) -> str:
+    """Return the deflections at a command of 1 as text."""
+    units = {r.name: r.unit for r in model.regressors}
+    values = ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in full.items())
+    return values or "none"
+
+
+def _controls(
+    model: PortableModel, properties: Sequence[str], full: Mapping[str, float]
+) -> Element:
     parts = []
     for name, (command, position) in SURFACES.items():
         if name in model.regressor_names:
-            largest = float(np.abs(model.limits[:, model.regressor_names.index(name)]).max())
             # JSBSim trims by the second
             inputs = [element("input", place) for place in (command, TRIMS[name])]
             servo = element(
@@ -251,7 +314,7 @@ def _controls(model: PortableModel, properties: Sequence[str]) -> Element:
             scale = element(
                 "aerosurface_scale",
                 element("input", f"fcs/{name}-servo"),
-                element("range", element("min", -largest), element("max", largest)),
+                element("range", element("min", -full[name]), element("max", full[name])),
                 element("output", position),
                 name=f"fcs/{name}-scale",
             )
@@ -285,67 +348,46 @@ def _load(coefficient: str) -> Element:
 
 
 def _coefficient(model: PortableModel, coefficient: str) -> Iterator[Element]:
-    """Yield the effects of a coefficient, and their sum with the constant."""
-    d = len(model.regressors)
-    constant, slopes, gaussians = _mean(model, model.outputs.index(coefficient))
-    Z = model.scaled(model.samples)
-    total = [f"aero/effect/{coefficient}-{_name(model, term)}" for term in gaussians]
-    for term, functions in gaussians.items():
-        slope = slopes * (np.arange(d) == term[0]) if len(term) == 1 else np.zeros(d)
-        values = Z @ slope + sum(each.functions(Z) @ weights for each, weights in functions)
-        constant += values.mean()
-        yield from _effect(
-            model, f"{coefficient}-{_name(model, term)}", slope, functions, values.mean()
-        )
-    yield _function(f"aero/coefficient/{coefficient}", _apply("sum", constant, *total))
-
-
-def _mean(model: PortableModel, i: int) -> tuple[float, Vector, dict[tuple[int, ...], Gaussians]]:
-    """Return the constant, slopes and Gaussian functions, by their regressors, that add up to the mean of an output."""
-    P, d = len(model.outputs), len(model.regressors)
-    trend = np.zeros(d + 1)
-    gaussians: dict[tuple[int, ...], Gaussians] = {(k,): [] for k in range(d)}
-    for q, part in zip(model.mixture[:, i] * model.output_scale[i], model.parts[i::P], strict=True):
-        trend += q * part.trend_weights
-        for term in part.terms:
-            weights = q * part.readout.weights[term.entries]
-            gaussians.setdefault(term.regressors, []).append((term, weights))
-    constant = float(model.center[i] + trend[0] - trend[1:] @ model.trend_center)
-    found = {key: of_term for key, of_term in gaussians.items() if of_term or trend[1 + key[0]]}
-    return constant, trend[1:], found
-
-
-def _name(model: PortableModel, term: tuple[int, ...]) -> str:
-    names = [model.regressor_names[k] for k in term]
-    return "joint" if len(names) == len(model.regressors) > 1 else "-".join(names)
-
-
-def _effect(
-    model, name: str, slope: Vector, gaussians: Gaussians, mean: float
-) -> Iterator[Element]:
-    r"""Yield the parts of an effect and their sum; exponentials of one term share the square of the regressors.
+    r"""Yield a coefficient, behind the squares of its terms, which their exponentials share.
 
     .. math:: |F^T z - c|^2 = z^T F F^T z - 2 (F c)^T z + |c|^2
     """
+    constant, slopes, gaussians = _mean(model, model.outputs.index(coefficient))
     names = [f"aero/scaled/{regressor}" for regressor in model.regressor_names]
-
-    def plane(constant, slopes):
-        steep = np.flatnonzero(slopes)
-        return [constant, *(_apply("product", slopes[k], names[k]) for k in steep)]
-
-    total = plane(-mean, slope)
+    total = _plane(constant, slopes, names)
     for number, (term, weights) in enumerate(gaussians):
         A = term.root @ term.root.T
         squares = [_apply("product", -0.5 * A[k, n], names[k], names[n]) for k, n in np.argwhere(A)]
-        square = f"aero/square/{name}-{number}"
+        square = f"aero/square/{coefficient}-{number}"
         yield _function(square, _apply("sum", *squares))
-        exponents = zip(
-            -0.5 * np.square(term.centres).sum(1), term.centres @ term.root.T, strict=True
-        )
-        for weight, exponent in zip(term.gain * weights, exponents, strict=True):
-            bell = _apply("exp", _apply("sum", square, *plane(*exponent)))
-            total.append(_apply("product", weight, bell))
-    yield _function(f"aero/effect/{name}", _apply("sum", *total))
+        constants = -0.5 * np.square(term.centres).sum(axis=1)
+        inner = term.centres @ term.root.T
+        for weight, at_zero, slope in zip(weights, constants, inner, strict=True):
+            exponent = _apply("sum", square, *_plane(at_zero, slope, names))
+            total.append(_apply("product", weight, _apply("exp", exponent)))
+    yield _function(f"aero/coefficient/{coefficient}", _apply("sum", *total))
+
+
+def _plane(constant: float, slopes: Vector, names: Sequence[str]) -> list[Any]:
+    """Return the summands of a linear function."""
+    steep = np.flatnonzero(slopes).tolist()
+    return [constant, *(_apply("product", slopes[k], names[k]) for k in steep)]
+
+
+def _mean(model: PortableModel, i: int) -> tuple[float, Vector, Gaussians]:
+    """Return constant, slopes and Gaussian functions with their weights, which add up to the mean of an output."""
+    trend = np.zeros(len(model.regressors) + 1)
+    gaussians: Gaussians = []
+    weights = model.mixture[:, i] * model.output_scale[i]
+    for weight, part in zip(weights, model.parts[i :: len(model.outputs)], strict=True):
+        if weight == 0.0:
+            continue
+        trend += weight * part.trend_weights
+        for term in part.terms:
+            gains = weight * term.gain * part.readout.weights[term.entries]
+            gaussians.append((term, gains))
+    constant = float(model.center[i] + trend[0] - trend[1:] @ model.trend_center)
+    return constant, trend[1:], gaussians
 
 
 def element(tag: str, *content: Content, **attributes: str) -> Element:

@@ -126,7 +126,7 @@ class Part:
 
     With scaled regressors z, p = (1, z - ``trend_center``) and the basis g(z) of the terms,
 
-    .. math:: \mu = v^T p + w^T g, \quad \nu = a + |\tau \circ p|^2 - |h|^2, \quad
+    .. math:: \mu = v^T p + w^T g, \quad \nu = a + |R^T p|^2 - |h|^2, \quad
               h = T^T p + (0, U^T g).
 
     Parameters
@@ -134,18 +134,20 @@ class Part:
     terms : tuple of Term
     readout : Readout
         w and U, which acts on the last k entries of h; parts may share one.
-    trend_weights, trend_scale : ndarray (d + 1,)
-        v, and tau: prior standard deviations of intercept and slopes.
+    trend_weights : ndarray (d + 1,)
+        v: posterior mean of intercept and slopes.
+    trend_prior : ndarray (d + 1, s)
+        R, a root of the prior covariance R R^T of intercept and slopes; any number s of columns.
     trend_root : ndarray (d + 1, r)
         T, with k <= r <= k + d + 1.
     prior_variance : float
-        a, of the Gaussian functions.
+        a, of the Gaussian functions, with the variance of the model discrepancy.
     """
 
     terms: tuple[Term, ...]
     readout: Readout
     trend_weights: Vector
-    trend_scale: Vector
+    trend_prior: Matrix
     trend_root: Matrix
     prior_variance: float
 
@@ -157,8 +159,8 @@ class Part:
         return values
 
     def prior(self, p: Matrix) -> Vector:
-        """Return the prior variance: a plus the squared norm of tau p, (n,)."""
-        return np.asarray(self.prior_variance + np.square(p * self.trend_scale).sum(axis=1))
+        """Return the prior variance a + |R^T p|^2, (n,)."""
+        return np.asarray(self.prior_variance + np.square(p @ self.trend_prior).sum(axis=1))
 
     def variance(self, p: Matrix, explained: Matrix) -> Vector:
         """Return nu (n,) from p and U^T g, (n, k)."""
@@ -193,6 +195,22 @@ def _added(total: Matrix, half: Matrix) -> Matrix:
 
 
 @dataclass(frozen=True, eq=False)
+class Reference:
+    """Predictions of the pipeline that a model is exported from, at exact regressors.
+
+    Parameters
+    ----------
+    regressors : ndarray (n, d)
+        In their units, in and near the training data.
+    mean, std : ndarray (n, P)
+    """
+
+    regressors: Matrix
+    mean: Matrix
+    std: Matrix
+
+
+@dataclass(frozen=True, eq=False)
 class PortableModel:
     r"""The posterior of the coefficients of an aircraft, as arrays.
 
@@ -217,6 +235,7 @@ class PortableModel:
         Scaled regressors are z = (x - shift) / scale.
     center, output_scale : ndarray (P,)
     trend_center : ndarray (d,)
+        Point of the intercepts, in scaled regressors, of all parts.
     parts : tuple of Part
         K P.
     mixture : ndarray (K, P)
@@ -233,6 +252,8 @@ class PortableModel:
         Time constant T of the servos [s]: surfaces follow commands c by :math:`T \dot\delta = c - \delta`.
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
+    reference : Reference or None
+        What an export is compared with.
     """
 
     regressors: tuple[Regressor, ...]
@@ -251,6 +272,7 @@ class PortableModel:
     samples: Matrix
     servo_lag: Vector
     provenance: dict[str, Any] = field(default_factory=dict)
+    reference: Reference | None = None
 
     def __repr__(self) -> str:
         return f"PortableModel({', '.join(self.outputs)} of {', '.join(self.regressor_names)})"
@@ -339,7 +361,7 @@ class PortableModel:
         .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
 
         and the deviation :math:`e / \max(\sigma, \sqrt{e})`. The factor 2 is five times the
-        largest error of C, ONNX and CasADi (measured).
+        largest error of C and CasADi (measured).
         """
         Z = self.scaled(X)
         p = self.trend(Z)
@@ -398,10 +420,13 @@ class PortableModel:
         arrays["term_root"] = np.array(wide).reshape(-1, d, d)
         arrays["centres"] = np.concatenate([np.empty((0, d)), *centres])
         for j, part in enumerate(self.parts):
+            arrays[f"trend_prior_{j}"] = part.trend_prior
             arrays[f"trend_root_{j}"] = part.trend_root
         for k, readout in enumerate(self.readouts):
             arrays[f"weights_{k}"] = readout.weights
             arrays[f"root_{k}"] = packed(readout.root)
+        if self.reference is not None:
+            arrays |= {REFERENCE + name: array for name, array in vars(self.reference).items()}
         return arrays
 
     @classmethod
@@ -426,12 +451,17 @@ class PortableModel:
                 tuple(terms[j]),
                 readouts[arrays["readout_of"][j]],
                 v,
-                tau,
+                arrays[f"trend_prior_{j}"],
                 arrays[f"trend_root_{j}"],
                 float(a),
             )
-            for j, (v, tau, a) in enumerate(of_parts)
+            for j, (v, a) in enumerate(of_parts)
         )
+        reference = {
+            name.removeprefix(REFERENCE): array
+            for name, array in arrays.items()
+            if name.startswith(REFERENCE)
+        }
         return cls(
             regressors=tuple(
                 Regressor(**r | {name: tuple(r[name]) for name in ("sources", "factors")})
@@ -441,12 +471,13 @@ class PortableModel:
             aircraft=Aircraft.from_dict(head["aircraft"]),
             parts=parts,
             provenance=head["provenance"],
+            reference=Reference(**reference) if reference else None,
             **{name: arrays[name] for name in NUMBERS},
         )
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the names and numbers that predictions depend on, as hexadecimal digits."""
+        """SHA-256 of regressors, outputs and arrays, as hexadecimal digits."""
         formulas = [asdict(regressor) for regressor in self.regressors]
         found = hashlib.sha256(json.dumps([formulas, self.outputs]).encode())
         for name, array in sorted(self.arrays().items()):
@@ -460,8 +491,10 @@ NUMBERS = (
     *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
     *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
+# Prefix of the arrays of a `Reference`
+REFERENCE = "reference_"
 # Arrays with one row for each part
-OF_PARTS = ("trend_weights", "trend_scale", "prior_variance")
+OF_PARTS = ("trend_weights", "prior_variance")
 
 
 def packed(triangle: Matrix) -> Vector:

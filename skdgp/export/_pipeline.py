@@ -7,12 +7,14 @@ import json
 import os
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+import pandas as pd
 from scipy.linalg import lapack, rq
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
@@ -24,14 +26,16 @@ from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
 from skdgp.export._c import c_bytes, write_c
-from skdgp.export._graphs import write_casadi, write_onnx
+from skdgp.export._casadi import write_casadi
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Part, PortableModel, Readout, Regressor, Term
+from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.export._reduce import reduced
 from skdgp.inference import ExactPosterior, SinglePosterior, SparsePosterior, training_inputs
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
 MAX_SAMPLES = 1000  # rows of the training data that a model holds
+REFERENCE_ROWS = 40  # at which a model holds the predictions of the pipeline
+REFERENCE_STEP = 0.5  # of every second one from the training data, in standard deviations
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -79,11 +83,18 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
             f"{REMEDY}"
         )
     simulated = as_aerodynamics(pipeline)
-    shift, scale = _scaling(pipeline, len(simulated.regressors))
+    behind = _behind_choice(pipeline)
+    shift, scale = _scaling(behind, len(simulated.regressors))
     columns = {c for _, step in pipeline.steps for c in getattr(step, "feature_names_in_", ())}
     posterior = regressor.posterior_
-    misfit = regressor.misfit_variance_ / regressor.scale_**2
-    parts = [part for member in posterior.members for part in _parts(member, misfit)]
+    discrepancy = regressor.misfit_variance_ / regressor.scale_**2
+    center = _trend_of(posterior.members[0].kernel)[0]
+    parts: list[Part] = []
+    for member, weights in zip(posterior.members, posterior.mixture, strict=True):
+        own = _parts(member, discrepancy, center)
+        parts += [
+            part if w > 0 else _unused(len(center)) for part, w in zip(own, weights, strict=True)
+        ]
     samples = training_inputs(posterior) * scale + shift
     seen = samples if simulated.limits is None else np.vstack([samples, simulated.limits])
     model = PortableModel(
@@ -94,7 +105,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         scale=scale,
         center=np.asarray(regressor.center_, dtype=float),
         output_scale=np.asarray(regressor.scale_, dtype=float),
-        trend_center=_trend_of(posterior.members[0].kernel)[0],
+        trend_center=center,
         parts=tuple(parts),
         mixture=np.asarray(posterior.mixture, dtype=float),
         noise_variance=np.asarray(regressor.noise_variance_),
@@ -103,6 +114,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         samples=samples[:: -(-len(samples) // MAX_SAMPLES)],
         servo_lag=np.array([simulated.servo_lag]),
         provenance=plain(facts | {"inference": regressor.inference_}),
+        reference=_reference(behind, regressor, samples, simulated.regressors),
     )
     names = dict.fromkeys((*model.columns, *model.regressor_names, *model.outputs))
     if strange := [name for name in names if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
@@ -113,12 +125,40 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     return model
 
 
-def _scaling(pipeline: Pipeline, n_regressors: int) -> tuple[Array, Array]:
-    """Return shift and scale of the scalers behind the choice of regressors."""
+def _behind_choice(pipeline: Pipeline) -> list[Any]:
+    """Return the steps between the choice of regressors and the last step."""
     steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
     roles = [getattr(step, "in_simulation", "") for step in steps]
     chosen = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
-    shift, scale, others = scaling_of(steps[chosen + 1 :], n_regressors)
+    return steps[chosen + 1 :]
+
+
+def _reference(
+    steps: list[Any], regressor: DependentGPRegressor, samples: Matrix, names: Sequence[str]
+) -> Reference:
+    """Return the predictions of the steps and the regressor at and near some samples (n, d)."""
+    rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
+    X = samples[rows]
+    moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
+    X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
+    Z: Any = X
+    for step in steps:
+        Z = step.transform(_as_fitted(Z, step, names))
+    Z = _as_fitted(Z, regressor, names)
+    mean, std = regressor.predict(Z, return_std=True, include_input_noise=False)
+    return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1))
+
+
+def _as_fitted(Z: Any, step: Any, names: Sequence[str]) -> Any:
+    """Return regressors as a table for a step that was fitted on one."""
+    if hasattr(step, "feature_names_in_") and not hasattr(Z, "columns"):
+        return pd.DataFrame(Z, columns=list(names))
+    return Z
+
+
+def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:
+    """Return shift and scale of scalers."""
+    shift, scale, others = scaling_of(steps, n_regressors)
     if others:
         raise ValueError(
             f"Got {type(others[0]).__name__} behind the choice of regressors, which has no "
@@ -156,8 +196,19 @@ def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
     return center, np.column_stack(values)
 
 
-def _parts(posterior: SinglePosterior, misfit: Vector) -> list[Part]:
-    """Return the parts of a single posterior, one for each output."""
+def _moved_trend(own: Vector, center: Vector) -> Matrix:
+    """Return the matrix M (d + 1, d + 1) with (1, z - own) = M (1, z - center)."""
+    moved = np.eye(len(center) + 1)
+    moved[1:, 0] = center - own
+    return moved
+
+
+def _parts(posterior: SinglePosterior, discrepancy: Vector, center: Vector) -> list[Part]:
+    """Return the parts of a single posterior, one for each output, with trends about a common centre.
+
+    A trend about another centre has the functions M p, p = (1, z - center). So its weights are
+    M^T v, and the roots of its prior and explained covariance M^T R and M^T T.
+    """
     terms = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in terms if not isinstance(term, ConvolvedGaussian)]
     if others:
@@ -165,17 +216,35 @@ def _parts(posterior: SinglePosterior, misfit: Vector) -> list[Part]:
             f"Got a model with the kernels {others}, but only ConvolvedGaussian and LinearTrend "
             f"have a portable form. {REMEDY}"
         )
-    center, tau = _trend_of(posterior.kernel)
-    prior = misfit + sum((kernel.value("amplitude") ** 2).sum(axis=0) for kernel in terms)
+    own, tau = _trend_of(posterior.kernel)
+    prior = discrepancy + sum((kernel.value("amplitude") ** 2).sum(axis=0) for kernel in terms)
     found = (
-        _exact(posterior, terms, center, tau)
+        _exact(posterior, terms, own, tau)
         if isinstance(posterior, ExactPosterior)
         else _sparse(cast(SparsePosterior, posterior), tau)
     )
-    return [
-        Part(tuple(of_part), readout, trend_weights, tau[i], trend_root, float(prior[i]))
-        for i, (of_part, readout, trend_weights, trend_root) in enumerate(found)
-    ]
+    moved = _moved_trend(own, center).T
+    parts = []
+    for i, (of_part, readout, weights, root) in enumerate(found):
+        trend_prior = moved * tau[i]
+        parts.append(
+            Part(
+                terms=tuple(of_part),
+                readout=readout,
+                trend_weights=moved @ weights,
+                trend_prior=trend_prior[:, tau[i] > 0],
+                trend_root=moved @ root,
+                prior_variance=float(prior[i]),
+            )
+        )
+    return parts
+
+
+def _unused(d: int) -> Part:
+    """Return a part of weight zero: its values do not matter, so it has no functions."""
+    nothing = np.zeros((d + 1, 0))
+    none = Readout(np.empty(0), np.empty((0, 0)))
+    return Part((), none, np.zeros(d + 1), nothing, nothing, 1.0)
 
 
 def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:
@@ -251,7 +320,7 @@ def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
 # -- the portable file, and all formats
 # -------------------------------------------------------------------------------------
 
-FORMAT, VERSION = "skdgp portable model", 5
+FORMAT, VERSION = "skdgp portable model", 6
 HEAD = "model.json"
 EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
 MEMBER_BYTES = 300  # of an array in the file, besides its numbers
@@ -339,7 +408,6 @@ FORMATS: dict[str, Format] = {
     "c": Format(write_c, c_bytes),
     "jsbsim": Format(write_jsbsim),
     "casadi": Format(write_casadi),
-    "onnx": Format(write_onnx),
 }
 
 
@@ -349,6 +417,7 @@ def export_model(
     to: str,
     *,
     max_kb: float | None = None,
+    full: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
 
@@ -365,6 +434,8 @@ def export_model(
     max_kb : float, optional
         Largest size [kB], of the flash memory for C, else of the portable file: the
         model gets fewer basis functions. Default: the whole model.
+    full : mapping of str to float, optional
+        For JSBSim: see :func:`write_jsbsim`.
 
     Returns
     -------
@@ -375,6 +446,13 @@ def export_model(
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
     write, size, most = FORMATS[to]
+    if full:
+        if to != "jsbsim":
+            raise ValueError(
+                f"Got full deflections for the format {to}, but only jsbsim has commands: leave "
+                f"them out."
+            )
+        write = partial(write_jsbsim, full=full)
     portable = portable_model(**model) if isinstance(model, Bunch) else model
     if max_kb is not None:
         if not 0 < max_kb < np.inf:

@@ -134,6 +134,8 @@ class _Choice:
 
         Changes are of the output, root mean square in its standard deviations.
         """
+        if self.weight == 0.0:
+            return self.part, 0.0
         e = self.p.shape[1]
         n = self.sizes[number]
         T = self.part.trend_root

@@ -18,6 +18,7 @@ GOOD = {
     "chord": 2.1,
     "thrust_line": {"position": [-1.2, 0.0, -0.1], "direction": [2.0, 0.0, 0.0]},
     "propeller": {"diameter": 0.7, "thrust_coefficients": [0.1, -0.05], "max_advance_ratio": 0.9},
+    "full_deflections": {"elevator": 0.42, "rudder": 0.35},
 }
 
 
@@ -34,6 +35,7 @@ def test_json_round_trip(tmp_path):
     assert isinstance(again.thrust_line, ThrustLine)
     assert isinstance(again.propeller, Propeller)
     np.testing.assert_allclose(again.thrust_line.direction, [1, 0, 0])
+    assert again.full_deflections == {"elevator": 0.42, "rudder": 0.35}
 
 
 def test_toml_says_the_same_as_json(tmp_path):
@@ -41,7 +43,7 @@ def test_toml_says_the_same_as_json(tmp_path):
         f"{key} = {json.dumps(GOOD[key])}"
         for key in ("name", "mass", "inertia", "wing_area", "span", "chord")
     ]
-    for table in ("thrust_line", "propeller"):
+    for table in ("thrust_line", "propeller", "full_deflections"):
         lines += [
             f"[{table}]",
             *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items()),
@@ -106,6 +108,12 @@ def test_sizes_must_be_positive_numbers(name, value):
         (without("chord"), r"lacks \['chord'\]"),
         (without(propeller={"thrust_coefficients": [0.1]}), r"propeller lacks \['diameter'\]"),
         (without(thrust_line=[1, 0, 0]), "Got list for thrust_line, but expected ThrustLine"),
+        (without(full_deflections={"elevatr": 0.4}), "'elevatr' in full_.*mean 'elevator'"),
+        (
+            without(full_deflections={"rudder": -0.4}),
+            r"rudder=-0.4, but expected a number > 0 \[rad",
+        ),
+        (without(full_deflections=[0.4]), "Got list for full_deflections, but expected a mapping"),
     ],
 )
 def test_what_is_no_aircraft(values, words):

@@ -1,18 +1,23 @@
-"""Small models of every kind of posterior that can be exported, fitted in a moment."""
+"""Small models of every kind of posterior that can be exported, and the model that identify makes."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
+from typing import Any, NamedTuple
 
+import joblib
 import numpy as np
 import pandas as pd
 import pytest
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aircraft
+from skdgp._regressor import _estimator
+from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.export import portable_model
-from skdgp.identification import make_identification_pipeline
+from skdgp.identification import _identification, identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.report import FlightMechanics
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
@@ -66,6 +71,42 @@ def pipeline_of(regressor, aircraft=AIRCRAFT, **options):
     return model.set_params(flightcheck="passthrough", flightsmoother="passthrough")
 
 
+IDENTIFIED = "identified"
+
+
+def fit_identified(folder, data):
+    """Write the model that `identify` makes by default, of few rows: two searches, sparse, with a discrepancy."""
+    regressor = DependentGPRegressor(
+        inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
+    )
+    train = data.train[data.train["time"] < 25]
+    test = data.test[data.test["time"] < 5]
+    found = identify(
+        train, data.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
+    )
+    learned = found.pipeline[-1]
+    # Few rows show none; a longer flight shows some of this size
+    learned.misfit_variance_ = np.linspace(0.1, 0.6, 6) * learned.noise_variance_
+    joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
+
+
+@pytest.fixture(scope="session")
+def identified(once, first_minute, cut_short):
+    """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen."""
+
+    def write(folder):
+        with cut_short(), warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
+            warnings.simplefilter("ignore")  # of few rows
+            patch.setattr(_estimator, "SEARCHES", 2)
+            mechanics = FlightMechanics(note="Left out.")
+            patch.setattr(_identification, "flight_mechanics", lambda *_: mechanics)
+            fit_identified(folder, first_minute())
+
+    names = ("pipeline", "aircraft", "flight")
+    path = once("identified to export", write) / "model.joblib"
+    return Bunch(**dict(zip(names, joblib.load(path), strict=True)))
+
+
 @pytest.fixture(scope="session")
 def fitted(cut_short):
     """Return a function of a kind: what its model file holds; each kind is fitted once."""
@@ -91,6 +132,92 @@ def fitted(cut_short):
 def portable_of(fitted):
     """Return a function of a kind: its portable model."""
     return cache(lambda kind: portable_model(**fitted(kind)))
+
+
+class Case(NamedTuple):
+    """A pipeline, its portable model, and what the PIPELINE predicts at points in and near a flight."""
+
+    kind: str
+    pipeline: Any
+    model: Any
+    flight: pd.DataFrame
+    X: np.ndarray  # regressors in their units
+    mean: np.ndarray
+    std: np.ndarray  # at exact regressors
+    slopes: np.ndarray
+    added: Any = None  # function of X: variance of further columns of the prior
+
+    def predict(self, noise):
+        """Return mean and standard deviation of the pipeline with a factor of the regressors' noise."""
+        table = pd.DataFrame(self.X, columns=self.model.regressor_names)
+        tail = self.pipeline[-2:]  # the scaler and the regressor
+        mean, std = tail.predict(table, return_std=True, include_input_noise=noise)
+        return mean, std if self.added is None else np.sqrt(std**2 + self.added(self.X))
+
+    def assert_mean(self, mean, tolerance=1e-9):
+        """The tolerance is of the largest value of each coefficient."""
+        assert (np.abs(mean - self.mean) <= tolerance * np.abs(self.mean).max(axis=0)).all()
+
+    def assert_std(self, std):
+        """Within 1e-9 of the value, or the rounding of double precision where this is more."""
+        allowed = np.maximum(1e-9 * self.std, self.model.rounding(self.X))
+        assert (np.abs(std - self.std) <= allowed).all()
+
+    def assert_slopes(self, slopes, tolerance=1e-9):
+        """The tolerance is of the largest slope of each coefficient, by scaled regressors."""
+        expected = self.slopes * self.model.scale
+        largest = np.abs(expected).max(axis=(0, 2), keepdims=True)
+        assert (np.abs(slopes * self.model.scale - expected) <= tolerance * largest).all()
+
+
+@pytest.fixture(scope="session")
+def case_of(request, fitted, portable_of):
+    """Return a function of a kind: its `Case`."""
+
+    def get(kind):
+        if kind == IDENTIFIED:
+            model = request.getfixturevalue("identified")
+            portable = portable_model(model.pipeline, model.aircraft)
+        else:
+            model, portable = fitted(kind) | {"flight": make_flight(30, 3)[0]}, portable_of(kind)
+            model = Bunch(**model)
+        rng = np.random.default_rng(5)
+        flown = np.asarray(model.pipeline[:-2].transform(model.flight))
+        X = flown[rng.choice(len(flown), 30, replace=False)]
+        X[1::2] += 0.5 * flown.std(axis=0) * rng.standard_normal(X[1::2].shape)
+        slopes = as_aerodynamics(model.pipeline).gradient(X)
+        case = Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes)
+        mean, std = case.predict(0.0)
+        return case._replace(mean=mean, std=std)
+
+    def widened():
+        """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
+        case = get("average")
+        model = case.model
+        further = np.random.default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
+
+        def added(X):
+            z = (X - model.shift) / model.scale
+            p = np.column_stack([np.ones(len(z)), z - model.trend_center])
+            return model.output_scale**2 * np.square(np.einsum("nk,pkr->npr", p, further)).sum(2)
+
+        parts = [
+            replace(part, trend_prior=np.hstack([part.trend_prior, further[j % 6]]))
+            for j, part in enumerate(model.parts)
+        ]
+        known = model.reference
+        std = np.sqrt(known.std**2 + added(known.regressors))
+        model = replace(model, parts=tuple(parts), reference=replace(known, std=std))
+        wide = case._replace(kind="widened", model=model, added=added)
+        return wide._replace(std=wide.predict(0.0)[1])
+
+    return cache(lambda kind: widened() if kind == "widened" else get(kind))
+
+
+@pytest.fixture(params=[IDENTIFIED, "widened", *KINDS])
+def case(request, case_of):
+    """Return the `Case` of each kind, in turn."""
+    return case_of(request.param)
 
 
 @pytest.fixture(params=KINDS)

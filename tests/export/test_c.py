@@ -1,4 +1,4 @@
-"""The model in C: compiled by a strict compiler and compared with Python."""
+"""The model in C: compiled by a strict compiler and compared with the pipeline."""
 
 import ctypes
 import shutil
@@ -43,26 +43,23 @@ class Library:
         return arrays[1:]
 
 
-def test_equals_the_model(portable, flight, tmp_path):
-    model, X = portable, portable.regressor_values(flight)
+def test_equals_the_pipeline(case, tmp_path):
+    model = case.model
     write_c(tmp_path, model)
     done(tmp_path, *STRICT, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    assert "passed: 40 points" in done(tmp_path, "./test")
+    assert "passed: 40 points, with the values of the pipeline" in done(tmp_path, "./test")
 
     library = Library(tmp_path, model)
     P, d = library.shape
-    mean, std = model.predict(X, return_std=True, include_input_noise=False)
-    found = np.array([library("predict", x, P, P) for x in X])
-    np.testing.assert_allclose(found[:, 0], mean, rtol=0, atol=1e-12 * np.abs(mean).max())
-    assert (np.abs(found[:, 1] - std) <= np.maximum(1e-9 * std.max(0), model.rounding(X))).all()
-    slopes = model.predict_gradient(X) * model.scale
-    slopes_found = np.array([library("gradient", x, (P, d))[0] for x in X]) * model.scale
-    np.testing.assert_allclose(slopes_found, slopes, rtol=0, atol=1e-9 * np.abs(slopes).max())
+    found = np.array([library("predict", x, P, P) for x in case.X])
+    case.assert_mean(found[:, 0])
+    case.assert_std(found[:, 1])
+    case.assert_slopes(np.array([library("gradient", x, (P, d))[0] for x in case.X]))
     limits = (ctypes.c_double * (2 * d)).in_dll(library.library, "aero_limits")
     np.testing.assert_array_equal(np.reshape(limits, (2, d)), model.limits)
-    sources = flight[list(model.columns)].to_numpy()
-    inputs = np.array([library("inputs", row, d)[0] for row in sources])
-    np.testing.assert_allclose(inputs, X, rtol=1e-12, atol=1e-14)
+    sources = case.flight[:50][list(model.columns)]
+    inputs = np.array([library("inputs", row, d)[0] for row in sources.to_numpy(float)])
+    np.testing.assert_allclose(inputs, model.regressor_values(sources), rtol=1e-12, atol=1e-14)
     assert ", ".join(model.columns) in (tmp_path / "aero.h").read_text()
 
 
@@ -73,6 +70,49 @@ def test_make_test_passes(portable_of, tmp_path):
     values = model.aircraft.to_dict() | {"name": 'a::b */ #error "é" \\ ??/ <&> $x --'}
     write_c(tmp_path, replace(model, aircraft=Aircraft.from_dict(values)))
     assert "passed: 40 points" in done(tmp_path, "make", "test")
+
+
+WRONG = {
+    "trend": lambda model: replace(model, trend_center=model.trend_center + 0.01),
+    "deviation": lambda model: replace(
+        model,
+        parts=[replace(part, prior_variance=part.prior_variance + 1e-4) for part in model.parts],
+    ),
+    "scale": lambda model: replace(model, output_scale=model.output_scale * (1 + 1e-6)),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path, wrong):
+    write_c(tmp_path, WRONG[wrong](case_of("identified").model))
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert "FAILED" in run.stdout
+
+
+def test_a_reduced_model_is_compared_with_the_pipeline(case_of, tmp_path):
+    """Within its loss, which a wrong model exceeds, though it equals its own values."""
+    model = case_of("identified").model
+    wrong = replace(model, trend_center=model.trend_center + 0.5)
+    codes = []
+    for each in (model, wrong):
+        export_model(tmp_path, each, "c", max_kb=100)
+        done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+        run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
+        codes.append(run.returncode)
+        words = [
+            "with the values of the reduced model",
+            "from the pipeline by more than the stated loss",
+        ]
+        assert words[run.returncode] in run.stdout
+    assert codes == [0, 1]
+
+
+def test_a_model_without_a_pipeline_is_compared_with_itself(portable_of, tmp_path):
+    write_c(tmp_path, replace(portable_of("trend"), reference=None))
+    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    assert "with the values of the portable model" in done(tmp_path, "./test")
 
 
 def test_a_size_is_kept(portable_of, tmp_path):

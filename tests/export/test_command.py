@@ -15,7 +15,7 @@ from skdgp.identification import load_model, save_model
 @pytest.fixture
 def path(fitted, tmp_path):
     """Return a model file."""
-    return save_model(tmp_path / "model.joblib", **fitted("sparse"), flights=["monday"])
+    return save_model(tmp_path / "model.joblib", **fitted("sparse-joint"), flights=["monday"])
 
 
 @pytest.fixture
@@ -43,14 +43,27 @@ def test_portable(run, path):
     ("to", "max_kb", "files"),
     [
         ("c", 30, ["aero.h", "aero.c", "test_aero.c", "Makefile"]),
-        ("jsbsim", 60, ["aircraft/uav/uav.xml"]),
+        ("jsbsim", 40, ["aircraft/uav/uav.xml"]),
     ],
 )
 def test_in_a_smaller_size(run, path, to, max_kb, files):
-    numbers, folder = run(path, "--to", to, "--max-kb", max_kb)
+    full = ["--full", "elevator=0.4", "aileron=0.4", "rudder=0.3"] if to == "jsbsim" else []
+    numbers, folder = run(path, "--to", to, "--max-kb", max_kb, *full)
     assert list(numbers["files"]) == files
     assert all((folder / name).stat().st_size for name in files)
     assert set(numbers["loss"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
+
+
+def test_full_deflections_of_jsbsim(path, tmp_path, capsys):
+    """Those that are not given are the largest of the flights, and are named."""
+    words = ["export", str(path), "--to", "jsbsim", "--full", "elevator=0.42"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    error = capsys.readouterr().err
+    assert re.search(
+        r"warning: Got no full deflections, .* of the flights: aileron 0\.\d+ rad", error
+    )
+    text = (tmp_path / "out" / "aircraft" / "uav" / "uav.xml").read_text()
+    assert "<max>0.42</max>" in text
 
 
 @pytest.mark.parametrize(
@@ -58,6 +71,8 @@ def test_in_a_smaller_size(run, path, to, max_kb, files):
     [
         (["--to", "c", "--max-kb", "1"], "smallest form of this model takes"),
         (["--to", "c", "--aircraft", "no.json"], "no.json"),
+        (["--to", "c", "--full", "elevator=0.4"], "for the format c, but only jsbsim has commands"),
+        (["--to", "jsbsim", "--full", "flap=0.4"], "full deflection of 'flap', but expected one"),
     ],
 )
 def test_what_cannot_be_exported(path, words, message, tmp_path, capsys):

@@ -48,22 +48,25 @@ def test_is_the_same_model(portable, flight, tmp_path):
     assert found.content_hash == portable.content_hash
     assert found.aircraft == portable.aircraft
     assert found.provenance == portable.provenance
+    for name, array in vars(portable.reference).items():
+        np.testing.assert_array_equal(getattr(found.reference, name), array)
 
 
-def test_the_reader_of_the_examples(portable, flight, tmp_path):
-    """It predicts the same, and imports NumPy alone."""
+def test_the_reader_of_the_examples(case, tmp_path):
+    """It predicts what the pipeline predicts, and imports NumPy alone."""
     path = ROOT / "examples" / "read_portable.py"
     spec = spec_from_file_location("read_portable", path)
     reader = module_from_spec(spec)
     spec.loader.exec_module(reader)
-    model = reader.Model(save_portable(tmp_path / "model.npz", portable))
-    X = model.regressors(dict(flight))
-    np.testing.assert_allclose(X, portable.regressor_values(flight), rtol=1e-12)
-    for noise in (1, 0):
-        mean, std = model.predict(X, noise)
-        ours, deviation = portable.predict(flight, True, noise)
-        np.testing.assert_allclose(mean, ours, rtol=0, atol=1e-12 * np.abs(ours).max())
-        assert (np.abs(std - deviation) <= np.maximum(1e-9 * std, portable.rounding(flight))).all()
+    model = reader.Model(save_portable(tmp_path / "model.npz", case.model))
+    X = model.regressors({name: case.flight[name] for name in case.model.columns})
+    np.testing.assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
+    for noise in (1.0, 0.0):
+        mean, std = case.predict(noise)
+        expected = case._replace(mean=mean, std=std)
+        found, deviation = model.predict(case.X, noise)
+        expected.assert_mean(found)
+        expected.assert_std(deviation)
     imports = re.findall(r"^(?:import|from) (\w+)", path.read_text(), re.MULTILINE)
     assert imports == ["argparse", "json", "numpy"]
 

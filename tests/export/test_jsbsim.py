@@ -5,16 +5,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from skdgp import effects
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 AIRSPEED = 25.0
+FULL = {"elevator": 0.9, "aileron": 0.8, "rudder": 0.7}  # [rad], at a command of 1
 PROPELLER = Propeller(
     0.5, (0.1, -0.05, -0.08), torque_coefficients=(0.01, 0.002), speed_range=(100.0, 900.0)
 )
@@ -29,8 +28,8 @@ def load(tmp_path, capfd):
     """Return a function that writes a model and loads its aircraft over a flat Earth."""
     jsbsim = pytest.importorskip("jsbsim", reason="flies exports in JSBSim: pip install jsbsim")
 
-    def loaded(model):
-        (path,) = write_jsbsim(tmp_path, model)
+    def loaded(model, full=FULL):
+        (path,) = write_jsbsim(tmp_path, model, full=full)
         (tmp_path / "flat.xml").write_text(PLANET)
         fdm = jsbsim.FGFDMExec(str(tmp_path))
         fdm.set_debug_level(0)
@@ -49,10 +48,12 @@ def placed(fdm, model, x, airspeed=AIRSPEED):
     fdm["ic/h-sl-ft"] = 1000.0
     fdm["ic/alpha-rad"] = row["alpha"]
     fdm["ic/beta-rad"] = row["beta"]
-    fdm["ic/q-rad_sec"] = row["q_hat"] * 2 * airspeed / model.aircraft.chord
-    for surface in ("elevator", "aileron", "rudder"):
-        largest = np.abs(model.limits[:, model.regressor_names.index(surface)]).max()
+    lengths = zip("pqr", model.aircraft.moment_lengths, strict=True)
+    for rate, length in lengths:
+        fdm[f"ic/{rate}-rad_sec"] = row.get(f"{rate}_hat", 0.0) * 2 * airspeed / length
+    for surface, largest in FULL.items():
         fdm[f"fcs/{surface}-cmd-norm"] = row[surface] / largest
+    fdm["fcs/throttle-cmd-norm"] = row.get("throttle", fdm["fcs/throttle-cmd-norm"])
     fdm.run_ic()
     return np.array([fdm[f"aero/coefficient/{name}"] for name in COEFFICIENTS])
 
@@ -70,20 +71,64 @@ def of_aircraft(model, **changes):
     return replace(model, aircraft=Aircraft.from_dict(model.aircraft.to_dict() | changes))
 
 
-def test_coefficients_and_effects_are_those_of_the_model(kind, fitted, portable, load):
-    """The effects are those that the report draws, with mean zero over the samples."""
-    fdm = load(portable)
-    X = portable.samples[::3]
-    table = pd.DataFrame(X, columns=portable.regressor_names)
-    terms = effects(fitted(kind).pipeline[-2:]).evaluate(table)[0]  # scaler and regressor
-    for row, x in enumerate(X):
-        found = placed(fdm, portable, x)
-        np.testing.assert_allclose(found, portable.predict(x[None])[0], rtol=0, atol=1e-7)
-        for name, values in terms.items():
-            if values.any():
-                shown = [fdm[f"aero/effect/{c}-{name}"] for c in COEFFICIENTS]
-                np.testing.assert_allclose(shown, values[row], rtol=0, atol=1e-6)
-    assert fdm["aero/regressor/q_hat"] == pytest.approx(X[-1][2], abs=1e-8)
+def test_coefficients_are_those_of_the_pipeline(case, load):
+    fdm = load(case.model)
+    found = np.array([placed(fdm, case.model, x) for x in case.X])
+    case.assert_mean(found, 1e-7)
+    assert fdm["aero/regressor/q_hat"] == pytest.approx(
+        case.X[-1][case.model.regressor_names.index("q_hat")], abs=1e-8
+    )
+
+
+def test_a_command_of_1_is_the_full_deflection(load, portable_of):
+    """Of the argument, else of the aircraft, else the largest of the flights, with a warning; 1 of parts of it."""
+    model = of_aircraft(portable_of("trend"), full_deflections={"aileron": 0.5, "elevator": 0.4})
+    assert load(model, FULL) is not None
+    largest = np.abs(model.limits).max(axis=0)[-1]
+    with pytest.warns(
+        UserWarning, match=f"largest deflection of the flights: rudder {largest:.3g} rad"
+    ):
+        fdm = load(model, {"elevator": 0.42})
+    assert deflections(fdm, model) == pytest.approx([0.42, 0.5, largest])
+    text = Path(fdm.get_root_dir(), "aircraft", "uav", "uav.xml").read_text()
+    assert f"command of 1: elevator 0.42 rad, aileron 0.5 rad, rudder {largest:.4g} rad." in text
+
+    parts = [
+        replace(each, unit="full throw" if each.name in FULL else each.unit)
+        for each in model.regressors
+    ]
+    fdm = load(replace(model, regressors=tuple(parts)), None)
+    assert deflections(fdm, model) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def deflections(fdm, model):
+    """Return the positions of elevator, aileron and rudder at a command of 1."""
+    fdm.run_ic()
+    for surface in FULL:
+        fdm[f"fcs/{surface}-cmd-norm"] = 1.0
+    fdm.run_ic()
+    return [fdm[f"fcs/{name}-pos-rad"] for name in ("elevator", "left-aileron", "rudder")]
+
+
+@pytest.mark.parametrize(
+    ("full", "message"),
+    [
+        (
+            {"flap": 0.3},
+            "Got a full deflection of 'flap', but expected one of .* elevator, aileron",
+        ),
+        (
+            {"rudder": 0.0},
+            r"Got full deflection of the rudder=0.0, but expected a number > 0 \[rad\]",
+        ),
+        ({"rudder": -0.3}, "full deflection of the rudder=-0.3"),
+        ({"rudder": np.nan}, "full deflection of the rudder=nan"),
+    ],
+)
+def test_a_full_deflection_that_cannot_be_is_refused(portable_of, tmp_path, full, message):
+    with pytest.raises(ValueError, match=message):
+        write_jsbsim(tmp_path, portable_of("trend"), full=full)
+    assert not list(tmp_path.iterdir())
 
 
 def test_loads_and_accelerations_are_those_of_the_coefficients(load, portable_of):
@@ -123,11 +168,11 @@ def test_surfaces_follow_commands_with_the_lag_of_the_servos(load, portable_of):
     fdm = load(model)
     placed(fdm, model, np.zeros(6))
     fdm["fcs/elevator-cmd-norm"] = 0.5
-    begin, largest = fdm.get_sim_time(), np.abs(model.limits[:, 3]).max()
+    begin = fdm.get_sim_time()
     while fdm.get_sim_time() < begin + 0.4:
         fdm.run()
     elapsed = fdm.get_sim_time() - begin
-    expected = 0.5 * largest * (1 - np.exp(-elapsed / 0.2))
+    expected = 0.5 * FULL["elevator"] * (1 - np.exp(-elapsed / 0.2))
     assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=0.03)
 
 
@@ -172,6 +217,10 @@ def test_what_cannot_be_written_is_refused(portable_of, tmp_path):
     model = portable_of("trend")
     with pytest.raises(ValueError, match=r"without \['CX'\], but expected all six"):
         write_jsbsim(tmp_path, replace(model, outputs=("CT", *model.outputs[1:])))
+    assert not list(tmp_path.iterdir())
     renamed = replace(model.regressors[0], name="p_dot")
     with pytest.raises(ValueError, match="'p_dot', an acceleration"):
-        write_jsbsim(tmp_path, replace(model, regressors=(renamed, *model.regressors[1:])))
+        write_jsbsim(
+            tmp_path, replace(model, regressors=(renamed, *model.regressors[1:])), full=FULL
+        )
+    assert not list(tmp_path.iterdir())

@@ -1,5 +1,6 @@
 """The portable model predicts what the pipeline predicts, for every kind of posterior."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -16,27 +17,84 @@ from sklearn.preprocessing import (
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import as_aerodynamics
 from skdgp.export import portable_model
+from skdgp.inference import SparsePosterior
 from skdgp.preprocessing import RegressorSelector
 
 
-def test_equals_the_pipeline(kind, fitted, portable, flight):
+def test_equals_the_pipeline(case):
     for noise in (True, 2.0, False):
-        options = {"include_input_noise": noise}
-        mean, std = fitted(kind).pipeline.predict(flight, return_std=True, **options)
-        ours, deviation = portable.predict(flight, return_std=True, **options)
-        np.testing.assert_allclose(ours, mean, rtol=0, atol=1e-10 * np.abs(mean).max())
-        assert (np.abs(deviation - std) <= np.maximum(1e-9 * std, portable.rounding(flight))).all()
-    np.testing.assert_allclose(portable.predict(flight), ours, rtol=0, atol=1e-14)
+        mean, std = case.predict(noise)
+        expected = case._replace(mean=mean, std=std)
+        found, deviation = case.model.predict(case.X, True, noise)
+        expected.assert_mean(found)
+        expected.assert_std(deviation)
+        expected.assert_mean(case.model.predict(case.X))
 
 
-def test_slopes_are_those_of_the_simulation(kind, fitted, portable, flight):
-    aerodynamics = as_aerodynamics(fitted(kind).pipeline)
-    X = portable.regressor_values(flight)
-    slopes = aerodynamics.gradient(X)
-    assert portable.regressor_names == aerodynamics.regressors
-    np.testing.assert_allclose(
-        portable.predict_gradient(X), slopes, rtol=1e-9, atol=1e-10 * np.abs(slopes).max()
-    )
+def test_slopes_are_those_of_the_simulation(case):
+    assert case.model.regressor_names == as_aerodynamics(case.pipeline).regressors
+    case.assert_slopes(case.model.predict_gradient(case.X))
+
+
+def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
+    """Members of two searches with trends about different points, discrepancy, noise, unequal scales."""
+    case = case_of("identified")
+    learned = case.pipeline[-1]
+    posterior = learned.posterior_
+    assert isinstance(posterior.members[0], SparsePosterior)
+    assert posterior.mixture.shape == (6, 6)
+    assert posterior.mixture[:3].sum(axis=0) == pytest.approx(np.full(6, 0.5))
+    centers = [posterior.members[k].kernel.summands()[0].center for k in (0, 3)]
+    assert np.abs(centers[0] - centers[1]).max() > 0.05
+    assert (learned.misfit_variance_ > 0).all()
+    assert learned.scale_.max() > 3 * learned.scale_.min()
+    assert (np.diag(learned.input_covariance_) > 0).all()
+
+
+def test_equals_the_pipeline_on_a_flight(case_of):
+    """From the columns of a log on: smoothing, reconstruction, lags and the noise of the regressors."""
+    case = case_of("identified")
+    assert set(case.model.columns) <= set(case.flight)
+    X = np.asarray(case.pipeline[:-2].transform(case.flight))[::25]
+    for noise in (0.0, 1.0, 3.0):
+        mean, std = case.pipeline.predict(case.flight, return_std=True, include_input_noise=noise)
+        expected = case._replace(X=X, mean=mean[::25], std=std[::25])
+        found, deviation = case.model.predict(X, True, noise)
+        expected.assert_mean(found)
+        expected.assert_std(deviation)
+
+
+def test_parts_of_weight_zero_have_no_functions(case_of):
+    model = case_of("identified").model
+    sizes = np.array([len(part.terms) for part in model.parts]).reshape(model.mixture.shape)
+    assert (model.mixture == 0.0).any()
+    assert not sizes[model.mixture == 0.0].any()
+
+
+def test_the_reference_is_the_prediction_of_the_pipeline(case):
+    """At exact regressors, in and near the flights."""
+    reference = case.model.reference
+    assert reference.regressors.shape == (40, len(case.model.regressors))
+    assert 15 <= case.model.inside(reference.regressors).sum() <= 40
+    mean, std = case._replace(X=reference.regressors).predict(0.0)
+    np.testing.assert_allclose(reference.mean, mean, rtol=1e-12)
+    np.testing.assert_allclose(reference.std, std, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["average", "sparse-joint"])
+def test_the_model_discrepancy_is_in_the_deviation(fitted, flight, kind):
+    """Of outputs with different scales; the pipeline adds it to the variance of each coefficient."""
+    pipeline = copy.copy(fitted(kind).pipeline)
+    learned = copy.copy(pipeline[-1])
+    learned.misfit_variance_ = np.array([1e-4, 4e-4, 4e-2, 1e-5, 9e-3, 2e-4])
+    pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
+    assert learned.scale_.max() > 3 * learned.scale_.min()
+    std = pipeline.predict(flight, return_std=True, include_input_noise=0.0)[1]
+    exact = fitted(kind).pipeline.predict(flight, return_std=True, include_input_noise=0.0)[1]
+    misfit = fitted(kind).pipeline[-1].misfit_variance_
+    np.testing.assert_allclose(std**2 - exact**2 + misfit, [learned.misfit_variance_] * len(std))
+    model = portable_model(pipeline, fitted(kind).aircraft)
+    np.testing.assert_allclose(model.predict(flight, True, 0.0)[1], std, rtol=1e-9)
 
 
 def test_noise_of_each_row(portable_of, flight):

@@ -20,8 +20,8 @@ def smaller(portable_of, tmp_path):
     return get
 
 
-@pytest.mark.parametrize("fraction", [0.6, 0.45])
-@pytest.mark.parametrize("kind", ["average", "joint", "additive", "constant", "sparse"])
+@pytest.mark.parametrize("fraction", [0.75, 0.6])
+@pytest.mark.parametrize("kind", ["average", "joint", "additive", "constant", "sparse-joint"])
 def test_the_loss_is_true(smaller, portable_of, flight, kind, fraction):
     """At the samples it is a bound; on a flight that no model has seen, it is at most doubled."""
     whole = portable_of(kind)
@@ -38,7 +38,7 @@ def test_the_loss_is_true(smaller, portable_of, flight, kind, fraction):
 def test_more_functions_lose_less(smaller):
     few, more, most = (
         max(max(loss.values()) for loss in smaller("joint", fraction)[1].values())
-        for fraction in (0.1, 0.2, 0.4)
+        for fraction in (0.12, 0.2, 0.4)
     )
     assert few > more > most
     assert most < 0.05

@@ -53,7 +53,7 @@ ${formulas}
 static double part(int j, const double z[], const double p[], double g[], double *variance)
 {
     const int n = n_functions[j], rank = n_columns[j];
-    const double *T = trend_root[j], *U = root[j];
+    const double *R = trend_prior[j], *T = trend_root[j], *U = root[j];
     double u[AERO_INPUTS], value = 0, prior = prior_variance[j], explained = 0;
     for (int c = 0; c < n; c++)
         g[c] = 0;
@@ -68,8 +68,12 @@ static double part(int j, const double z[], const double p[], double g[], double
         value += g[c] * weights[j][c];
     if (variance == NULL)
         return value;
-    for (int k = 0; k <= AERO_INPUTS; k++)
-        prior += p[k] * trend_scale[j][k] * p[k] * trend_scale[j][k];
+    for (int r = 0; r < n_prior[j]; r++) {
+        double half = 0;
+        for (int k = 0; k <= AERO_INPUTS; k++)
+            half += p[k] * *R++;
+        prior += half * half;
+    }
     for (int r = 0; r < rank; r++) {
         double half = 0;
         for (int k = 0; k <= AERO_INPUTS; k++)

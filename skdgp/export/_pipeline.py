@@ -30,7 +30,14 @@ from skdgp.export._casadi import write_casadi
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.export._reduce import reduced
-from skdgp.inference import ExactPosterior, SinglePosterior, SparsePosterior, training_inputs
+from skdgp.inference import (
+    ExactPosterior,
+    FunctionErrors,
+    PosteriorWithErrors,
+    SinglePosterior,
+    SparsePosterior,
+    training_inputs,
+)
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
 MAX_SAMPLES = 1000  # rows of the training data that a model holds
@@ -87,11 +94,11 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     shift, scale = _scaling(behind, len(simulated.regressors))
     columns = {c for _, step in pipeline.steps for c in getattr(step, "feature_names_in_", ())}
     posterior = regressor.posterior_
-    discrepancy = regressor.misfit_variance_ / regressor.scale_**2
+    errors = posterior.errors if isinstance(posterior, PosteriorWithErrors) else None
     center = _trend_of(posterior.members[0].kernel)[0]
     parts: list[Part] = []
     for member, weights in zip(posterior.members, posterior.mixture, strict=True):
-        own = _parts(member, discrepancy, center)
+        own = _parts(member, errors, center)
         parts += [
             part if w > 0 else _unused(len(center)) for part, w in zip(own, weights, strict=True)
         ]
@@ -203,11 +210,14 @@ def _moved_trend(own: Vector, center: Vector) -> Matrix:
     return moved
 
 
-def _parts(posterior: SinglePosterior, discrepancy: Vector, center: Vector) -> list[Part]:
+def _parts(
+    posterior: SinglePosterior, errors: FunctionErrors | None, center: Vector
+) -> list[Part]:
     """Return the parts of a single posterior, one for each output, with trends about a common centre.
 
     A trend about another centre has the functions M p, p = (1, z - center). So its weights are
-    M^T v, and the roots of its prior and explained covariance M^T R and M^T T.
+    M^T v, and the roots of its prior and explained covariance M^T R and M^T T. Errors of the
+    function add to the prior: their linear terms further columns, their discrepancy a variance.
     """
     terms = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in terms if not isinstance(term, ConvolvedGaussian)]
@@ -217,7 +227,11 @@ def _parts(posterior: SinglePosterior, discrepancy: Vector, center: Vector) -> l
             f"have a portable form. {REMEDY}"
         )
     own, tau = _trend_of(posterior.kernel)
-    prior = discrepancy + sum((kernel.value("amplitude") ** 2).sum(axis=0) for kernel in terms)
+    prior = np.zeros(posterior.kernel.n_outputs)
+    for kernel in terms:
+        prior += (kernel.value("amplitude") ** 2).sum(axis=0)
+    if errors is not None:
+        prior += errors.discrepancy
     found = (
         _exact(posterior, terms, own, tau)
         if isinstance(posterior, ExactPosterior)
@@ -226,13 +240,16 @@ def _parts(posterior: SinglePosterior, discrepancy: Vector, center: Vector) -> l
     moved = _moved_trend(own, center).T
     parts = []
     for i, (of_part, readout, weights, root) in enumerate(found):
-        trend_prior = moved * tau[i]
+        trend_prior = (moved * tau[i])[:, tau[i] > 0]
+        if errors is not None:
+            linear = _moved_trend(errors.centre, center).T @ errors.weights[:, :, i].T
+            trend_prior = _square_root(np.hstack([trend_prior, linear]))
         parts.append(
             Part(
                 terms=tuple(of_part),
                 readout=readout,
                 trend_weights=moved @ weights,
-                trend_prior=trend_prior[:, tau[i] > 0],
+                trend_prior=trend_prior,
                 trend_root=moved @ root,
                 prior_variance=float(prior[i]),
             )
@@ -245,6 +262,11 @@ def _unused(d: int) -> Part:
     nothing = np.zeros((d + 1, 0))
     none = Readout(np.empty(0), np.empty((0, 0)))
     return Part((), none, np.zeros(d + 1), nothing, nothing, 1.0)
+
+
+def _square_root(root: Matrix) -> Matrix:
+    """Return a root R (k, k) with the same R R^T as a root of at least k columns."""
+    return np.array(rq(root, mode="r"))[:, -len(root) :]
 
 
 def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:

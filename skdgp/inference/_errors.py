@@ -29,8 +29,7 @@ from skdgp.kernels import ConvolvedGaussian, PathBundle, prior_paths
 
 BLOCKS = 60  # blocks of the time series; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
-# Fewest samples for each weight of a polynomial by least squares, and with instruments
-FEWEST, FEWEST_INSTRUMENTED = 10, 50
+FEWEST = 10  # samples for each weight of a line
 DELAYS = (2, 4, 6)  # of the instruments, in autocorrelation times of the errors
 SINGULAR = 1e-10  # fraction of the largest eigenvalue below which instruments count as equal
 
@@ -194,8 +193,8 @@ def function_errors(
     - random: over blocks b of consecutive samples, :math:`w_b = G Q_b^T r_b`, whatever the
       correlation within a block and between outputs (Liang & Zeger 1986);
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
-      other slopes at the centre c, by d with standard deviation s. This counts as
-      :math:`d |d| / \sqrt{d^2 + s^2}`, so as little where it is chance;
+      slopes d of the residuals, with standard deviation s. These count as
+      :math:`\sqrt{d^2 - s^2}`, what is beyond chance;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes
       J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
       regressor (Fuller 1987, section 1.1).
@@ -232,11 +231,9 @@ def function_errors(
         residual = y - posterior.predict(x)[:, i]
         weights = block_errors(_basis(z), residual)
         random[: len(weights), :, i] = weights / np.append(1.0, scale)
-        slope, std = instrumented_slopes(z, y)
-        difference = gradient[i] - slope / scale
-        size = np.hypot(difference, std / scale)
-        counted = np.divide(np.abs(difference), size, out=np.zeros(d), where=size > 0)
-        instruments[0, 1:, i] = difference * counted
+        change, scatter = instrumented(_basis(z), residual)
+        beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
+        instruments[0, 1:, i] = (np.sign(change) * np.sqrt(beyond_chance))[1:] / scale
         if input_std is not None:
             covariance = np.atleast_2d(np.cov(x.T))
             inverse = np.linalg.pinv(covariance, rcond=SINGULAR, hermitian=True)
@@ -247,12 +244,6 @@ def function_errors(
 def _basis(x: Array) -> Array:
     """Return (1, x), (..., d + 1)."""
     return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
-
-
-def parabola(z: Array) -> Array:
-    """Return (1, z, products of second order), (..., p)."""
-    first, second = np.triu_indices(z.shape[-1])
-    return np.concatenate([_basis(z), z[..., first] * z[..., second]], axis=-1)
 
 
 def blocks(n: int) -> list[Any]:
@@ -271,33 +262,14 @@ def block_errors(Q: Matrix, residual: Vector, inverse: Matrix | None = None) -> 
     return scores @ inverse.T * np.sqrt(len(scores) / (len(scores) - 1))
 
 
-def instrumented_slopes(z: Matrix, y: Vector) -> tuple[Vector, Vector]:
-    """Return slopes at z = 0 by two-stage least squares, (d,), and their standard deviations.
-
-    A polynomial of second order, if there are samples enough, is fitted to y (n,). Instruments are
-    earlier rows of its terms, by more than the errors of least squares last (Soderstrom & Stoica
-    1989, section 8.1): an error that causes motion, such as that of a gust, correlates with the
-    present regressors, and so biases least squares. Part of the bias remains, the more the longer
-    gusts last.
-    """
-    d = z.shape[1]
-    basis = _order(len(z), d, FEWEST)
-    Q = basis(z)
-    weights = np.linalg.lstsq(Q, y, rcond=None)[0]
-    rest = y - Q @ weights  # instruments that do not determine a slope leave that of least squares
-    few = _order(len(z), d, FEWEST_INSTRUMENTED)
-    change, errors = instrumented(few(z), rest)
-    slope = weights[1 : d + 1] + change[1 : d + 1]
-    return slope, np.linalg.norm(errors[:, 1 : d + 1], axis=0)
-
-
-def _order(n: int, d: int, fewest: int) -> Any:
-    """Return the basis of second order with ``fewest`` samples for each weight, else the line."""
-    return parabola if n >= fewest * (1 + d + d * (d + 1) // 2) else _basis
-
-
 def instrumented(Q: Matrix, y: Vector) -> tuple[Vector, Matrix]:
-    """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m)."""
+    """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
+
+    Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least
+    squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes motion, such as that
+    of a gust, correlates with present regressors, and so biases least squares. Part of the bias
+    remains, the more the longer gusts last.
+    """
     lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
     past = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS]
@@ -322,11 +294,15 @@ def narrowing(posterior: Posterior, added: Matrix) -> Matrix:
     for i, x in enumerate(data.X):
         if len(x) < FEWEST * (1 + x.shape[1]):
             continue
-        basis = _order(len(x), x.shape[1], FEWEST)
         centre, scale = x.mean(axis=0), column_scale(x)
-        before, after = (
-            np.diag(np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True))[1 : 1 + x.shape[1]]
-            for Q in (basis((rows - centre) / scale) for rows in (x, np.vstack([x, added])))
-        )
+        before = _slope_variances((x - centre) / scale)
+        after = _slope_variances((np.vstack([x, added]) - centre) / scale)
         np.divide(after, before, out=ratio[i], where=before > 0)
     return np.sqrt(np.minimum(ratio, 1.0))
+
+
+def _slope_variances(z: Matrix) -> Vector:
+    """Return the variances (d,) of the slopes of a line by least squares at z (n, d), for noise of variance one."""
+    Q = _basis(z)
+    inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
+    return np.diag(inverse)[1:]

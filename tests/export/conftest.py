@@ -74,6 +74,14 @@ def pipeline_of(regressor, aircraft=AIRCRAFT, **options):
 IDENTIFIED = "identified"
 
 
+def with_discrepancy(regressor, variance):
+    """Give a regressor that learned from a time series a discrepancy of these variances (6,)."""
+    errors = regressor.posterior_.errors
+    discrepancy = variance / regressor.scale_**2
+    regressor.posterior_.errors = errors._replace(discrepancy=discrepancy)
+    regressor.misfit_variance_ = variance
+
+
 def fit_identified(folder, data):
     """Write the model that `identify` makes by default, of few rows: two searches, sparse, with a discrepancy."""
     regressor = DependentGPRegressor(
@@ -86,7 +94,7 @@ def fit_identified(folder, data):
     )
     learned = found.pipeline[-1]
     # Few rows show none; a longer flight shows some of this size
-    learned.misfit_variance_ = np.linspace(0.1, 0.6, 6) * learned.noise_variance_
+    with_discrepancy(learned, np.linspace(0.1, 0.6, 6) * learned.noise_variance_)
     joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
 
 

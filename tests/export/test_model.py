@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
@@ -17,7 +18,7 @@ from sklearn.preprocessing import (
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import as_aerodynamics
 from skdgp.export import portable_model
-from skdgp.inference import SparsePosterior
+from skdgp.inference import AveragePosterior, ExactPosterior, SparsePosterior
 from skdgp.preprocessing import RegressorSelector
 
 
@@ -37,15 +38,14 @@ def test_slopes_are_those_of_the_simulation(case):
 
 
 def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
-    """Members of two searches with trends about different points, discrepancy, noise, unequal scales."""
+    """Members of two searches, errors of the function, noise, unequal scales."""
     case = case_of("identified")
     learned = case.pipeline[-1]
     posterior = learned.posterior_
     assert isinstance(posterior.members[0], SparsePosterior)
     assert posterior.mixture.shape == (6, 6)
     assert posterior.mixture[:3].sum(axis=0) == pytest.approx(np.full(6, 0.5))
-    centers = [posterior.members[k].kernel.summands()[0].center for k in (0, 3)]
-    assert np.abs(centers[0] - centers[1]).max() > 0.05
+    assert np.abs(posterior.errors.weights).max() > 0.001
     assert (learned.misfit_variance_ > 0).all()
     assert learned.scale_.max() > 3 * learned.scale_.min()
     assert (np.diag(learned.input_covariance_) > 0).all()
@@ -81,20 +81,39 @@ def test_the_reference_is_the_prediction_of_the_pipeline(case):
     np.testing.assert_allclose(reference.std, std, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["average", "sparse-joint"])
-def test_the_model_discrepancy_is_in_the_deviation(fitted, flight, kind):
-    """Of outputs with different scales; the pipeline adds it to the variance of each coefficient."""
-    pipeline = copy.copy(fitted(kind).pipeline)
-    learned = copy.copy(pipeline[-1])
-    learned.misfit_variance_ = np.array([1e-4, 4e-4, 4e-2, 1e-5, 9e-3, 2e-4])
+def test_the_discrepancy_is_in_the_deviation(case_of, flight):
+    """Of outputs with different scales: each deviation grows by the variance of its own discrepancy."""
+    case = case_of("identified")
+    pipeline = copy.copy(case.pipeline)
+    learned = copy.deepcopy(pipeline[-1])
+    before = learned.misfit_variance_
+    after = np.array([1e-4, 4e-4, 4e-2, 1e-5, 9e-3, 2e-4])
+    discrepancy = after / learned.scale_**2
+    learned.posterior_.errors = learned.posterior_.errors._replace(discrepancy=discrepancy)
     pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
     assert learned.scale_.max() > 3 * learned.scale_.min()
-    std = pipeline.predict(flight, return_std=True, include_input_noise=0.0)[1]
-    exact = fitted(kind).pipeline.predict(flight, return_std=True, include_input_noise=0.0)[1]
-    misfit = fitted(kind).pipeline[-1].misfit_variance_
-    np.testing.assert_allclose(std**2 - exact**2 + misfit, [learned.misfit_variance_] * len(std))
-    model = portable_model(pipeline, fitted(kind).aircraft)
-    np.testing.assert_allclose(model.predict(flight, True, 0.0)[1], std, rtol=1e-9)
+    changed = portable_model(pipeline, case.model.aircraft).predict(case.X, True, 0.0)[1]
+    growth = changed**2 - case.model.predict(case.X, True, 0.0)[1] ** 2
+    np.testing.assert_allclose(growth, [after - before] * len(growth), rtol=1e-6, atol=1e-12)
+
+
+def test_members_may_have_trends_about_different_points(fitted):
+    pipeline = copy.copy(fitted("joint").pipeline)
+    learned = copy.copy(pipeline[-1])
+    posterior = learned.posterior_.members[0]
+    trend, process = posterior.kernel.summands()
+    moved = clone(trend).set_params(center=np.asarray(trend.center) + 0.7)
+    other = ExactPosterior(moved + process, posterior.noise, posterior.data)
+    weights = np.repeat([[0.4], [0.6]], 6, axis=1)
+    learned.posterior_ = AveragePosterior([posterior, other], weights)
+    pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
+    model = portable_model(pipeline, fitted("joint").aircraft)
+    X = model.samples
+    Z = (X - model.shift) / model.scale
+    mean, std = learned.predict(Z, return_std=True, include_input_noise=False)
+    found, deviation = model.predict(X, True, 0.0)
+    np.testing.assert_allclose(found, mean, rtol=1e-9)
+    np.testing.assert_allclose(deviation, std, rtol=1e-6)
 
 
 def test_noise_of_each_row(portable_of, flight):

@@ -228,7 +228,7 @@ def test_inference_knows_kernels_by_their_contract_alone():
         }
 
     paths = [path for path in MODULES if part_of(path) == "inference"]
-    functions = {"covariance_paths", "inducing_features", "prior_paths"}
+    functions = {"covariance_paths", "independent_processes", "inducing_features", "prior_paths"}
     contract = {"Features", "MultiOutputKernel", "PathBundle", *functions}
     assert not offenders(lambda path: beyond(path) - contract, paths)
 

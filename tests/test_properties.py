@@ -67,8 +67,9 @@ def given_kernel(seed, X, Y, order=slice(None), outputs=slice(None)):
 
 
 def fixed(kernel, **more):
-    """Return a regressor of given hyperparameters: targets are divided by their root mean squares."""
-    return DependentGPRegressor(kernel, trend=None, optimizer=None, random_state=0, **more)
+    """Return a regressor of given hyperparameters and noise."""
+    known = {"trend": None, "optimizer": None, "noise_variance": 0.1, "random_state": 0}
+    return DependentGPRegressor(kernel, **known, **more)
 
 
 def close(got, expected, spread, rtol=1e-6):

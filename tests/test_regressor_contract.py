@@ -77,9 +77,9 @@ class TestMasks:
 
 def test_a_width_that_ends_at_a_given_bound_is_said():
     X, _ = waves()
-    y = np.sin(4 * X[:, 0])
+    y = np.sin(4 * X[:, 0]) + np.sin(3 * X[:, 1])
     narrow = ConvolvedGaussian(1, parameter_bounds={"length_scale": (5.0, 10.0)})
-    told = r"end at a bound of the kernel: length_scale\[0, 0, 0\] = 5 \(lower bound 5\)"
+    told = r"end at a bound of the kernel: length_scale\[0, 0, 0\] = (5|10) \((lower|upper) bound"
     with pytest.warns(ConvergenceWarning, match=told):
         DependentGPRegressor(narrow, structure="joint", random_state=0).fit(X, y)
     with warnings.catch_warnings():

@@ -115,7 +115,7 @@ class TestFreshProcess:
         if np.isnan(Y).any():
             return  # outputs of different rows have inputs of their own
         assert model.input_covariance_.any()  # slopes matter
-        assert len(pickle.dumps(model)) < 2 * (X.nbytes + Y.nbytes) + 20_000
+        assert len(pickle.dumps(model)) < 2 * (X.nbytes + Y.nbytes) + 30_000  # errors of blocks
 
     def test_predicts_the_same_to_the_bit(self, logged):
         model, X, _ = logged

@@ -76,8 +76,13 @@ def test_more_regressors_than_rows_are_a_ridge_regression():
     model = DependentGPRegressor(random_state=0).fit(known, y[:50])
     mean, std = model.predict(X[50:], return_std=True, include_noise=True)
     Z, at = scaler.transform(known), scaler.transform(X[50:])
-    precision = ridge.lambda_ * np.eye(60) + ridge.alpha_ * Z.T @ Z  # Bishop 2006, (3.54)
-    variance = 1 / ridge.alpha_ + np.einsum("ni,ij,nj->n", at, np.linalg.inv(precision), at)
-    assert_allclose(mean, ridge.predict(at), atol=0.05 * y.std())
-    assert_allclose(std, np.sqrt(variance), rtol=0.1)  # (3.59)
+    # Bishop 2006, (3.53) and (3.54), with a wide prior of the intercept and the learned noise
+    noise = model.noise_variance_[0]
+    Q, asked = np.column_stack([np.ones(50), Z]), np.column_stack([np.ones(150), at])
+    prior = np.diag(np.append(1 / (3 * y[:50].std()) ** 2, np.full(60, ridge.lambda_)))
+    covariance = np.linalg.inv(prior + Q.T @ Q / noise)
+    expected = y[:50].mean() + asked @ (covariance @ (Q.T @ (y[:50] - y[:50].mean()))) / noise
+    variance = noise + np.einsum("ni,ij,nj->n", asked, covariance, asked)
+    assert_allclose(mean, expected, atol=0.01 * y.std())
+    assert_allclose(std, np.sqrt(variance), rtol=0.02)
     assert list(model.weights_) == ["trend"]

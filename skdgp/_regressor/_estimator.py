@@ -399,7 +399,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if known.loading is not None:
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
         if log:
-            errors = function_errors(posterior, misfit, learned.input_std)
+            errors = function_errors(posterior, misfit, learned.input_std, clock[:, 1])
             if self._slopes is not None:
                 errors = self._slopes.replaced(errors)
             posterior = PosteriorWithErrors(posterior, errors)

@@ -262,6 +262,8 @@ class _Frame:
 
     def errors(self, errors: Array, apart: bool = False) -> Array:
         """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or of each error."""
+        if not errors.shape[-1]:
+            errors = np.zeros((*errors.shape[:-1], 1))
         parts = np.abs(
             [self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)]
         )

@@ -159,7 +159,7 @@ class Part:
         return values
 
     def prior(self, p: Matrix) -> Vector:
-        """Return the prior variance a + |R^T p|^2, (n,)."""
+        """Return the prior variance ``a + |R^T p|^2``, (n,)."""
         return np.asarray(self.prior_variance + np.square(p @ self.trend_prior).sum(axis=1))
 
     def variance(self, p: Matrix, explained: Matrix) -> Vector:

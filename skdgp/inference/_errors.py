@@ -15,6 +15,7 @@ standard deviation of the regressors.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,9 +24,9 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.inference._posterior import FREQUENCIES, Posterior, SinglePosterior
-from skdgp.kernels import ConvolvedGaussian, PathBundle, prior_paths
+from skdgp.kernels import MultiOutputKernel, PathBundle, independent_processes, prior_paths
 
 BLOCKS = 60  # blocks of the time series; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
@@ -54,15 +55,9 @@ class FunctionErrors(NamedTuple):
         return np.concatenate([self.random, self.method])
 
     @property
-    def kernel(self) -> ConvolvedGaussian:
+    def kernel(self) -> MultiOutputKernel:
         """Covariance of the discrepancy."""
-        return ConvolvedGaussian(
-            0,
-            amplitude=np.diag(np.sqrt(self.discrepancy)),
-            length_scale=np.broadcast_to(
-                self.length_scale, (len(self.discrepancy),) * 2 + self.length_scale.shape
-            ),
-        )
+        return independent_processes(self.discrepancy, self.length_scale)
 
     def linear(self, X: Matrix) -> Array:
         """Return the linear terms at X (n, d), (K + K', n, P)."""
@@ -74,7 +69,8 @@ class FunctionErrors(NamedTuple):
 
     def covariance(self, X: Matrix) -> Matrix:
         """Return the joint covariance at X (n, d), (P n, P n), output-major."""
-        terms = self.linear(X).swapaxes(1, 2).reshape(len(self.weights), -1)
+        shape = len(self.weights), len(self.discrepancy) * len(X)
+        terms = self.linear(X).swapaxes(1, 2).reshape(shape)
         return terms.T @ terms + self.kernel(X)
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
@@ -184,7 +180,10 @@ class PosteriorWithErrors(Posterior):
 # equations of a hundred terms: on two threads they take several times as long on a busy machine
 @one_blas_thread()
 def function_errors(
-    posterior: Posterior, discrepancy: Vector, input_std: Vector | None = None
+    posterior: Posterior,
+    discrepancy: Vector,
+    input_std: Vector | None = None,
+    flight: Vector | None = None,
 ) -> FunctionErrors:
     r"""Return the errors of the function of a posterior that it does not hold, from its time series.
 
@@ -209,6 +208,8 @@ def function_errors(
         Variance of the discrepancy.
     input_std : ndarray (d,) or None
         Standard deviations of the noise of the regressors.
+    flight : ndarray (n,) or None
+        Number of the flight of each sample. No block and no instrument crosses the end of one. None: one flight.
 
     Returns
     -------
@@ -222,16 +223,20 @@ def function_errors(
     errors = FunctionErrors(none, none, centre, np.asarray(discrepancy, dtype=float), scale)
     if min(map(len, data.y)) < FEWEST * (d + 1):
         return errors
-    random = np.zeros((BLOCKS, d + 1, P))
+    most = BLOCKS if flight is None else BLOCKS + len(np.unique(flight))
+    random = np.zeros((most, d + 1, P))
     instruments = np.zeros((1, d + 1, P))
     attenuation = np.zeros((d, d + 1, P))
     gradient = posterior.gradient(centre[None])[0]
     for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
         z = (x - centre) / scale
         residual = y - posterior.predict(x)[:, i]
-        weights = block_errors(_basis(z), residual)
+        codes = np.zeros(len(y)) if flight is None else flight[data.sample[i]]
+        records = [np.flatnonzero(codes == code) for code in np.unique(codes)]
+        parts = blocks(records, len(y))
+        weights = block_errors(_basis(z), residual, parts)
         random[: len(weights), :, i] = weights / np.append(1.0, scale)
-        change, scatter = instrumented(_basis(z), residual)
+        change, scatter = instrumented(_basis(z), residual, records)
         beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
         instruments[0, 1:, i] = (np.sign(change) * np.sqrt(beyond_chance))[1:] / scale
         if input_std is not None:
@@ -246,40 +251,58 @@ def _basis(x: Array) -> Array:
     return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
 
 
-def blocks(n: int) -> list[Any]:
-    """Return the rows of blocks of consecutive samples."""
-    return np.array_split(np.arange(n), int(np.clip(n // BLOCK_ROWS, 2, BLOCKS)))
+def blocks(records: Sequence[Indices], n: int) -> list[Indices]:
+    """Return the rows of blocks of consecutive samples of the records, in all about 60 of n samples."""
+    length = max(n / BLOCKS, BLOCK_ROWS)
+    parts: list[Indices] = []
+    for rows in records:
+        parts += np.array_split(rows, max(1, int(len(rows) / length)))
+    if len(parts) == 1:  # a scatter needs two
+        parts = np.array_split(parts[0], 2)
+    return parts
 
 
-def block_errors(Q: Matrix, residual: Vector, inverse: Matrix | None = None) -> Matrix:
+def block_errors(
+    Q: Matrix, residual: Vector, parts: Sequence[Indices], inverse: Matrix | None = None
+) -> Matrix:
     """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
 
     ``inverse`` is by default that of Q^T Q.
     """
     if inverse is None:
         inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
-    scores = np.array([Q[rows].T @ residual[rows] for rows in blocks(len(residual))])
+    scores = np.array([Q[rows].T @ residual[rows] for rows in parts])
     return scores @ inverse.T * np.sqrt(len(scores) / (len(scores) - 1))
 
 
-def instrumented(Q: Matrix, y: Vector) -> tuple[Vector, Matrix]:
+def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vector, Matrix]:
     """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
 
-    Instruments are earlier rows of the terms Q (n, m), by more than the errors ``y`` of least
-    squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes motion, such as that
-    of a gust, correlates with present regressors, and so biases least squares. Part of the bias
-    remains, the more the longer gusts last.
+    Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
+    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes
+    motion, such as that of a gust, correlates with present regressors, and so biases least squares.
+    Part of the bias remains, the more the longer gusts last.
     """
-    lag = min(round(autocorrelation_time(y)), len(y) // (2 * DELAYS[-1]))
+    lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records]
+    lag = min(round(sum(lasting) / len(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
-    past = [Q[first - lag * delay : len(Q) - lag * delay] for delay in DELAYS]
+    long = [rows for rows in records if len(rows) > first]
+    if not long:
+        return np.zeros(Q.shape[1]), np.zeros((2, Q.shape[1]))
+    now = np.concatenate([rows[first:] for rows in long])
+    past = []
+    for delay in DELAYS:
+        earlier = [rows[first - lag * delay : len(rows) - lag * delay] for rows in long]
+        past.append(Q[np.concatenate(earlier)])
     instruments = np.hstack(past)
-    now, y = Q[first:], y[first:]
     between = np.linalg.pinv(instruments.T @ instruments, rcond=SINGULAR, hermitian=True)
-    expected = instruments @ (between @ (instruments.T @ now))
-    inverse = np.linalg.pinv(expected.T @ now, rcond=SINGULAR, hermitian=True)
-    weights = inverse @ (expected.T @ y)
-    return weights, block_errors(expected, y - now @ weights, inverse)
+    expected = instruments @ (between @ (instruments.T @ Q[now]))
+    inverse = np.linalg.pinv(expected.T @ Q[now], rcond=SINGULAR, hermitian=True)
+    weights = inverse @ (expected.T @ y[now])
+    ends = np.cumsum([0, *(len(rows) - first for rows in long)])
+    of_records = [np.arange(a, b) for a, b in pairwise(ends)]
+    parts = blocks(of_records, len(now))
+    return weights, block_errors(expected, y[now] - Q[now] @ weights, parts, inverse)
 
 
 @one_blas_thread()

@@ -1,7 +1,7 @@
 """Multi-output covariance functions as scikit-learn kernels."""
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian
+from skdgp.kernels._convolved import ConvolvedGaussian, independent_processes
 from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
 from skdgp.kernels._features import (
     Features,
@@ -27,6 +27,7 @@ __all__ = [
     "as_multi_output",
     "covariance_paths",
     "has_prior_paths",
+    "independent_processes",
     "inducing_features",
     "prior_paths",
 ]

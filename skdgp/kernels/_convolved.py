@@ -477,6 +477,16 @@ def rescaled_amplitude(
     )
 
 
+def independent_processes(variance: Vector, length_scale: Vector) -> ConvolvedGaussian:
+    """Return the kernel of independent processes of variances (P,) with the widths (d,)."""
+    P, d = len(variance), len(length_scale)
+    return ConvolvedGaussian(
+        0,
+        amplitude=np.diag(np.sqrt(variance)),
+        length_scale=np.broadcast_to(length_scale, (P, P, d)),
+    )
+
+
 # -- starting values from the data
 # ------------------------------------------------------------------------------------
 

@@ -202,27 +202,25 @@ def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, target
     assert hasattr(model, "feature_names_in_")  # the user's model is left as it was
 
 
-def test_paths_have_errors_by_correlated_noise_if_asked():
-    """Of a model learned from a log: their variances are those of its posterior and of its polynomials, added."""
+def test_paths_spread_as_the_bands_of_the_function():
+    """Of a model learned from a time series, whose noise lasts: values and slopes."""
     rng = np.random.default_rng(0)
     X = pd.DataFrame(rng.normal(size=(300, 2)), columns=["alpha", "elevator"])
     noise = np.convolve(rng.normal(size=304), np.ones(5), "valid")[:, None]
     Y = pd.DataFrame(X.to_numpy() @ rng.normal(size=(2, 6)) + 0.1 * noise, columns=COEFFICIENTS)
-    fitted = DependentGPRegressor(structure="trend").fit(X, Y)
+    fitted = DependentGPRegressor(structure="trend").fit(X, Y, time=np.arange(300.0))
     model = as_aerodynamics(fitted)
     at, n = np.array([[0.5, -1.0], [1.0, 0.3]]), 3000
-    std = fitted.predict(pd.DataFrame(at, columns=X.columns), return_std=True)[1]
-    errors = model.function_errors()
-    each = errors(np.broadcast_to(at, (len(errors.weights), 2, 2)))
-    variance = std**2 + (each**2).sum(axis=0)
-    drawn = model.sample(n, 0, correlated=True)(np.broadcast_to(at, (n, 2, 2)))
-    assert drawn.var(axis=0) == pytest.approx(variance, rel=0.15)
-    assert model.sample(2, 0, correlated=True).gradient(np.broadcast_to(at, (2, 2, 2))).shape == (
-        2,
-        2,
-        6,
-        2,
-    )
+    table = pd.DataFrame(at, columns=X.columns)
+    std = fitted.predict(table, return_std=True, include_input_noise=False)[1]
+    drawn = model.sample(n, 0)
+    values = drawn(np.broadcast_to(at, (n, 2, 2)))
+    assert values.std(axis=0) == pytest.approx(std, rel=0.08)
+    slopes = drawn.gradient(np.broadcast_to(at, (n, 2, 2)))
+    assert slopes.shape == (n, 2, 6, 2)
+    random, method = model.function_errors().slopes()
+    of_errors = np.sum(random**2, axis=-1) + np.sum(method**2, axis=-1)
+    assert (slopes.var(axis=0) > 0.9 * of_errors).all()
 
 
 def learned_without_names(flight, targets):

@@ -19,7 +19,7 @@ from skdgp.dynamics import (
     dryden_wind,
     simulate,
 )
-from skdgp.dynamics._aerodynamics import MISFIT_MEMORY, Drift
+from skdgp.dynamics._aerodynamics import Drift
 from skdgp.dynamics._air import FEET, dryden_gusts, dryden_system
 from skdgp.dynamics._inputs import drift_in, without_rotation
 from skdgp.dynamics._motion import Motion
@@ -180,14 +180,14 @@ class TestDrift:
         np.testing.assert_allclose(left[:3], 1.0)
         np.testing.assert_allclose(left[3:] / drift.variance[3:], 0.5, atol=0.06)
 
-    def test_calm_air_leaves_the_misfit_and_rougher_air_adds_up_to_as_much_again(self, model):
-        """What gusts explain of a variance is proportional to theirs; errors of the function stay."""
-        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4), np.full(6, 1e-7))
+    def test_grows_with_the_gusts_up_to_twice_those_of_training(self, model):
+        """What gusts explain of a variance is proportional to theirs."""
+        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
         known = learned_in(TRUE, model, drift)
         left = [drift_in(TRUE.scaled(k), known, SPEED).variance[0] / 1e-6 for k in factors]
         np.testing.assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
-        assert left == pytest.approx([0.1, 0.33, 1.0, 1.9], abs=0.03)
+        assert left == pytest.approx([0.0, 0.25, 1.0, 2.0], abs=0.03)
         calm = learned_in(TRUE.scaled(0.0), model, drift)
         for air in (
             TRUE.scaled(0.0),
@@ -196,17 +196,14 @@ class TestDrift:
         ):  # learned in calm air, all of it is errors of the function
             np.testing.assert_allclose(drift_in(air, calm, SPEED).variance, drift.variance)
 
-    def test_two_processes(self):
-        """The misfit lasts longer than the rest; draws have the stated covariance."""
-        drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.full(6, 0.1), np.full(6, 0.5))
+    def test_draws_have_the_stated_covariance(self):
+        drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.array([0.1, 2.0, 0.1, 0.1, 0.1, 0.1]))
         time = np.array([0.0, 0.05, 1.0])
         drawn = drift.draw(time, (20000,), 0)
+        lag = np.abs(np.subtract.outer(time, time))
         for k, found in enumerate(np.moveaxis(drawn, -1, 0)):
-            lag = np.abs(np.subtract.outer(time, time))
-            rest = drift.variance[k] - drift.misfit[k]
-            expected = rest * np.exp(-lag / 0.1) + drift.misfit[k] * np.exp(-lag / MISFIT_MEMORY)
+            expected = drift.variance[k] * np.exp(-lag / drift.memory[k])
             np.testing.assert_allclose(np.cov(found), expected, atol=0.06)
-        assert expected[0, 2] == pytest.approx(0.5 * np.exp(-1 / MISFIT_MEMORY), abs=1e-4)
 
 
 def learned_in(turbulence, model, drift):

@@ -65,7 +65,7 @@ class TestResiduals:
         after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
         assert after_a_second[1] < 0.05 * 0.3**2
         for found, expected in zip(
-            *(m.posterior_.predict(X[:9], True) for m in (model, other)), strict=True
+            *(m.posterior_.posterior.predict(X[:9], True) for m in (model, other)), strict=True
         ):
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
         totals = [m.noise_variance_ + m.misfit_variance_ for m in (model, other)]

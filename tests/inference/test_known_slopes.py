@@ -43,16 +43,15 @@ def test_targets_that_are_not_observed_stay_so():
 
 def test_model_has_the_known_slopes_and_their_errors():
     X, Y = samples()
-    model = DependentGPRegressor(structure="trend").fit(X, Y, slopes=KNOWN)
+    time = np.arange(float(len(X)))
+    model = DependentGPRegressor(structure="trend").fit(X, Y, time=time, slopes=KNOWN)
     known = KNOWN.known[..., 0]
     np.testing.assert_allclose(model.predict_gradient(X[:1])[0][known], [1.5, 0.7, -2.5], atol=0.01)
-    errors = model.slope_errors(X[:1])
-    of_known = np.linalg.norm(errors.random[0], axis=-1)[known]
-    np.testing.assert_allclose(of_known, np.linalg.norm(KNOWN.errors, axis=-1)[known])
-    assert not errors.method[0][known].any()
-    assert errors.method[0][~known].any()
-    drawn = model.function_errors().draw(4000, random_state=0).gradient(np.zeros((4000, 1, 3)))
+    random, method = model.function_errors().slopes()
     least = np.linalg.norm(KNOWN.errors, axis=-1)[known]
+    np.testing.assert_allclose(np.linalg.norm(random, axis=-1)[known], least)
+    assert not method[known].any()
+    drawn = model.sample_paths(4000, random_state=0).gradient(X[:1])
     assert np.all(drawn[:, 0].std(axis=0)[known] > 0.95 * least)
 
 

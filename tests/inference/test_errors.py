@@ -1,0 +1,189 @@
+"""Errors of the function that a posterior does not hold, and predictions, samples and slopes with them."""
+
+import numpy as np
+import pytest
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import function_errors
+
+N_DRAWN = 4000
+# Relative error of a standard deviation of so many draws, five of its own
+WITHIN = 5 / np.sqrt(2 * N_DRAWN)
+
+
+def wandering(rng, n, memory):
+    """Return a time series (n,) of variance one whose correlation falls by 1/e in ``memory`` samples."""
+    keep = np.exp(-1 / memory)
+    values = rng.normal(size=n)
+    for k in range(1, n):
+        values[k] = keep * values[k - 1] + np.sqrt(1 - keep**2) * values[k]
+    return values
+
+
+@pytest.fixture(scope="module")
+def series():
+    """Return a flight with lasting noise and a kink: regressors, two outputs, time."""
+    rng = np.random.default_rng(0)
+    X = np.column_stack([wandering(rng, 400, 8), 5 * wandering(rng, 400, 5)])
+    noise = 0.1 * np.column_stack([wandering(rng, 400, 3), wandering(rng, 400, 3)])
+    Y = np.column_stack([X[:, 0] + np.abs(X[:, 0]), 0.3 * X[:, 1] - X[:, 0]]) + noise
+    return X, 10.0 * Y, np.arange(400.0)
+
+
+@pytest.fixture(scope="module", params=["exact", "sparse", "without time"])
+def model(request, series):
+    X, Y, time = series
+    options = {"max_iter": 8, "n_latent": 1, "n_inducing": 20, "random_state": 0}
+    if request.param == "without time":
+        return DependentGPRegressor(**options, input_noise="learned").fit(X, Y)
+    return DependentGPRegressor(**options, inference=request.param).fit(X, Y, time=time)
+
+
+@pytest.mark.parametrize("noise", [False, True])
+@pytest.mark.parametrize("input_noise", [True, False, 2.0])
+class TestOnePosterior:
+    """Deviations, covariances and samples with the same switches are of one distribution."""
+
+    def test_deviations_are_of_the_joint_covariance(self, model, series, noise, input_noise):
+        switches = {"include_noise": noise, "include_input_noise": input_noise}
+        X = series[0][::50]
+        mean, std = model.predict(X, return_std=True, **switches)
+        again, cov = model.predict(X, return_cov=True, **switches)
+        np.testing.assert_allclose(again, mean)
+        np.testing.assert_allclose(np.diag(cov), std.T.ravel() ** 2, rtol=1e-9)
+
+    def test_samples_have_the_joint_covariance(self, model, series, noise, input_noise):
+        switches = {"include_noise": noise, "include_input_noise": input_noise}
+        X = series[0][:80:20]
+        mean, cov = model.predict(X, return_cov=True, **switches)
+        drawn = model.sample_y(X, N_DRAWN, random_state=1, **switches)
+        off = (drawn - mean[..., None]).transpose(2, 1, 0).reshape(N_DRAWN, -1)
+        std = np.sqrt(np.diag(cov))
+        assert np.abs(off.mean(axis=0) / std).max() < 5 / np.sqrt(N_DRAWN)
+        correlation = np.cov(off.T) / np.outer(std, std)
+        np.testing.assert_allclose(correlation, cov / np.outer(std, std), atol=2 * WITHIN)
+
+
+def test_paths_are_the_function_at_exact_regressors(model, series):
+    X = series[0][:80:20]
+    mean, std = model.predict(X, return_std=True, include_input_noise=False)
+    drawn = model.sample_paths(N_DRAWN, random_state=2)(X)
+    np.testing.assert_allclose(drawn.std(axis=0), std, rtol=2 * WITHIN)
+    np.testing.assert_allclose(drawn.mean(axis=0), mean, atol=5 * std.max() / np.sqrt(N_DRAWN))
+
+
+def test_slopes_of_paths_are_those_of_their_values(model, series):
+    X, step = series[0][:60:20], 1e-4
+    paths = model.sample_paths(6, random_state=3)
+    for k, unit in enumerate(np.eye(2) * step):
+        change = (paths(X + unit) - paths(X - unit)) / (2 * step)
+        np.testing.assert_allclose(paths.gradient(X)[..., k], change, rtol=1e-4, atol=1e-4)
+
+
+def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
+    """By the covariance of two close points: var(f(x + h) - f(x - h)) = 4 h^2 var(f')."""
+    x, step = series[0][100], 1e-2
+    pair = np.array([x - [step, 0], x + [step, 0]])
+    cov = model.predict(pair, return_cov=True, include_input_noise=False)[1]
+    expected = [
+        np.sqrt(cov[a, a] + cov[b, b] - 2 * cov[a, b]) / (2 * step) for a, b in ((0, 1), (2, 3))
+    ]
+    slopes = model.sample_paths(N_DRAWN, random_state=4).gradient(x[None])[:, 0, :, 0]
+    np.testing.assert_allclose(slopes.std(axis=0), expected, rtol=2 * WITHIN)
+
+
+def test_there_are_none_without_time(series):
+    X, Y, _ = series
+    assert DependentGPRegressor(structure="trend").fit(X, Y).function_errors() is None
+
+
+def test_discrepancy_is_in_the_units_of_the_outputs(series):
+    X, Y, time = series
+    model = DependentGPRegressor(structure="trend", random_state=0).fit(X, Y, time=time)
+    assert model.misfit_variance_[0] > 0  # the kink
+    errors = model.function_errors()
+    np.testing.assert_allclose(errors.discrepancy, model.misfit_variance_)
+    linear = np.sum(errors.linear(X[:3]) ** 2, axis=0)
+    np.testing.assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
+
+
+def test_too_few_samples_show_the_discrepancy_alone(series):
+    X, Y, time = series
+    model = DependentGPRegressor(structure="trend").fit(X[:20], Y[:20], time=time[:20])
+    errors = model.function_errors()
+    assert errors.weights.size == 0
+    np.testing.assert_allclose(errors.variance(X[:2]), [model.misfit_variance_] * 2)
+
+
+def test_random_errors_are_the_scatter_over_many_series():
+    """Slopes by least squares with noise and regressors that last five samples (Liang & Zeger 1986)."""
+    slopes, stated = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        x = wandering(rng, 1200, 5)[:, None]
+        y = 2.0 * x + wandering(rng, 1200, 5)[:, None]
+        model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
+        model.fit(x, y)
+        errors = function_errors(model.posterior_, np.zeros(1))
+        slopes.append(model.predict_gradient(x[:1])[0, 0, 0])
+        stated.append(np.sum(errors.slopes()[0] ** 2) * model.scale_[0] ** 2)
+    assert np.std(slopes) == pytest.approx(np.sqrt(np.mean(stated)), rel=0.3)
+
+
+def test_outputs_err_together():
+    """Both outputs have the same error, so the difference of their functions has none."""
+    rng = np.random.default_rng(2)
+    x = wandering(rng, 500, 5)[:, None]
+    y = x + wandering(rng, 500, 4)[:, None]
+    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
+    errors = function_errors(model.fit(x, np.hstack([y, y])).posterior_, np.zeros(2))
+    np.testing.assert_allclose(errors.weights[..., 0], errors.weights[..., 1], atol=1e-9)
+
+
+def flown_in_gusts(memory):
+    """Return rate and stick, and a load of -1 times the rate, the stick and a gust, (9000, 2) and (9000, 1).
+
+    The load turns the rate, so its lasting error is in the rate, and least squares finds too little
+    damping.
+    """
+    rng = np.random.default_rng(3)
+    gust, stick, rate = wandering(rng, 9000, memory), wandering(rng, 9000, 20), np.zeros(9000)
+    for t in range(1, 9000):
+        rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
+    return np.column_stack([rate, stick]), (-rate + stick + gust)[:, None]
+
+
+@pytest.mark.parametrize("memory", [1.5, 3.0])
+def test_errors_by_method_hold_what_gusts_take_from_the_damping(memory):
+    x, load = flown_in_gusts(memory)
+    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0).fit(x, load)
+    missing = abs(model.predict_gradient(x[:1])[0, 0, 0] + 1)
+    errors = function_errors(model.posterior_, np.zeros(1))
+    by_method = np.abs(errors.slopes()[1][0, 0, 0]) * model.scale_[0]
+    assert missing > 0.1
+    assert 0.4 * missing < by_method < 1.5 * missing
+
+
+def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
+    """Slope 2 by the truth, 40 % of the variance is noise: least squares finds 1.2 (Fuller 1987)."""
+    rng = np.random.default_rng(6)
+    truth, error = rng.normal(size=(2, 20000, 1)) * np.sqrt([[[0.6]], [[0.4]]])
+    x, y = truth + error, 2 * truth
+    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1).fit(x, y)
+    slope = model.predict_gradient(x[:1])[0, 0, 0]
+    errors = function_errors(model.posterior_, np.zeros(1), input_std=np.sqrt([0.4]))
+    attenuation = errors.slopes()[1][0, 0, 1] * model.scale_[0]
+    assert slope == pytest.approx(1.2, rel=0.05)
+    # to first order in the noise
+    assert attenuation == pytest.approx(0.4 * slope, rel=0.05)
+
+
+def test_more_rows_narrow_slopes_as_least_squares():
+    rng = np.random.default_rng(7)
+    x = rng.normal(size=(100, 2))
+    model = DependentGPRegressor(structure="trend").fit(x, x @ [[1.0], [2.0]])
+    same_again = model.narrowing(x)
+    np.testing.assert_allclose(same_again, np.sqrt(0.5) * np.ones((1, 2)), rtol=1e-6)
+    wide = np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1))
+    assert model.narrowing(wide)[0, 1] < 0.3
+    assert model.narrowing(wide)[0, 0] == pytest.approx(1.0, abs=0.05)

@@ -1,0 +1,108 @@
+"""Noise that is known, starts a search, or is bounded, and exact refits with it."""
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+from skdgp import DependentGPRegressor
+from skdgp.kernels import ConvolvedGaussian
+
+
+@pytest.fixture(scope="module")
+def data():
+    rng = np.random.default_rng(0)
+    X = rng.uniform(-3, 3, (60, 1))
+    return X, np.sin(2 * X[:, 0]) + 0.01 * rng.normal(size=60)
+
+
+def varying(X):
+    return 0.05 + 0.4 / (1 + np.exp(-3 * X[:, 0]))
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_a_refit_with_kernel_and_noise_is_the_same_model(data, inference):
+    options = {
+        "structure": "joint",
+        "trend": "constant",
+        "inference": inference,
+        "n_inducing": 40,
+        "random_state": 0,
+    }
+    model = DependentGPRegressor(n_latent=0, **options).fit(*data)
+    kernel, noise = model.kernel_, model.noise_variance_
+    for more in ({"noise_variance": noise}, {}):  # noise that is not given is estimated
+        again = DependentGPRegressor(kernel, optimizer=None, **more, **options).fit(*data)
+        np.testing.assert_allclose(again.noise_variance_, noise, rtol=0.05 if not more else 1e-9)
+        np.testing.assert_allclose(
+            again.log_marginal_likelihood_value_,
+            model.log_marginal_likelihood_value_,
+            atol=0.05 if not more else 1e-6,
+        )
+        np.testing.assert_allclose(again.predict(data[0]), model.predict(data[0]), atol=1e-3)
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
+    rng = np.random.default_rng(1)
+    X, T = rng.uniform(-3, 3, (100, 1)), np.linspace(-2.5, 2.5, 20)[:, None]
+    y = np.sin(2 * X[:, 0]) + varying(X) * rng.normal(size=100)
+    kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[0.8]]])
+    model = DependentGPRegressor(
+        kernel, structure="joint", trend=None, optimizer=None, inference=inference,
+        n_inducing=100, noise_variance=varying(X) ** 2,
+    ).fit(X, y)  # fmt: skip
+    peer = GaussianProcessRegressor(
+        ConstantKernel(1.0) * RBF(0.8), alpha=varying(X) ** 2, optimizer=None
+    )
+    expected = peer.fit(X, y).predict(T, return_std=True)
+    for found, right in zip(model.predict(T, return_std=True), expected, strict=True):
+        np.testing.assert_allclose(found, right, atol=1e-4)
+    assert model.noise_variance_[0] == pytest.approx(np.mean(varying(X) ** 2))
+
+
+def test_with_noise_of_each_value_bands_hold_in_the_quiet_and_the_noisy_part():
+    rng = np.random.default_rng(2)
+    inside = []
+    for _ in range(4):
+        X = rng.uniform(-3, 3, (150, 1))
+        y = np.sin(2 * X[:, 0]) + varying(X) * rng.normal(size=150)
+        model = DependentGPRegressor(noise_variance=varying(X) ** 2, random_state=0).fit(X, y)
+        T = np.linspace(-2.7, 2.7, 60)[:, None]
+        mean, std = model.predict(T, return_std=True)
+        inside.append(np.abs(mean - np.sin(2 * T[:, 0])) < 1.96 * std)
+    quiet, noisy = np.mean(inside, axis=0)[:20], np.mean(inside, axis=0)[40:]
+    assert quiet.mean() > 0.8
+    assert noisy.mean() > 0.8
+
+
+def test_bounds_hold_a_learned_variance(data):
+    model = DependentGPRegressor(
+        noise_variance=0.01, noise_variance_bounds=(0.005, 0.02), random_state=0
+    ).fit(*data)
+    assert 0.005 <= model.noise_variance_[0] <= 0.02
+
+
+def test_outputs_with_gaps_have_noise_of_their_own(data):
+    X, y = data
+    Y = np.column_stack([y, -y])
+    Y[::3, 0] = np.nan
+    variance = np.column_stack([np.full(60, 1e-4), 1e-4 * (1 + np.arange(60))])
+    model = DependentGPRegressor(noise_variance=variance, random_state=0, max_iter=5).fit(X, Y)
+    np.testing.assert_allclose(model.noise_variance_, [1e-4, variance[:, 1].mean()])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"noise_variance": [1.0, 2.0, 3.0]}, r"Got noise_variance of shape \(3,\), but expected"),
+        ({"noise_variance": np.zeros(60)}, "not positive and finite"),
+        ({"noise_variance_bounds": (2.0, 1.0)}, "lower before upper bounds"),
+        ({"noise_variance_bounds": (0.0, 1.0)}, "pair of positive numbers"),
+        ({"noise_variance": np.ones(60), "noise_variance_bounds": (0.1, 1.0)}, "one of them"),
+        ({"noise_variance": np.ones(60), "input_noise": "learned"}, "one of them"),
+    ],
+)
+def test_bad_noise_is_refused(data, options, message):
+    with pytest.raises(ValueError, match=message):
+        DependentGPRegressor(**options).fit(*data)

@@ -1,4 +1,4 @@
-"""Every benchmark starts, and three run at tiny sizes; what they compare with is what its name says."""
+"""Every benchmark starts, and four run at tiny sizes; what they compare with is what its name says."""
 
 import importlib
 import json
@@ -33,6 +33,7 @@ def script(monkeypatch):
     ("name", "methods"),
     [
         ("likelihood", []),
+        ("coverage", []),
         ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),
         ("published", [".", "--methods", "skdgp, `impute`"]),
     ],

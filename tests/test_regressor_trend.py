@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from sklearn.linear_model import BayesianRidge
+from sklearn.linear_model import BayesianRidge, LinearRegression
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
@@ -86,3 +86,47 @@ def test_more_regressors_than_rows_are_a_ridge_regression():
     assert_allclose(mean, expected, atol=0.01 * y.std())
     assert_allclose(std, np.sqrt(variance), rtol=0.02)
     assert list(model.weights_) == ["trend"]
+
+
+def bayesian_line(X, y, at, noise, slope_std, intercept_std):
+    """Return mean and standard deviation of a line at points (Rasmussen & Williams 2006, equation 2.9)."""
+    centre = X.mean(axis=0)
+    A, B = (np.column_stack([np.ones(len(x)), x - centre]) for x in (X, at))
+    prior = np.diag(1 / np.append(intercept_std, slope_std) ** 2)
+    covariance = np.linalg.inv(prior + A.T @ A / noise)
+    mean = y.mean() + B @ covariance @ A.T @ (y - y.mean()) / noise
+    return mean, np.sqrt(np.einsum("ij,jk,ik->i", B, covariance, B))
+
+
+@pytest.mark.parametrize(("n", "d"), [(20, 1), (40, 3), (400, 9)])
+def test_bands_by_place_are_those_of_bayesian_linear_regression(n, d):
+    """At the centre, at the edge and outside, for the prior and the noise that were learned."""
+    rng = np.random.default_rng(n)
+    X = rng.normal(1.0, 2.0, (n, d))
+    y = 5.0 + X @ rng.normal(size=d) + rng.normal(0, 2.0, n)
+    model = DependentGPRegressor(structure="trend", random_state=0).fit(X, y)
+    at = 1.0 + 2.0 * np.array([0.0, 0.5, 1.0, 2.0])[:, None] * np.ones(d)
+    scales = [model.kernel_.value(name).ravel() for name in ("slope_scale", "intercept_scale")]
+    expected = bayesian_line(X, y, at, model.noise_variance_[0], *scales)
+    for found, right in zip(model.predict(at, return_std=True), expected, strict=True):
+        assert_allclose(found, right, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "d"), [(20, 1), (40, 3), (200, 9)])
+def test_at_the_centre_the_function_is_as_uncertain_as_by_least_squares(n, d):
+    """The standard error of the mean, sigma / sqrt(n), so that 95 % bands hold there."""
+    inside, ratio = [], []
+    for seed in range(40):
+        rng = np.random.default_rng([seed, n])
+        X = rng.normal(size=(n, d))
+        slopes = rng.normal(size=d)
+        y = X @ slopes + rng.normal(size=n)
+        model = DependentGPRegressor(structure="trend", random_state=0).fit(X, y)
+        at = X.mean(axis=0, keepdims=True)
+        mean, std = model.predict(at, return_std=True)
+        line = LinearRegression().fit(X, y)
+        residual = y - line.predict(X)
+        ratio.append(std[0] / np.sqrt(residual @ residual / (n - d - 1) / n))
+        inside.append(abs(mean[0] - at[0] @ slopes) < 1.96 * std[0])
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+    assert np.mean(inside) >= 0.85  # of 40, where 0.95 are expected

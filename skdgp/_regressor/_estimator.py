@@ -343,7 +343,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _checks.warn_of_indices(index, y)
         Y, self.output_names_, self._single = _checks.check_targets(y, len(X), type(self).__name__)
         clock = _checks.check_clock(time, flight, len(X))
-        noise = _checks.check_noise(self.noise_variance, self.noise_variance_bounds, Y, self._single)
+        noise = _checks.check_noise(
+            self.noise_variance, self.noise_variance_bounds, Y, self._single
+        )
         if noise.loading is not None and self.input_noise == "learned":
             raise ValueError(
                 "Got input_noise='learned' and a noise_variance for each value, but expected one of "
@@ -399,10 +401,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if known.loading is not None:
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
         if log:
-            errors = function_errors(posterior, misfit, learned.input_std, clock[:, 1])
+            of_function = function_errors(posterior, misfit, learned.input_std, clock[:, 1])
             if self._slopes is not None:
-                errors = self._slopes.replaced(errors)
-            posterior = PosteriorWithErrors(posterior, errors)
+                of_function = self._slopes.replaced(of_function)
+            posterior = PosteriorWithErrors(posterior, of_function)
         self.posterior_ = posterior
         self.misfit_variance_ = misfit * self.scale_**2
         self.noise_variance_ = white * self.scale_**2

@@ -210,9 +210,7 @@ def _moved_trend(own: Vector, center: Vector) -> Matrix:
     return moved
 
 
-def _parts(
-    posterior: SinglePosterior, errors: FunctionErrors | None, center: Vector
-) -> list[Part]:
+def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Vector) -> list[Part]:
     """Return the parts of a single posterior, one for each output, with trends about a common centre.
 
     A trend about another centre has the functions M p, p = (1, z - center). So its weights are
@@ -266,7 +264,8 @@ def _unused(d: int) -> Part:
 
 def _square_root(root: Matrix) -> Matrix:
     """Return a root R (k, k) with the same R R^T as a root of at least k columns."""
-    return np.array(rq(root, mode="r"))[:, -len(root) :]
+    triangle: Any = rq(root, mode="r")
+    return np.asarray(triangle)[:, -len(root) :]
 
 
 def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:

@@ -263,7 +263,7 @@ def blocks(records: Sequence[Indices], n: int) -> list[Indices]:
 
 
 def block_errors(
-    Q: Matrix, residual: Vector, parts: Sequence[Indices], inverse: Matrix | None = None
+    Q: Matrix, residual: Vector, parts: Sequence[Indices], inverse: Any = None
 ) -> Matrix:
     """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
 

@@ -168,9 +168,7 @@ def fit_sparse(
     return _sparse_fit(learned, features, data, X, Y, ordered, known)
 
 
-def _sparse_fit(
-    learned, features, data, X, Y, ordered, known, *, mean=None, loading=None
-) -> Fit:
+def _sparse_fit(learned, features, data, X, Y, ordered, known, *, mean=None, loading=None) -> Fit:
     """Return the sparse fit with these features and, unless it is known, the noise that is best for them.
 
     Errors of neighbours in a log are correlated: a sample carries less information, so the

@@ -69,6 +69,6 @@ class KnownSlopes(NamedTuple):
         known = np.zeros((k, d + 1, P))
         known[:, 1:] = np.transpose(self.errors, (2, 1, 0))
         unknown = np.ones((d + 1, P))
-        unknown[1:] = ~self.known[..., 0].T
+        unknown[1:] = np.logical_not(self.known[..., 0]).T
         random = np.concatenate([errors.random * unknown, known])
         return errors._replace(random=random, method=errors.method * unknown)

@@ -81,6 +81,7 @@ def main(words=None):
         "little_told": [options.data],
         "tabular": [options.published],
         "derivatives": [],
+        "coverage": [],
     }
     run = partial(measured, out=options.out.absolute(), without=options.without)
     with ThreadPoolExecutor(options.jobs) as pool:

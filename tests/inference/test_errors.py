@@ -83,7 +83,8 @@ def test_slopes_of_paths_are_those_of_their_values(model, series):
 def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
     """By the covariance of two close points: var(f(x + h) - f(x - h)) = 4 h^2 var(f')."""
     x, step = series[0][100], 1e-2
-    pair = np.array([x - [step, 0], x + [step, 0]])
+    move = np.array([step, 0.0])
+    pair = np.array([x - move, x + move])
     cov = model.predict(pair, return_cov=True, include_input_noise=False)[1]
     expected = [
         np.sqrt(cov[a, a] + cov[b, b] - 2 * cov[a, b]) / (2 * step) for a, b in ((0, 1), (2, 3))

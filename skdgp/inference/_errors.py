@@ -223,27 +223,36 @@ def function_errors(
     errors = FunctionErrors(none, none, centre, np.asarray(discrepancy, dtype=float), scale)
     if min(map(len, data.y)) < FEWEST * (d + 1):
         return errors
-    most = BLOCKS if flight is None else BLOCKS + len(np.unique(flight))
-    random = np.zeros((most, d + 1, P))
+    n_records = 1 if flight is None else len(np.unique(flight))
+    random = np.zeros((BLOCKS + n_records, d + 1, P))
     instruments = np.zeros((1, d + 1, P))
     attenuation = np.zeros((d, d + 1, P))
-    gradient = posterior.gradient(centre[None])[0]
+    slopes = posterior.gradient(centre[None])[0]
     for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
-        z = (x - centre) / scale
+        Q = _basis(x - centre)
         residual = y - posterior.predict(x)[:, i]
-        codes = np.zeros(len(y)) if flight is None else flight[data.sample[i]]
-        records = [np.flatnonzero(codes == code) for code in np.unique(codes)]
-        parts = blocks(records, len(y))
-        weights = block_errors(_basis(z), residual, parts)
-        random[: len(weights), :, i] = weights / np.append(1.0, scale)
-        change, scatter = instrumented(_basis(z), residual, records)
+        records = _records(None if flight is None else flight[data.sample[i]], len(y))
+        of_blocks = block_errors(Q, residual, blocks(records, len(y)))
+        random[: len(of_blocks), :, i] = of_blocks
+        change, scatter = instrumented(Q / np.append(1.0, scale), residual, records)
         beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
         instruments[0, 1:, i] = (np.sign(change) * np.sqrt(beyond_chance))[1:] / scale
         if input_std is not None:
-            covariance = np.atleast_2d(np.cov(x.T))
-            inverse = np.linalg.pinv(covariance, rcond=SINGULAR, hermitian=True)
-            attenuation[:, 1:, i] = inverse * (input_std**2 * gradient[i])[:, None]
+            attenuation[:, 1:, i] = _attenuation(x, input_std, slopes[i])
     return errors._replace(random=random, method=np.concatenate([instruments, attenuation]))
+
+
+def _records(flight: Vector | None, n: int) -> list[Indices]:
+    """Return the rows of each flight, of n samples of these flights."""
+    codes = np.zeros(n) if flight is None else flight
+    return [np.flatnonzero(codes == code) for code in np.unique(codes)]
+
+
+def _attenuation(x: Matrix, input_std: Vector, slopes: Vector) -> Matrix:
+    """Return how far noise of each regressor (rows) flattens each slope (columns), (d, d)."""
+    covariance = np.atleast_2d(np.cov(x.T))
+    inverse = np.linalg.pinv(covariance, rcond=SINGULAR, hermitian=True)
+    return inverse * (input_std**2 * slopes)[:, None]
 
 
 def _basis(x: Array) -> Array:
@@ -270,7 +279,11 @@ def block_errors(
     ``inverse`` is by default that of Q^T Q.
     """
     if inverse is None:
-        inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
+        size = np.sqrt(np.einsum("nm,nm->m", Q, Q))  # so that units of the terms do not count
+        size[size == 0] = 1.0
+        scaled = Q / size
+        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=SINGULAR, hermitian=True)
+        inverse /= np.multiply.outer(size, size)
     scores = np.array([Q[rows].T @ residual[rows] for rows in parts])
     return scores @ inverse.T * np.sqrt(len(scores) / (len(scores) - 1))
 

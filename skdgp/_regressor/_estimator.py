@@ -32,6 +32,7 @@ from skdgp.inference import (
     fit_exact,
     fit_sparse,
     function_errors,
+    mean_errors,
     mean_of,
     misfit_variance,
     n_searched,
@@ -172,8 +173,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     inference_ : {"exact", "sparse"}
         Inference that was used.
     posterior_ : Posterior
-        Posterior of the normalised outputs, with ``time`` with errors of the function: predictions,
-        samples, paths and slopes all come from it.
+        Posterior of the normalised outputs with errors of the function: predictions, samples,
+        paths and slopes all come from it.
     weights_ : dict of str to ndarray (P,)
         Weight of each kind of member of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
@@ -402,8 +403,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
         if log:
             of_function = function_errors(posterior, misfit, learned.input_std, clock[:, 1])
-            if self._slopes is not None:
-                of_function = self._slopes.replaced(of_function)
+        else:
+            of_function = mean_errors(posterior)
+        if self._slopes is not None:
+            of_function = self._slopes.replaced(of_function)
+        if log or self.trend is not None:  # else nothing was subtracted
             posterior = PosteriorWithErrors(posterior, of_function)
         self.posterior_ = posterior
         self.misfit_variance_ = misfit * self.scale_**2
@@ -550,9 +554,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
 
     def function_errors(self) -> FunctionErrors | None:
-        """Return the errors of the function that come from its time series, part of every prediction.
+        """Return the errors of the function that the posterior alone does not hold, part of every prediction.
 
-        See :func:`skdgp.inference.function_errors`. In units of the outputs; None without ``time``.
+        In units of the outputs. See :func:`skdgp.inference.function_errors`; without ``time``
+        :func:`skdgp.inference.mean_errors`, or None for outputs that were not centred.
 
         Examples
         --------

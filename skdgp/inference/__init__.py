@@ -21,6 +21,7 @@ from skdgp.inference._errors import (
     FunctionErrors,
     PosteriorWithErrors,
     function_errors,
+    mean_errors,
     narrowing,
 )
 from skdgp.inference._fit import (
@@ -62,6 +63,7 @@ __all__ = [
     "function_errors",
     "log_likelihood",
     "maximize",
+    "mean_errors",
     "mean_of",
     "misfit_variance",
     "n_searched",

@@ -198,7 +198,7 @@ def function_errors(
       J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
       regressor (Fuller 1987, section 1.1).
 
-    With too few samples only the discrepancy is returned.
+    With too few samples for that, only the discrepancy and ``mean_errors`` are returned.
 
     Parameters
     ----------
@@ -219,8 +219,9 @@ def function_errors(
     longest = max(data.X, key=len)
     centre, scale = longest.mean(axis=0), column_scale(longest)
     P, d = len(data.y), len(centre)
-    none = np.zeros((0, d + 1, P))
-    errors = FunctionErrors(none, none, centre, np.asarray(discrepancy, dtype=float), scale)
+    errors = mean_errors(posterior)._replace(
+        centre=centre, discrepancy=np.asarray(discrepancy, dtype=float), length_scale=scale
+    )
     if min(map(len, data.y)) < FEWEST * (d + 1):
         return errors
     n_records = 1 if flight is None else len(np.unique(flight))
@@ -316,6 +317,24 @@ def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vect
     of_records = [np.arange(a, b) for a, b in pairwise(ends)]
     parts = blocks(of_records, len(now))
     return weights, block_errors(expected, y[now] - Q[now] @ weights, parts, inverse)
+
+
+def mean_errors(posterior: Posterior) -> FunctionErrors:
+    """Return the errors of a function by the means of the outputs, which were subtracted before the fit.
+
+    The mean of n values with noise of variance s^2 has the variance s^2 / n. For a linear function
+    of centred regressors this is the uncertainty of an intercept without a prior.
+    """
+    data = posterior.data
+    noise = np.array([member.noise for member in posterior.members])
+    variance = np.sum(posterior.mixture * noise, axis=0) / [len(y) for y in data.y]
+    if data.sample_noise is not None:
+        for i, loading in enumerate(data.sample_noise.loading):
+            variance[i] += np.mean(np.sum(loading**2, axis=1)) / len(loading)
+    P, d = len(data.y), data.X[0].shape[1]
+    random = np.zeros((P, d + 1, P))
+    random[:, 0] = np.diag(np.sqrt(variance))
+    return FunctionErrors(random, np.zeros((0, d + 1, P)), np.zeros(d), np.zeros(P), np.ones(d))
 
 
 @one_blas_thread()

@@ -23,13 +23,11 @@ from skdgp.kernels._base import (
     rescaled_values,
 )
 
-# Prior standard deviation of the intercept, in standard deviations of the output. It is not
-# learned: outputs are centred by their own mean, where the likelihood is largest at zero, and a
-# function without an uncertain intercept is certain at the centre of the data.
-INTERCEPT_SCALE = 3.0
-# Bounds on ``slope_scale``, in standard deviations of the output for one of the regressor. A
-# smaller lower bound makes slopes that are not significant too certain (benchmark ``coverage``).
-SLOPE_BOUNDS = 0.3, 1e2
+# Bounds on ``slope_scale``, in standard deviations of the output for one of the regressor (trials)
+SLOPE_BOUNDS = 0.05, 1e2
+# Lower bound of n rows, times their root: about the standard error of a slope. A smaller prior scale
+# makes slopes that are not significant too certain (benchmark ``coverage``).
+STANDARD_ERRORS = 1.5
 
 OUTPUT_AXES = {"intercept_scale": -1, "slope_scale": -2}  # axis of the outputs of each parameter
 
@@ -47,9 +45,7 @@ class LinearTrend(MultiOutputKernel):
     Parameters
     ----------
     intercept_scale : array (P,) or None
-        Prior standard deviation of the intercept, in the unit of the output. None: three standard
-        deviations of the output, so that the data alone determine the intercept. It keeps its
-        value unless it has bounds.
+        Prior standard deviation of the intercept, in the unit of the output. None: from the data.
     slope_scale : array (P, d) or None
         Prior standard deviation of the slopes, unit of the output per unit of the regressor. None:
         from the data; with more regressors than rows one for all slopes of an output, in standard
@@ -143,11 +139,15 @@ class LinearTrend(MultiOutputKernel):
     ) -> MultiOutputKernel:
         P, d = Y.shape[1], X.shape[1]
         unit = column_scale(Y)[:, None] / column_scale(X)
-        intercept, slope = INTERCEPT_SCALE * column_scale(Y), unit
+        intercept, slope = column_scale(Y), unit
         if singles:
+            intercept = np.concatenate([s.value("intercept_scale") for s in singles])
             slope = np.concatenate([s.value("slope_scale") for s in singles])
         if coarse:
-            slope = coarse.value("slope_scale")
+            intercept, slope = coarse.value("intercept_scale"), coarse.value("slope_scale")
+        n = np.isfinite(Y).sum(axis=0).max()
+        least = max(SLOPE_BOUNDS[0], STANDARD_ERRORS / np.sqrt(n))
+        slope = np.maximum(slope, least * unit)
         given = self.get_params()
         start = {
             "intercept_scale": intercept,
@@ -155,8 +155,8 @@ class LinearTrend(MultiOutputKernel):
             "center": np.mean(X, axis=0),
         }
         bounds: dict[str, Any] = {
-            "intercept_scale": "fixed",
-            "slope_scale": np.multiply.outer(unit, SLOPE_BOUNDS),
+            "intercept_scale": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
+            "slope_scale": np.multiply.outer(unit, (least, SLOPE_BOUNDS[1])),
         }
         if d > len(X):  # too few rows for a scale of each slope: one for all, by ridge regression
             start["slope_scale"] = ridge_scale(X, Y)[:, None] / column_scale(X)

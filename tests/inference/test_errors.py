@@ -5,6 +5,7 @@ import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import function_errors
+from skdgp.kernels import ConvolvedGaussian
 
 N_DRAWN = 4000
 # Relative error of a standard deviation of so many draws, five of its own
@@ -93,9 +94,16 @@ def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
     np.testing.assert_allclose(slopes.std(axis=0), expected, rtol=2 * WITHIN)
 
 
-def test_there_are_none_without_time(series):
+def test_without_time_they_are_those_of_the_means(series):
+    """Of n values with noise of variance s^2: s^2 / n, the same everywhere."""
     X, Y, _ = series
-    assert DependentGPRegressor(structure="trend").fit(X, Y).function_errors() is None
+    model = DependentGPRegressor(structure="trend").fit(X, Y)
+    errors = model.function_errors()
+    expected = [model.noise_variance_ / len(X)] * 3
+    np.testing.assert_allclose(errors.variance(X[:3]), expected, rtol=1e-9)
+    assert not errors.slopes()[0].any()
+    uncentred = DependentGPRegressor(ConvolvedGaussian(1), trend=None, max_iter=2)
+    assert uncentred.fit(X, Y).function_errors() is None
 
 
 def test_discrepancy_is_in_the_units_of_the_outputs(series):
@@ -112,8 +120,10 @@ def test_too_few_samples_show_the_discrepancy_alone(series):
     X, Y, time = series
     model = DependentGPRegressor(structure="trend").fit(X[:20], Y[:20], time=time[:20])
     errors = model.function_errors()
-    assert errors.weights.size == 0
-    np.testing.assert_allclose(errors.variance(X[:2]), [model.misfit_variance_] * 2)
+    assert not errors.slopes()[0].any()
+    of_mean = errors.variance(X[:2]) - model.misfit_variance_
+    assert (of_mean > 0).all()
+    np.testing.assert_allclose(of_mean[0], of_mean[1])
 
 
 def test_random_errors_are_the_scatter_over_many_series():

@@ -25,9 +25,9 @@ from skdgp.kernels._base import (
 
 # Bounds on ``slope_scale``, in standard deviations of the output for one of the regressor (trials)
 SLOPE_BOUNDS = 0.05, 1e2
-# Lower bound of n rows, times their root: about the standard error of a slope. A smaller prior scale
-# makes slopes that are not significant too certain (benchmark ``coverage``).
-STANDARD_ERRORS = 1.5
+# Lower bound of few rows n: FEW_ROWS / n, at most LARGEST_BOUND. A smaller prior scale makes slopes
+# that are not significant too certain there (benchmark ``coverage``).
+FEW_ROWS, LARGEST_BOUND = 6.0, 0.3
 
 OUTPUT_AXES = {"intercept_scale": -1, "slope_scale": -2}  # axis of the outputs of each parameter
 
@@ -146,7 +146,7 @@ class LinearTrend(MultiOutputKernel):
         if coarse:
             intercept, slope = coarse.value("intercept_scale"), coarse.value("slope_scale")
         n = np.isfinite(Y).sum(axis=0).max()
-        least = max(SLOPE_BOUNDS[0], STANDARD_ERRORS / np.sqrt(n))
+        least = max(SLOPE_BOUNDS[0], min(FEW_ROWS / n, LARGEST_BOUND))
         slope = np.maximum(slope, least * unit)
         given = self.get_params()
         start = {

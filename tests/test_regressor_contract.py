@@ -77,7 +77,7 @@ class TestMasks:
 
 def test_a_width_that_ends_at_a_given_bound_is_said():
     X, _ = waves()
-    y = np.sin(4 * X[:, 0]) + np.sin(3 * X[:, 1])
+    y = np.sin(4 * X[:, 0])
     narrow = ConvolvedGaussian(1, parameter_bounds={"length_scale": (5.0, 10.0)})
     told = r"end at a bound of the kernel: length_scale\[0, 0, 0\] = (5|10) \((lower|upper) bound"
     with pytest.warns(ConvergenceWarning, match=told):
@@ -85,4 +85,5 @@ def test_a_width_that_ends_at_a_given_bound_is_said():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         wide = ConvolvedGaussian(0, parameter_bounds={"length_scale": (1e-3, 1e7)})
-        DependentGPRegressor(wide, structure="joint", random_state=0).fit(X, y)
+        both = y + np.sin(3 * X[:, 1])
+        DependentGPRegressor(wide, structure="joint", random_state=0).fit(X, both)

@@ -170,7 +170,7 @@ class TestDeviations:
         now = Motion(model, BRUMBY).at(state, CONTROLS)
         pressure = 0.5 * now.density * now.airspeed**2 * BRUMBY.wing_area
         unit = pressure * BRUMBY.chord**2 / (2 * now.airspeed * BRUMBY.inertia[1, 1])
-        assert damping.std(ddof=1) == pytest.approx(unit * table.loc["Cm_q", "std"], rel=0.01)
+        assert damping.std(ddof=1) == pytest.approx(unit * table.loc["Cm_q", "std"], rel=0.05)
 
 
 class TestSweep:

@@ -37,4 +37,6 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted):
     motion = [name not in ("ax", "ay", "az") for name in example.SEEN]
     np.testing.assert_allclose(first[motion], expected[0, motion], atol=1e-9)
     at_trim = dict(zip(example.SEEN, first, strict=True))  # accelerometers before the first action
-    assert at_trim["ax"] == pytest.approx(9.80665 * np.sin(steady.theta), abs=0.5)
+    assert at_trim["ax"] == pytest.approx(
+        9.80665 * np.sin(steady.theta), abs=2.0
+    )  # of a drawn aircraft

@@ -334,7 +334,8 @@ def mean_errors(posterior: Posterior) -> FunctionErrors:
     P, d = len(data.y), data.X[0].shape[1]
     random = np.zeros((P, d + 1, P))
     random[:, 0] = np.diag(np.sqrt(variance))
-    return FunctionErrors(random, np.zeros((0, d + 1, P)), np.zeros(d), np.zeros(P), np.ones(d))
+    centre = max(data.X, key=len).mean(axis=0)  # where errors of known slopes vanish
+    return FunctionErrors(random, np.zeros((0, d + 1, P)), centre, np.zeros(P), np.ones(d))
 
 
 @one_blas_thread()

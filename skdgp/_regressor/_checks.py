@@ -67,19 +67,23 @@ def check_unmasked(X: Any) -> None:
         )
 
 
-def standardize(Y: np.ndarray, centered: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def standardize(
+    Y: np.ndarray, centered: bool, weights: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return centred and scaled targets, and the center and scale of each output, (P,).
+
+    The center is the mean with the ``weights`` (n, P) of the values, by default equal ones.
 
     The center of a constant output is its value, and its scale is the magnitude of that value, so
     it becomes 0 or 1 without rounding.
     """
     constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
     Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
-    center = (
-        np.where(constant, np.nanmax(Y, axis=0), np.nanmean(Y, axis=0))
-        if centered
-        else np.zeros(Y.shape[1])
-    )
+    center = np.zeros(Y.shape[1])
+    if centered:
+        weighted = np.isfinite(Y) * (1.0 if weights is None else weights)
+        mean = np.nansum(weighted * Y, axis=0) / weighted.sum(axis=0)
+        center = np.where(constant, np.nanmax(Y, axis=0), mean)
     scale = np.where(
         constant, np.where(size > 0, size, 1.0), np.sqrt(np.nanmean((Y - center) ** 2, axis=0))
     )
@@ -117,6 +121,19 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
             f"row."
         )
     return np.column_stack([time, codes])
+
+
+def check_input_noise(input_noise: Any, n_regressors: int) -> np.ndarray | None:
+    """Return known standard deviations of the regressors (d,), None where they are learned or zero."""
+    if input_noise is None or isinstance(input_noise, str):
+        return None
+    std = np.asarray(input_noise, dtype=float)
+    if std.shape != (n_regressors,) or not (np.isfinite(std) & (std >= 0)).all():
+        raise ValueError(
+            f"Got input_noise={input_noise!r}, but expected 'auto', 'learned', None, or a standard "
+            f"deviation of at least zero for each of the {n_regressors} regressors."
+        )
+    return std
 
 
 def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> KnownNoise:

@@ -126,11 +126,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         the values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference.
-    input_noise : {"auto", "learned"} or None
+    input_noise : {"auto", "learned"}, array (d,) or None
         Noise of the regressors, independent between samples and regressors: "learned" is one
         standard deviation for each regressor. With their covariance S and the slopes J of the mean
         it adds J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None:
-        exact regressors. "auto" is "learned" for a log, and else None.
+        exact regressors. An array has known standard deviations. "auto" is "learned" for a log, and
+        else None; without an ``optimizer`` nothing is learned.
     noise_variance : float, array (P,), array (n, P) or None
         Variance of the measurement noise, in squared units of the outputs. None: learned. A number
         for each output is known and keeps its value, or is the starting value if there are bounds.
@@ -215,7 +216,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "trend": [StrOptions({"linear", "constant"}), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
-        "input_noise": [StrOptions({"auto", "learned"}), None],
+        "input_noise": [StrOptions({"auto", "learned"}), "array-like", None],
         "noise_variance": [Interval(Real, 0, None, closed="neither"), "array-like", None],
         "noise_variance_bounds": ["array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
@@ -232,7 +233,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         trend: str | None = "linear",
         inference: str = "auto",
         n_inducing: int = 100,
-        input_noise: str | None = "auto",
+        input_noise: Any = "auto",
         noise_variance: Any = None,
         noise_variance_bounds: Any = None,
         optimizer: Any = "fmin_l_bfgs_b",
@@ -347,11 +348,20 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         noise = _checks.check_noise(
             self.noise_variance, self.noise_variance_bounds, Y, self._single
         )
-        if noise.loading is not None and self.input_noise == "learned":
+        input_std = _checks.check_input_noise(self.input_noise, X.shape[1])
+        learns_input_noise = isinstance(self.input_noise, str) and self.input_noise == "learned"
+        if noise.loading is not None and (learns_input_noise or input_std is not None):
             raise ValueError(
-                "Got input_noise='learned' and a noise_variance for each value, but expected one of "
-                "them: with known noise use input_noise=None."
+                f"Got input_noise={self.input_noise!r} and a noise_variance for each value, but "
+                "expected one of them: with known noise use input_noise=None."
             )
+        if learns_input_noise and self.optimizer is None:
+            raise ValueError(
+                "Got input_noise='learned' with optimizer=None, which learns nothing: give the "
+                "standard deviation of each regressor, such as "
+                "input_noise=np.sqrt(np.diag(model.input_covariance_))."
+            )
+        noise = noise._replace(input_std=input_std)
         used = np.isfinite(Y).any(axis=1)
         X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
         noise = noise.of_rows(used)
@@ -372,7 +382,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             searches = n_searches(self, log)
             n_matrices = 1 + 2 * searches if searches > 1 else 2
             check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)
-        Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None)
+        centred = self.trend is not None
+        Z, self.center_, self.scale_ = _checks.standardize(Y, centred, noise.weights)
         self._slopes = None
         if slopes is not None:
             self._slopes = slopes.scaled(1 / self.scale_[:, None])
@@ -395,19 +406,24 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if log:
             _, variance, memory = residual_drift(posterior, X, Z, clock)
             misfit = misfit_variance(posterior, X, Z, clock)
-        white = learned.noise
-        if not known.is_fixed:  # the search took the misfit for noise
-            misfit = np.minimum(misfit, LARGEST_MISFIT * learned.noise)
-            white = learned.noise - misfit
+        # The search took the misfit for noise, of which at least a lower bound is left.
+        least = (1.0 - LARGEST_MISFIT) * learned.noise
+        if known.bounds is not None:
+            least = np.maximum(least, known.bounds[:, 0])
+        most = np.maximum(learned.noise - least, 0.0)
+        misfit = np.where(known.is_learned, np.minimum(misfit, most), misfit)
+        white = np.where(known.is_learned, learned.noise - misfit, learned.noise)
         if known.loading is not None:
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
         if log:
             of_function = function_errors(posterior, misfit, learned.input_std, clock[:, 1])
         else:
             of_function = mean_errors(posterior)
+        if not centred:
+            of_function = of_function.without_means(len(self.scale_))
         if self._slopes is not None:
             of_function = self._slopes.replaced(of_function)
-        if log or self.trend is not None:  # else nothing was subtracted
+        if log or centred or self._slopes is not None:
             posterior = PosteriorWithErrors(posterior, of_function)
         self.posterior_ = posterior
         self.misfit_variance_ = misfit * self.scale_**2
@@ -763,12 +779,13 @@ def n_searches(model: BaseEstimator, log: bool) -> int:
 
 def _searched(model, kernel, X, Z, data, log, inference, known, random_state):
     """Return the fit of one search."""
-    learns_input_noise = model.input_noise == "learned" or (log and model.input_noise == "auto")
+    kind = model.input_noise if isinstance(model.input_noise, str) else None
+    has_input_noise = kind == "learned" or (log and kind == "auto") or known.input_std is not None
     options = {
         "known": known,
         "optimizer": model.optimizer,
         "max_iter": most_iterations(model.max_iter, Z, log),
-        "input_noise": learns_input_noise and known.loading is None,
+        "input_noise": has_input_noise and known.loading is None,
         "random_state": random_state.randint(2**31 - 1),
     }
     if inference == "exact":

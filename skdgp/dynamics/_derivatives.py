@@ -163,9 +163,8 @@ def _deviations(
     errors = model.function_errors()
     of_parts = {"std_random": np.zeros_like(total), "std_method": np.zeros_like(total)}
     if errors is not None:
-        shape = now.regressors.shape[:1]
-        for name, slopes in zip(of_parts, errors.slopes(), strict=True):
-            of_parts[name] = frame.errors(np.broadcast_to(slopes, (*shape, *slopes.shape)))
+        for name, (values, slopes) in zip(of_parts, errors.parts(now.regressors), strict=True):
+            of_parts[name] = frame.errors(slopes, values)
     # what the errors of the function do not explain
     of_errors = sum(part**2 for part in of_parts.values())
     posterior = np.sqrt(np.maximum(total**2 - of_errors, 0.0))
@@ -260,13 +259,16 @@ class _Frame:
             S[..., drag, k] += C[..., lift, 0]
         return np.concatenate([C, S], axis=-1)
 
-    def errors(self, errors: Array, apart: bool = False) -> Array:
-        """Return the standard deviation (n, rows, 1 + columns) of errors of slopes (n, 6, d, k), or of each error."""
-        if not errors.shape[-1]:
-            errors = np.zeros((*errors.shape[:-1], 1))
-        parts = np.abs(
-            [self(np.zeros(part.shape[:2]), part) for part in np.moveaxis(errors, -1, 0)]
-        )
+    def errors(self, slopes: Array, values: Array | None = None, apart: bool = False) -> Array:
+        """Return the standard deviation (n, rows, 1 + columns) of k errors of slopes (n, 6, d, k), or of each.
+
+        Errors of the coefficients are ``values`` (n, 6, k), by default zero.
+        """
+        if values is None:
+            values = np.zeros((*slopes.shape[:2], slopes.shape[-1]))
+        parts = np.zeros((slopes.shape[-1], len(slopes), len(ROWS), 1 + len(self.columns)))
+        for k in range(len(parts)):
+            parts[k] = np.abs(self(values[..., k], slopes[..., k]))
         return parts if apart else np.sqrt(np.sum(parts**2, axis=0))
 
     def table(self, values: Array, parts: dict[str, Array]) -> pd.DataFrame:

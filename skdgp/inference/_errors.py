@@ -30,6 +30,8 @@ from skdgp.kernels import MultiOutputKernel, PathBundle, independent_processes, 
 
 BLOCKS = 60  # blocks of the time series; errors of different blocks are taken as independent
 BLOCK_ROWS = 10  # fewest samples in a block
+BLOCK_TIMES = 4.0  # fewest autocorrelation times of the errors in a block, if there remain
+FEWEST_BLOCKS = 12  # at least so many blocks
 FEWEST = 10  # samples for each weight of a line
 DELAYS = (2, 4, 6)  # of the instruments, in autocorrelation times of the errors
 SINGULAR = 1e-10  # fraction of the largest eigenvalue below which instruments count as equal
@@ -80,10 +82,23 @@ class FunctionErrors(NamedTuple):
         linear = LinearPaths(np.tensordot(z, self.weights, axes=1), self.centre)
         return linear + prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
 
+    def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
+        """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d) of the random terms, and of those by method."""
+        Q = _basis(X - self.centre)
+        parts = []
+        for weights, slopes in zip((self.random, self.method), self.slopes(), strict=True):
+            values = np.moveaxis(Q @ weights, 0, -1)
+            parts.append((values, np.broadcast_to(slopes, (len(X), *slopes.shape))))
+        return parts
+
     def slopes(self) -> tuple[Array, Array]:
         """Return the slopes of the linear terms, random and by method, (P, d, K) and (P, d, K')."""
         random, method = self.random[:, 1:], self.method[:, 1:]
         return np.transpose(random, (2, 1, 0)), np.transpose(method, (2, 1, 0))
+
+    def without_means(self, n_outputs: int) -> FunctionErrors:
+        """Return the errors of outputs that were not centred, without the first terms (``mean_errors``)."""
+        return self._replace(random=self.random[n_outputs:])
 
     def in_units(self, shift: Vector, scale: Vector, output_scale: Vector) -> FunctionErrors:
         """Return the errors of outputs times ``output_scale``, as a function of shift + scale x."""
@@ -190,7 +205,9 @@ def function_errors(
     With the residuals r of the posterior's mean, Q = (1, x - c) and :math:`G = (Q^T Q)^{-1}`:
 
     - random: over blocks b of consecutive samples, :math:`w_b = G Q_b^T r_b`, whatever the
-      correlation within a block and between outputs (Liang & Zeger 1986);
+      correlation within a block and between outputs (Liang & Zeger 1986), as far as their variance
+      exceeds that of white noise, which the posterior holds;
+    - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
       slopes d of the residuals, with standard deviation s. These count as
       :math:`\sqrt{d^2 - s^2}`, what is beyond chance;
@@ -224,29 +241,54 @@ def function_errors(
     )
     if min(map(len, data.y)) < FEWEST * (d + 1):
         return errors
-    n_records = 1 if flight is None else len(np.unique(flight))
-    random = np.zeros((BLOCKS + n_records, d + 1, P))
+    samples = data.sample or [np.arange(len(y)) for y in data.y]
+    records = _records(samples, flight)
+    residuals = [
+        y - posterior.predict(x)[:, i] for i, (x, y) in enumerate(zip(data.X, data.y, strict=True))
+    ]
+    parts = blocks(records, max(map(autocorrelation_time, residuals)))
+    random = np.zeros((len(parts), d + 1, P))
     instruments = np.zeros((1, d + 1, P))
     attenuation = np.zeros((d, d + 1, P))
     slopes = posterior.gradient(centre[None])[0]
-    for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
-        Q = _basis(x - centre)
-        residual = y - posterior.predict(x)[:, i]
-        records = _records(None if flight is None else flight[data.sample[i]], len(y))
-        of_blocks = block_errors(Q, residual, blocks(records, len(y)))
-        random[: len(of_blocks), :, i] = of_blocks
-        change, scatter = instrumented(Q / np.append(1.0, scale), residual, records)
+    noise = mean_noise(posterior)
+    for i, (x, sample) in enumerate(zip(data.X, samples, strict=True)):
+        Q = _basis((x - centre) / scale)
+        residual = residuals[i]
+        of_blocks = block_errors(Q, residual, [_places(sample, rows) for rows in parts])
+        random[:, :, i] = beyond(of_blocks, white_variance(Q, noise[i]))
+        change, scatter = instrumented(Q, residual, [_places(sample, rows) for rows in records])
         beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
-        instruments[0, 1:, i] = (np.sign(change) * np.sqrt(beyond_chance))[1:] / scale
+        instruments[0, 1:, i] = (np.sign(change) * np.sqrt(beyond_chance))[1:]
         if input_std is not None:
             attenuation[:, 1:, i] = _attenuation(x, input_std, slopes[i])
-    return errors._replace(random=random, method=np.concatenate([instruments, attenuation]))
+    unit = np.append(1.0, scale)[:, None]  # of the weights of Q
+    random = np.concatenate([errors.random, random / unit])
+    return errors._replace(random=random, method=np.concatenate([instruments / unit, attenuation]))
 
 
-def _records(flight: Vector | None, n: int) -> list[Indices]:
-    """Return the rows of each flight, of n samples of these flights."""
-    codes = np.zeros(n) if flight is None else flight
-    return [np.flatnonzero(codes == code) for code in np.unique(codes)]
+def _records(sample: Sequence[Indices], flight: Vector | None) -> list[Indices]:
+    """Return the samples of each flight that any output has."""
+    samples = np.unique(np.concatenate(sample))
+    codes = np.zeros(len(samples)) if flight is None else flight[samples]
+    return [samples[codes == code] for code in np.unique(codes)]
+
+
+def _places(sample: Indices, rows: Indices) -> Indices:
+    """Return where the ``rows`` stand among the samples of an output, both in order."""
+    return np.flatnonzero(np.isin(sample, rows, assume_unique=True))
+
+
+def white_variance(Q: Matrix, noise: float) -> Vector:
+    """Return the variance of the weights of least squares, (m,), for white noise of this variance."""
+    return noise * np.diag(np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True))
+
+
+def beyond(errors: Matrix, variance: Vector) -> Matrix:
+    """Return errors (k, m) that are smaller, so that the sum of their squares is less by a ``variance`` (m,)."""
+    total = np.sum(errors**2, axis=0)
+    left = np.maximum(total - variance, 0.0)
+    return errors * np.sqrt(np.divide(left, total, out=np.zeros_like(total), where=total > 0))
 
 
 def _attenuation(x: Matrix, input_std: Vector, slopes: Vector) -> Matrix:
@@ -261,9 +303,11 @@ def _basis(x: Array) -> Array:
     return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
 
 
-def blocks(records: Sequence[Indices], n: int) -> list[Indices]:
-    """Return the rows of blocks of consecutive samples of the records, in all about 60 of n samples."""
-    length = max(n / BLOCKS, BLOCK_ROWS)
+def blocks(records: Sequence[Indices], lasting: float = 1.0) -> list[Indices]:
+    """Return blocks of consecutive samples of the records, about 60, fewer where errors are ``lasting`` [samples]."""
+    n = sum(map(len, records))
+    longer = min(BLOCK_TIMES * lasting, n / FEWEST_BLOCKS)
+    length = max(n / BLOCKS, BLOCK_ROWS, longer)
     parts: list[Indices] = []
     for rows in records:
         parts += np.array_split(rows, max(1, int(len(rows) / length)))
@@ -277,16 +321,13 @@ def block_errors(
 ) -> Matrix:
     """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
 
-    ``inverse`` is by default that of Q^T Q.
+    ``parts`` are the places of the rows of each block. ``inverse`` is by default that of Q^T Q.
     """
     if inverse is None:
-        size = np.sqrt(np.einsum("nm,nm->m", Q, Q))  # so that units of the terms do not count
-        size[size == 0] = 1.0
-        scaled = Q / size
-        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=SINGULAR, hermitian=True)
-        inverse /= np.multiply.outer(size, size)
+        inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
     scores = np.array([Q[rows].T @ residual[rows] for rows in parts])
-    return scores @ inverse.T * np.sqrt(len(scores) / (len(scores) - 1))
+    n_blocks = max(sum(len(rows) > 0 for rows in parts), 2)
+    return scores @ inverse.T * np.sqrt(n_blocks / (n_blocks - 1))
 
 
 def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vector, Matrix]:
@@ -297,7 +338,7 @@ def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vect
     motion, such as that of a gust, correlates with present regressors, and so biases least squares.
     Part of the bias remains, the more the longer gusts last.
     """
-    lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records]
+    lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
     lag = min(round(sum(lasting) / len(y)), len(y) // (2 * DELAYS[-1]))
     first = lag * DELAYS[-1]
     long = [rows for rows in records if len(rows) > first]
@@ -315,27 +356,55 @@ def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vect
     weights = inverse @ (expected.T @ y[now])
     ends = np.cumsum([0, *(len(rows) - first for rows in long)])
     of_records = [np.arange(a, b) for a, b in pairwise(ends)]
-    parts = blocks(of_records, len(now))
+    parts = blocks(of_records)
     return weights, block_errors(expected, y[now] - Q[now] @ weights, parts, inverse)
 
 
-def mean_errors(posterior: Posterior) -> FunctionErrors:
-    """Return the errors of a function by the means of the outputs, which were subtracted before the fit.
+def mean_noise(posterior: Posterior) -> Vector:
+    """Return the harmonic mean of the noise variances of the values of each output, (P,).
 
-    The mean of n values with noise of variance s^2 has the variance s^2 / n. For a linear function
-    of centred regressors this is the uncertainty of an intercept without a prior.
+    Noise of the regressors is part of it, and so is the factor by which a sparse posterior takes
+    correlated noise for larger.
     """
     data = posterior.data
-    noise = np.array([member.noise for member in posterior.members])
-    variance = np.sum(posterior.mixture * noise, axis=0) / [len(y) for y in data.y]
-    if data.sample_noise is not None:
-        for i, loading in enumerate(data.sample_noise.loading):
-            variance[i] += np.mean(np.sum(loading**2, axis=1)) / len(loading)
-    P, d = len(data.y), data.X[0].shape[1]
+    members = np.array([member.noise for member in posterior.members])
+    white = np.sum(posterior.mixture * members, axis=0)
+    if data.sample_noise is None:
+        return white
+    propagated = [np.sum(loading**2, axis=1) for loading in data.sample_noise.loading]
+    return np.array(
+        [1 / np.mean(1 / (w + part)) for w, part in zip(white, propagated, strict=True)]
+    )
+
+
+def mean_errors(posterior: Posterior) -> FunctionErrors:
+    r"""Return the errors of a function by the means of the outputs, which were subtracted before the fit.
+
+    The mean of n values with noise of variance s^2 has the variance :math:`v = s^2 / n`, with noise
+    that differs between values :math:`v = 1 / \sum_a s_a^{-2}`. For a linear function of centred
+    regressors this is the uncertainty of an intercept without a prior. A posterior whose intercept
+    has the prior variance :math:`\tau^2` holds :math:`\tau^2 v / (\tau^2 + v)` of it, and the
+    rest is added.
+    """
+    data = posterior.data
+    centre = max(data.X, key=len).mean(axis=0)
+    variance = mean_noise(posterior) / [len(y) for y in data.y]
+    prior = _intercept_variance(posterior.kernel, centre)
+    left = variance**2 / (prior + variance)
+    P, d = len(data.y), len(centre)
     random = np.zeros((P, d + 1, P))
-    random[:, 0] = np.diag(np.sqrt(variance))
-    centre = max(data.X, key=len).mean(axis=0)  # where errors of known slopes vanish
+    random[:, 0] = np.diag(np.sqrt(left))
     return FunctionErrors(random, np.zeros((0, d + 1, P)), centre, np.zeros(P), np.ones(d))
+
+
+def _intercept_variance(kernel: MultiOutputKernel, centre: Vector) -> Vector:
+    """Return the prior variance of the constant terms of a kernel, (P,)."""
+    variance = np.zeros(kernel.n_outputs)
+    for term in kernel.summands():
+        if () in term.term_regressors():
+            constant = term.term(())
+            variance += [constant.block_diag(i, centre[None])[0] for i in range(len(variance))]
+    return variance
 
 
 @one_blas_thread()

@@ -109,13 +109,14 @@ def as_exact(
     Fit
     """
     kernel = learned.kernel
-    noise = best_noise(kernel, X, Y, data, known)
+    learned = best_noise(learned, X, Y, data, known)
+    noise = learned.noise
     posterior: SinglePosterior
     if kernel.n_processes:
         posterior = ExactPosterior(kernel, noise, data)
     else:  # the few weights of a trend are all that there is to know, so this is exact, and small
         posterior = SparsePosterior(kernel, inducing_features(kernel, X[:1]), noise, data)
-    return Fit(posterior, learned._replace(noise=noise))
+    return Fit(posterior, learned)
 
 
 def fit_sparse(
@@ -195,8 +196,8 @@ def _sparse_fit(learned, features, data, X, Y, ordered, known, *, mean=None, loa
             mean = posterior.mean_function
             loading = posterior.gradient(X) * learned.input_std
         propagated = np.mean(np.einsum("npr,npr->np", loading, loading), axis=0)
-        if learns_noise:
-            noise = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
+        white = np.maximum(noise - propagated, MIN_WHITE_FRACTION * noise)
+        noise = np.where(known.is_learned, np.maximum(white, bounds[:, 0]), noise)
         data = data.with_slopes(mean, np.sqrt(inflation)[:, None] * learned.input_std)
         posterior = SparsePosterior(posterior.kernel, posterior.features, noise * inflation, data)
     return Fit(posterior, learned._replace(noise=noise))
@@ -298,6 +299,8 @@ def average(
         loading = known.loading if std is None else fit.posterior.gradient(X) * std
         ordered = random_state is None
         fits = [fit, *(_of_part(fit, X, Y, loading, ordered, part, known) for part in parts[1:])]
+        if any(component.learned.interrupted for component in fits):
+            return fit.cut_short()
         members = [component.posterior.members[0] for component in fits]
         noises = [component.learned.noise for component in fits]
         weights = held_out_weights(members, noises, X, Y, loading, random_state)

@@ -48,12 +48,14 @@ class KnownNoise(NamedTuple):
 
     ``variance`` (P,) are starting values within ``bounds`` (P, 2); equal bounds keep a value. None:
     both from the data. ``loading`` (n, P, P), or None, is a root of the noise covariance of each
-    sample that is known beside.
+    sample that is known beside. ``input_std`` (d,), or None, are known standard deviations of the
+    noise of the regressors.
     """
 
     variance: Vector | None = None
     bounds: Matrix | None = None
     loading: Array | None = None
+    input_std: Vector | None = None
 
     @classmethod
     def of_values(cls, variance: Matrix) -> KnownNoise:
@@ -67,9 +69,21 @@ class KnownNoise(NamedTuple):
         return cls(white, np.column_stack([white, white]), loading)
 
     @property
+    def is_learned(self) -> Any:
+        """Whether the variance of each output is learned, (P,), or one value for all."""
+        return np.bool_(True) if self.bounds is None else self.bounds[:, 0] < self.bounds[:, 1]
+
+    @property
     def is_fixed(self) -> bool:
-        """Whether the variances keep their values."""
-        return self.bounds is not None and bool((self.bounds[:, 0] == self.bounds[:, 1]).all())
+        """Whether all variances keep their values."""
+        return not np.any(self.is_learned)
+
+    @property
+    def weights(self) -> Matrix | None:
+        """Inverse variances of the values, (n, P), where they differ between samples."""
+        if self.loading is None or self.variance is None:
+            return None
+        return 1.0 / (self.variance + np.einsum("npp->np", self.loading) ** 2)
 
     def of_rows(self, rows: Any) -> KnownNoise:
         """Return the same of some samples."""
@@ -77,21 +91,23 @@ class KnownNoise(NamedTuple):
 
     def in_units(self, scale: Vector) -> KnownNoise:
         """Return the same of outputs over ``scale`` (P,)."""
-        variance, bounds, loading = self
+        variance, bounds, loading, input_std = self
         return KnownNoise(
             None if variance is None else variance / scale**2,
             None if bounds is None else bounds / scale[:, None] ** 2,
             None if loading is None else loading / scale[:, None],
+            input_std,
         )
 
     def of_output(self, i: int) -> KnownNoise:
         """Return the same of one output."""
-        variance, bounds, loading = self
+        variance, bounds, loading, input_std = self
         own = slice(i, i + 1)
         return KnownNoise(
             None if variance is None else variance[own],
             None if bounds is None else bounds[own],
             None if loading is None else loading[:, own],
+            input_std,
         )
 
     def start(self, residual: Matrix, scale: Vector) -> tuple[Vector, Matrix]:
@@ -201,7 +217,9 @@ def search(
     input_std: Vector | None = None
     if optimizer is None:
         data = Data.from_table(X, Y, known.loading)
-        return Hyperparameters(start, best_noise(start, X, Y, data, known))
+        given = Hyperparameters(start, noise, known.input_std)
+        data = given.noisy(data) if exact else data
+        return best_noise(given, X, Y, data, known)
     stop, singles = Event(), None
     if not kernel.has_values() and kernel.single_output() is not None:  # stage 1
         singles, noise = _fit_outputs(
@@ -223,7 +241,7 @@ def search(
     bounds = noise_bounds
     if input_noise:
         data = Hyperparameters(coarse, noise, scale).noisy(data, 1).with_loadings()
-        noise, input_bounds = _initial_input_noise(noise, data, len(scale))
+        noise, input_bounds = _initial_input_noise(noise, data, scale, known)
         bounds = np.concatenate([noise_bounds, input_bounds])
     best, noise, end = climb(start, noise, bounds, data, max_iter - n_iter, stop, common=exact)
     if input_noise:
@@ -232,7 +250,7 @@ def search(
             half_data = Data.from_table(X[::2], Y[::2])
             half_data = Hyperparameters(best, noise[:P], scale).noisy(half_data, 1)
             noise = climb(best, noise, bounds, half_data, NOISE_STEPS, stop, noise_alone=True).noise
-        input_std = scale * np.sqrt(noise[P:])
+        input_std = scale * np.sqrt(noise[P:]) if known.input_std is None else known.input_std
     return Hyperparameters(
         best,
         noise[:P],
@@ -245,33 +263,39 @@ def search(
 
 
 def best_noise(
-    kernel: MultiOutputKernel, X: Matrix, Y: Matrix, data: Data, known: KnownNoise = UNKNOWN
-) -> Vector:
-    """Return the noise (P,) that is best for a kernel.
+    learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data, known: KnownNoise = UNKNOWN
+) -> Hyperparameters:
+    """Return the hyperparameters with the noise (P,) that is best for their kernel.
 
-    It is learned from at most 1800 of the values of X and Y. Raises KeyboardInterrupt after Ctrl-C.
+    It is learned from at most 1800 of the values of X and Y. After Ctrl-C it is the best so far,
+    and the result is interrupted.
     """
-    noise, bounds = known.start(kernel.residual(X, Y), output_scale(Y))
+    noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y))
     if known.is_fixed:
-        return noise
+        return learned._replace(noise=noise)
     some = data.every(-(-data.n_values // SEARCH_VALUES[1]))
     stop = Event()
-    end = climb(kernel, noise, bounds, some, NOISE_STEPS, stop, noise_alone=True, stage="members")
-    if stop.is_set():
-        raise KeyboardInterrupt
-    return end.noise
+    end = climb(
+        learned.kernel, noise, bounds, some, NOISE_STEPS, stop, noise_alone=True, stage="members"
+    )
+    return learned._replace(noise=end.noise, interrupted=learned.interrupted or stop.is_set())
 
 
-def _initial_input_noise(noise, data, d):
-    """Return the noise vector with starting factors s (d,) of the regressors' noise variances, and bounds of s.
+def _initial_input_noise(noise, data, scale, known):
+    """Return the noise vector with factors s (d,) of the regressors' noise variances, and bounds of s.
 
-    At the start, half of each output's noise comes from the regressors, with equal factors s.
+    Known standard deviations, over the ``scale`` (d,) of the regressors, keep their values. At the
+    start of others, half of each output's noise comes from the regressors, with equal factors s.
     """
+    least, most = INPUT_BOUNDS
+    if known.input_std is not None:
+        fixed = np.maximum((known.input_std / scale) ** 2, least)
+        return np.concatenate([noise, fixed]), np.column_stack([fixed, fixed])
     propagated = [
         np.mean(np.sum(G**2, axis=1)) if len(G) else np.nan for G in data.sample_noise.loading
     ]
     part = 0.5 * float(np.nanmedian(noise / np.maximum(propagated, 1e-12)))
-    least, most = INPUT_BOUNDS
+    d = len(scale)
     start = np.full(d, np.clip(part, 10 * least, most / 10))
     return np.concatenate([0.5 * noise, start]), np.tile(INPUT_BOUNDS, (d, 1))
 

@@ -163,14 +163,19 @@ class TestDeviations:
         assert (whole > 0.999 * table["std"].to_numpy()).all()
         held = table.loc[["Cm_q", "Cm_elevator", "CL_alpha", "CL"], "merged"].tolist()
         assert held == ["Cm_alpha_dot", "Cm_alpha_dot", "CL_alpha_dot", ""]
-        # the linear model draws the same functions: pitch acceleration by q, without alpha_dot
+        # the linear model flies the same functions: pitch acceleration by q, without alpha_dot
         plain = as_aerodynamics(model)
         plain.function_errors = None
         damping = linearize(plain, BRUMBY, state, CONTROLS, n_paths=n_paths).paths.A[:, 10, 10]
         now = Motion(model, BRUMBY).at(state, CONTROLS)
+        X = np.broadcast_to(now.regressors, (n_paths, 1, 3))
+        by_q = plain.sample(n_paths, 0).gradient(X)[:, 0, :, 1]
+        assert by_q[:, 4].std(ddof=1) == pytest.approx(table.loc["Cm_q", "std"])
         pressure = 0.5 * now.density * now.airspeed**2 * BRUMBY.wing_area
-        unit = pressure * BRUMBY.chord**2 / (2 * now.airspeed * BRUMBY.inertia[1, 1])
-        assert damping.std(ddof=1) == pytest.approx(unit * table.loc["Cm_q", "std"], rel=0.05)
+        lengths = np.array([BRUMBY.span, BRUMBY.chord, BRUMBY.span])
+        moments = pressure * lengths * by_q[:, 3:] * BRUMBY.chord / (2 * now.airspeed)
+        expected = np.linalg.solve(BRUMBY.inertia, moments.T)[1]
+        assert damping - damping[0] == pytest.approx(expected - expected[0], abs=1e-6)
 
 
 class TestSweep:

@@ -94,13 +94,13 @@ def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
     np.testing.assert_allclose(slopes.std(axis=0), expected, rtol=2 * WITHIN)
 
 
-def test_without_time_they_are_those_of_the_means(series):
-    """Of n values with noise of variance s^2: s^2 / n, the same everywhere."""
+def test_at_the_centre_the_function_is_known_as_the_mean(series):
+    """Of n values with noise of variance s^2: s^2 / n, of which the intercept's prior holds a part."""
     X, Y, _ = series
     model = DependentGPRegressor(structure="trend").fit(X, Y)
+    std = model.predict(X.mean(axis=0, keepdims=True), return_std=True)[1]
+    np.testing.assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=1e-6)
     errors = model.function_errors()
-    expected = [model.noise_variance_ / len(X)] * 3
-    np.testing.assert_allclose(errors.variance(X[:3]), expected, rtol=1e-9)
     assert not errors.slopes()[0].any()
     uncentred = DependentGPRegressor(ConvolvedGaussian(1), trend=None, max_iter=2)
     assert uncentred.fit(X, Y).function_errors() is None
@@ -148,7 +148,39 @@ def test_outputs_err_together():
     y = x + wandering(rng, 500, 4)[:, None]
     model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
     errors = function_errors(model.fit(x, np.hstack([y, y])).posterior_, np.zeros(2))
-    np.testing.assert_allclose(errors.weights[..., 0], errors.weights[..., 1], atol=1e-9)
+    of_blocks = errors.random[2:]  # the first are of the means
+    assert np.abs(of_blocks).max() > 0.001
+    np.testing.assert_allclose(of_blocks[..., 0], of_blocks[..., 1], atol=1e-9)
+
+
+def test_outputs_with_different_gaps_err_together_where_both_were_observed():
+    """The first tenth of the second output is missing, and its error elsewhere is that of the first."""
+    rng = np.random.default_rng(2)
+    x = wandering(rng, 1200, 5)[:, None]
+    y = x + wandering(rng, 1200, 8)[:, None]
+    Y = np.hstack([y, y])
+    Y[:120, 1] = np.nan
+    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1).fit(x, Y)
+    slopes = function_errors(model.posterior_, np.zeros(2)).slopes()[0][:, 0]
+    cosine = slopes[0] @ slopes[1] / np.linalg.norm(slopes[0]) / np.linalg.norm(slopes[1])
+    assert cosine > 0.8
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+@pytest.mark.parametrize("memory", [0.01, 4.0])
+def test_slopes_of_a_line_err_as_stated(inference, memory):
+    """White and lasting noise: errors over deviations have a root mean square near one."""
+    ratios = []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        x = np.column_stack([wandering(rng, 1200, 10), wandering(rng, 1200, 10)])
+        y = x @ [1.0, -0.5] + 0.5 * wandering(rng, 1200, memory)
+        model = DependentGPRegressor(
+            structure="trend", inference=inference, input_noise=None, random_state=0
+        ).fit(x, y, time=np.arange(1200.0))
+        gradient = model.sample_paths(200, random_state=0).gradient(x[:1])[:, 0]
+        ratios.append((model.predict_gradient(x[:1])[0] - [1.0, -0.5]) / gradient.std(axis=0))
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
 
 
 def flown_in_gusts(memory):

@@ -5,7 +5,7 @@ import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from skdgp import DependentGPRegressor
+from skdgp import DependentGPRegressor, listening
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -76,11 +76,52 @@ def test_with_noise_of_each_value_bands_hold_in_the_quiet_and_the_noisy_part():
     assert noisy.mean() > 0.8
 
 
-def test_bounds_hold_a_learned_variance(data):
+def test_a_value_of_enormous_noise_counts_for_nothing(data):
+    X, y = data
+    variance = np.full(60, 1e-4)
+    options = {"structure": "joint", "trend": "constant", "random_state": 0}
+    others = np.arange(60) != 30
+    without = DependentGPRegressor(noise_variance=variance[others], **options)
+    without.fit(X[others], y[others])
+    terrible = y.copy()
+    terrible[30] += 1000.0
+    variance[30] = 1e12
+    model = DependentGPRegressor(noise_variance=variance, **options).fit(X, terrible)
+    np.testing.assert_allclose(model.predict(X), without.predict(X[:]), atol=0.02)
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_bounds_hold_a_learned_variance(data, log):
+    X, y = data
+    time = {"time": np.arange(60.0)} if log else {}
     model = DependentGPRegressor(
         noise_variance=0.01, noise_variance_bounds=(0.005, 0.02), random_state=0
-    ).fit(*data)
+    ).fit(X, y, **time)
     assert 0.005 <= model.noise_variance_[0] <= 0.02
+
+
+def test_known_noise_of_regressors_is_kept(data):
+    X, y = data
+    time = np.arange(60.0)
+    model = DependentGPRegressor(input_noise=[0.03], random_state=0).fit(X, y, time=time)
+    np.testing.assert_allclose(model.input_covariance_, [[0.03**2]])
+    exact = DependentGPRegressor(input_noise=[0.0], random_state=0).fit(X, y, time=time)
+    none = DependentGPRegressor(input_noise=None, random_state=0).fit(X, y, time=time)
+    np.testing.assert_allclose(exact.predict(X), none.predict(X), atol=2e-3)
+
+
+def test_an_interrupt_keeps_the_kernel_that_was_given(data):
+    def press(stage, *numbers):
+        raise KeyboardInterrupt
+
+    kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[0.8]]])
+    model = DependentGPRegressor(kernel, optimizer=None, structure="joint", trend="constant")
+    with listening(press, keep_best=True), pytest.warns(UserWarning, match="interrupted"):
+        model.fit(*data)
+    assert model.interrupted_
+    np.testing.assert_allclose(model.kernel_.length_scale, [[[0.8]]])
+    with listening(press), pytest.raises(KeyboardInterrupt):
+        model.fit(*data)
 
 
 def test_outputs_with_gaps_have_noise_of_their_own(data):
@@ -101,6 +142,9 @@ def test_outputs_with_gaps_have_noise_of_their_own(data):
         ({"noise_variance_bounds": (0.0, 1.0)}, "pair of positive numbers"),
         ({"noise_variance": np.ones(60), "noise_variance_bounds": (0.1, 1.0)}, "one of them"),
         ({"noise_variance": np.ones(60), "input_noise": "learned"}, "one of them"),
+        ({"input_noise": [0.1, 0.2]}, "for each of the 1 regressors"),
+        ({"input_noise": [-0.1]}, "at least zero"),
+        ({"input_noise": "learned", "optimizer": None}, "learns nothing"),
     ],
 )
 def test_bad_noise_is_refused(data, options, message):

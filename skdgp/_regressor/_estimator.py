@@ -153,15 +153,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     Attributes
     ----------
     kernel_ : MultiOutputKernel
-        Fitted covariance of the outputs, in their units. A fit with ``kernel=model.kernel_``
-        continues there.
+        Fitted covariance of the outputs, in their units. A fit with ``kernel=model.kernel_`` and
+        ``structure="joint"`` continues there; with ``noise_variance=model.noise_variance_ +
+        model.misfit_variance_``, ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a
+        fit with ``time``, and ``optimizer=None`` it is the same joint model.
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, without misfit, in squared units of the outputs; the mean
         over the samples where it was given for each.
     drift_variance_, drift_memory_ : ndarray (P,)
         Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero
-        without ``time``. The drift holds the effect of errors of the regressors and the misfit,
-        too. Simulated flights have one each.
+        without ``time``. The drift holds the effect of errors of the regressors, too. Simulated
+        flights have one each.
     misfit_variance_ : ndarray (P,)
         Variance of the error of the function where flights come back to the same regressors, in
         squared units of the outputs: part of the function's band. Zero without ``time``. See
@@ -860,13 +862,12 @@ def _make_kernel(model, X, Z, log):
     if model.structure == "trend" and (model.kernel is not None or model.trend != "linear"):
         raise ValueError(
             f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but "
-            f"expected "
-            "kernel=None and trend='linear'."
+            "expected kernel=None and trend='linear', or structure='joint' for a given kernel."
         )
     if model.structure == "additive" and model.kernel is not None:
         raise ValueError(
-            f"Got structure='additive' with kernel={model.kernel!r}, but expected kernel=None: add "
-            "ConvolvedGaussian(0, regressors=[k]) to the kernel."
+            f"Got structure='additive' with kernel={model.kernel!r}, but expected kernel=None. Use "
+            "structure='joint', and add ConvolvedGaussian(0, regressors=[k]) to the kernel."
         )
     if model.n_latent is not None and model.kernel is not None:
         raise ValueError(

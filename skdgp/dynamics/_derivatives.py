@@ -82,7 +82,8 @@ def stability_derivatives(
           instruments, and how far noise of the regressors flattens a slope,
         - ``std_posterior``: the rest.
 
-        Models without a time series lack these parts.
+        A model without a time series has the errors of its means alone as ``std_random``; one
+        without a posterior of skdgp has no parts.
 
         ``std_merged`` is how far derivatives by alpha_dot and beta_dot alone may differ from what
         the model merges with others, see the notes; ``merged`` names the larger one.
@@ -121,6 +122,8 @@ def stability_derivatives(
             "Got rows that are added to a model without its own, but expected one that holds the "
             "rows it was learned from: give a pipeline of identify."
         )
+    if added is not None:
+        added = _check_added(added, motion.aerodynamics.regressors)
     states, controls, single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)
@@ -147,6 +150,17 @@ def stability_derivatives(
     return pd.concat(tables, keys=range(len(tables)), names=["point", None])
 
 
+def _check_added(added: ArrayLike, names: Sequence[str]) -> Array:
+    """Return the regressors of rows that are flown next, (k, d)."""
+    rows = np.asarray(added, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] != len(names) or not np.isfinite(rows).all():
+        raise ValueError(
+            f"Got added of shape {rows.shape}, but expected finite regressors of shape "
+            f"(k, {len(names)}), in the order {', '.join(names)}."
+        )
+    return rows
+
+
 def _deviations(
     motion: Motion,
     now: Instant,
@@ -169,7 +183,7 @@ def _deviations(
     of_errors = sum(part**2 for part in of_parts.values())
     posterior = np.sqrt(np.maximum(total**2 - of_errors, 0.0))
     if added is not None and model.narrowing is not None:
-        factor = _narrowing(frame, model.narrowing(np.asarray(added, dtype=float)), now)
+        factor = _narrowing(frame, model.narrowing(added), now)
         posterior = posterior * factor
         of_parts["std_random"] = of_parts["std_random"] * factor
         of_errors = sum(part**2 for part in of_parts.values())

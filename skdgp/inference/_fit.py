@@ -361,10 +361,8 @@ N_HORIZONS = 12
 MODEL_ERROR = 0.3  # relative, of the variances of integrals
 LONGEST_GAP = 4.0  # a longer interval, over the median one, ends a record
 LARGEST_LAG = 10.0  # errors of samples that are farther apart in time have independent noise [s]
-CANDIDATES, NEIGHBOURS = (
-    40,
-    8,
-)  # nearest samples that are looked at, and largest number of neighbours far in time
+CANDIDATES = 40  # nearest samples that are looked at
+NEIGHBOURS = 8  # largest number of neighbours far in time
 MISFIT_ROWS = 15000  # largest number of samples
 PARTS = 16  # parts of the log whose means show the standard error of the whole
 

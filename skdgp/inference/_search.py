@@ -303,10 +303,8 @@ def _initial_input_noise(noise, data, scale, known):
 # -- the rows that a search learns from
 # -------------------------------------------------------------------------------
 
-SEARCH_VALUES, OUTPUT_VALUES = (
-    (1000, 1800),
-    300,
-)  # least and most values that a search learns from; of each output
+SEARCH_VALUES = (1000, 1800)  # least and most values that a search learns from
+OUTPUT_VALUES = 300  # values of each output, between these
 
 
 def stratified(rows: Any, n: int, random_state: Any) -> Any:

@@ -226,6 +226,13 @@ def test_rows_are_not_added_to_a_model_without_its_own(model, uav, point):
         stability_derivatives(model, uav, point, added=np.zeros((3, 8)))
 
 
+def test_rows_that_are_added_have_the_regressors_of_the_model(uav, point):
+    model = learned(flown_rows(150, 0.02, 1))
+    for rows in (np.zeros((3, 2)), np.zeros(8), np.full((3, 8), np.nan)):
+        with pytest.raises(ValueError, match=r"Got added of shape .*expected finite regressors"):
+            stability_derivatives(model, uav, point, added=rows)
+
+
 def test_files_that_are_no_plan_are_refused(model, uav, tmp_path):
     path = tmp_path / "plan.json"
     path.write_text('{"errors": 3}')

@@ -316,7 +316,7 @@ class TestWeights:
     def test_blocks_of_a_log_tell_drift_from_a_function(self):
         """Errors that last as long as the regressor's excursions look like a function to random folds."""
         with_time, without = [], []
-        for seed in range(2, 6):
+        for seed in range(6):
             rng = np.random.default_rng(seed)
             x, drift = (
                 np.convolve(rng.normal(size=260), np.ones(20) / 20**0.5, "valid")[:240]

@@ -1,9 +1,11 @@
 """Slopes that another source knows: the samples do not change them, nor their errors."""
 
 import numpy as np
+import pytest
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import KnownSlopes
+from skdgp.kernels import LinearTrend
 
 NAN = np.nan
 
@@ -41,10 +43,15 @@ def test_targets_that_are_not_observed_stay_so():
     assert np.array_equal(np.isnan(KNOWN.corrected(X, Y)), np.isnan(Y))
 
 
-def test_model_has_the_known_slopes_and_their_errors():
+@pytest.mark.parametrize("log", [False, True])
+@pytest.mark.parametrize("trend", ["linear", None])
+def test_model_has_the_known_slopes_and_their_errors(log, trend):
     X, Y = samples()
-    time = np.arange(float(len(X)))
-    model = DependentGPRegressor(structure="trend").fit(X, Y, time=time, slopes=KNOWN)
+    time = {"time": np.arange(float(len(X)))} if log else {}
+    options = {"structure": "trend"}
+    if trend is None:
+        options = {"trend": None, "kernel": LinearTrend(), "structure": "joint"}
+    model = DependentGPRegressor(**options).fit(X, Y, **time, slopes=KNOWN)
     known = KNOWN.known[..., 0]
     np.testing.assert_allclose(model.predict_gradient(X[:1])[0][known], [1.5, 0.7, -2.5], atol=0.01)
     random, method = model.function_errors().slopes()

@@ -25,23 +25,16 @@ from skdgp.dynamics._air import (
     dryden_gusts,
     dryden_wind,
 )
-from skdgp.dynamics._aircraft import (
-    KINDS,
-    MOMENTS,
-    PRESSURE,
-    QUANTITIES,
-    Aircraft,
-    Propeller,
-    ScaleFactor,
-    ThrustLine,
-    check_aircraft,
-    relative_errors,
-)
+from skdgp.dynamics._aircraft import Aircraft, check_aircraft
 from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._estimated_sizes import KINDS, QUANTITIES
 from skdgp.dynamics._inputs import Clock, FlightComputer, UncertainStart
-from skdgp.dynamics._inverse import aerodynamic_coefficients, replay
+from skdgp.dynamics._integrate import REASONS, Record, channels, fly_record
+from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._propeller import Propeller, ThrustLine
+from skdgp.dynamics._replay import replay
 from skdgp.dynamics._rigid_body import (
     STATE_NAMES,
     aerodynamic_loads,
@@ -54,16 +47,9 @@ from skdgp.dynamics._rigid_body import (
     rk4,
     rk4_step,
 )
-from skdgp.dynamics._simulate import (
-    REASONS,
-    Record,
-    SimulationWarning,
-    Simulator,
-    channels,
-    fly_record,
-    simulate,
-    trajectory_bands,
-)
+from skdgp.dynamics._simulate import Simulator, simulate
+from skdgp.dynamics._size_errors import MOMENTS, PRESSURE, ScaleFactor, relative_errors
+from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [

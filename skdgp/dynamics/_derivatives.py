@@ -13,9 +13,10 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics
-from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
+from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._size_errors import errors_of_sizes
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import ROTATION_OF, std_by_method, unsteady_terms
 

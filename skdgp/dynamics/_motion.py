@@ -157,6 +157,13 @@ class Motion:
         self.implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self.implicit]
 
+    @property
+    def inputs(self) -> frozenset[str]:
+        """Names of the controls, and of the surfaces that they may be mixed from."""
+        mixing = self.aerodynamics.mixing
+        surfaces = () if mixing is None else mixing.surfaces
+        return frozenset((*self.controls, *surfaces))
+
     def factor(self, k: int, airspeed: Array) -> Array | float:
         """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""
         name, length = self._plan[k]

@@ -19,7 +19,8 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import STANDARD_GRAVITY, cross
-from skdgp.dynamics._aircraft import Aircraft, Propeller, ThrustLine
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._propeller import Propeller, ThrustLine
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)

@@ -18,7 +18,8 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._aircraft import KINDS, MOMENTS, PRODUCT_STD, QUANTITIES
+from skdgp.dynamics._estimated_sizes import KINDS, PRODUCT_STD, QUANTITIES
+from skdgp.dynamics._size_errors import MOMENTS
 
 # Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read
 # again.

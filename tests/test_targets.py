@@ -11,7 +11,7 @@ from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
-from skdgp.dynamics._inputs import as_starts
+from skdgp.dynamics._starts import as_starts
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,

@@ -17,18 +17,12 @@ from skdgp._flight.frames import (
     standard_density,
 )
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, scaling_of
-from skdgp.dynamics._air import (
-    Air,
-    GustyAir,
-    LocalAir,
-    Turbulence,
-    dryden_gusts,
-    dryden_wind,
-)
+from skdgp.dynamics._air import Air, GustyAir, LocalAir
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft
 from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._dryden import dryden_gusts
 from skdgp.dynamics._estimated_sizes import KINDS, QUANTITIES
-from skdgp.dynamics._inputs import Clock, FlightComputer, UncertainStart
+from skdgp.dynamics._inputs import Clock, FlightComputer
 from skdgp.dynamics._integrate import REASONS, Record, channels, fly_record
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
@@ -49,8 +43,10 @@ from skdgp.dynamics._rigid_body import (
 )
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS, PRESSURE, ScaleFactor, relative_errors
+from skdgp.dynamics._starts import UncertainStart
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trim import Trim, trim
+from skdgp.dynamics._turbulence import Turbulence, dryden_wind
 
 __all__ = [
     "KINDS",

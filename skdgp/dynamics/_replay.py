@@ -16,7 +16,6 @@ from skdgp._flight.checks import check_flight
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._inputs import table_states
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._rigid_body import (
     aerodynamic_loads,
@@ -25,6 +24,7 @@ from skdgp.dynamics._rigid_body import (
     rigid_body_derivative,
     rk4_step,
 )
+from skdgp.dynamics._starts import table_states
 
 STATES = [*EARTH_VELOCITY, *EULER, *RATES]
 

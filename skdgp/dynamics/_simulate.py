@@ -14,27 +14,22 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import SPECIFIC_FORCE
 from skdgp._flight.checks import check_number
 from skdgp.dynamics._aerodynamics import Aerodynamics
-from skdgp.dynamics._air import Air, Turbulence, as_air
+from skdgp.dynamics._air import Air, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._inputs import (
     Clock,
-    UncertainStart,
-    airspeeds,
-    as_starts,
     control_schedule,
-    drift_in,
-    gusty_air,
-    initial_states,
-    met_turbulence,
-    perturbed,
     tables_of,
     warn_of_clocks,
     wind_schedule,
 )
 from skdgp.dynamics._integrate import FLYING, channels, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
+from skdgp.dynamics._path_air import airspeeds, drift_in, gusty_air, met_turbulence
+from skdgp.dynamics._starts import UncertainStart, as_starts, initial_states, perturbed
 from skdgp.dynamics._trajectories import beyond, trajectory_table, warn_of
 from skdgp.dynamics._trim import Trim
+from skdgp.dynamics._turbulence import Turbulence
 
 UNKNOWN_FORCE = np.full(3, np.nan)
 

@@ -64,7 +64,7 @@ def X(fitted, flight):
 
 BEHIND = {
     "scaled": lambda: (StandardScaler(), LinearRegression()),
-    "scaled twice": lambda: (StandardScaler(), StandardScaler(with_mean=False), LinearRegression()),
+    "scaled twice": lambda: (StandardScaler(with_mean=False), StandardScaler(), LinearRegression()),
     "scaled to ranges": lambda: (
         MinMaxScaler((-1, 2)),
         RobustScaler(),

@@ -20,9 +20,10 @@ from skdgp.dynamics import (
     simulate,
 )
 from skdgp.dynamics._aerodynamics import Drift
-from skdgp.dynamics._air import FEET, dryden_gusts, dryden_system
-from skdgp.dynamics._inputs import drift_in, without_rotation
+from skdgp.dynamics._dryden import dryden_gusts, dryden_system
 from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._path_air import drift_in, without_rotation
+from skdgp.dynamics._turbulence import FEET
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05

@@ -112,11 +112,26 @@ def dryden_gusts(
     # in steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral
     noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
     repeats = (n_draws, 1, 1)
-    C = np.tile(C, repeats)
-    transition = np.tile(transition, repeats)
-    first = np.tile(covariance_root(covariance), repeats)
-    root = np.tile(covariance_root(noise), repeats)
-    n = len(C)
+    states = _driven(
+        n_times,
+        np.tile(transition, repeats),
+        np.tile(covariance_root(covariance), repeats),
+        np.tile(covariance_root(noise), repeats),
+        rng,
+    )
+    outputs = np.split(np.tile(C, repeats), 3, axis=1)
+    velocity, acceleration, rates = (np.einsum("fij,kfj->kfi", C, states) for C in outputs)
+    return Gusts(velocity, acceleration, rates)
+
+
+def _driven(
+    n_times: int, transition: Array, first: Array, root: Array, rng: np.random.Generator
+) -> Array:
+    """Return states (n_times, n, 9) of n linear systems driven by white noise.
+
+    ``first`` is a root of the covariance of the first state, ``root`` of the noise of each step.
+    """
+    n = len(transition)
     x = np.einsum("fij,fj->fi", first, rng.standard_normal((n, 9)))
     states = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, n, 9)))
     # in place: the states of a thousand paths fill hundreds of megabytes
@@ -124,7 +139,4 @@ def dryden_gusts(
         following = (transition @ x[..., None])[..., 0] + shock
         states[k] = x
         x = following
-    velocity, acceleration, rates = (
-        np.einsum("fij,kfj->kfi", rows, states) for rows in np.split(C, 3, axis=1)
-    )
-    return Gusts(velocity, acceleration, rates)
+    return states

@@ -209,13 +209,13 @@ def fly_record(
                 ended[just] = reason
                 end[just] = k
             is_flying = ended == FLYING
-            if not is_flying.any():
-                break
-            if over:
+            if over and is_flying.any():
                 # what has ended is flown on from its start, never shown
                 state = np.where(is_flying[..., None], state, start)
                 moment = integrator.begin(k, state, reached, None)
             flown.append(moment)
+            if not is_flying.any():
+                break
             if k < clock.n_steps:
                 state, reached = integrator.step(k, moment)
                 guess = moment.now.implicit
@@ -235,7 +235,7 @@ def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end
         return array
 
     instants = [moment.now for moment in flown]
-    has_wind = bool(flown) and flown[0].wind is not None
+    has_wind = flown[0].wind is not None
     force = over_time([now.force for now in instants], 3)
     return Record(
         time=clock.dt * steps,
@@ -248,7 +248,7 @@ def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end
         wind=over_time([moment.wind for moment in flown], 3) if has_wind else None,
         controls={
             name: over_time([moment.controls[name] for moment in flown])
-            for name in (flown[0].controls if flown else ())
+            for name in flown[0].controls
         },
         ended=ended,
         end=end,

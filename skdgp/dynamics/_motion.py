@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -248,21 +248,28 @@ class Motion:
         if not self.implicit:
             return loaded()
         guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
-        tried: list[tuple[Array, Array]] = []
-        for _ in range(self.settings.iterations):
+
+        def follow(guess: Array) -> Instant:
             for k, place in zip(self.implicit, self._follows, strict=True):
                 X[..., k] = guess[..., place] * self.factor(k, flow.airspeed)
             now = loaded()
-            result = self._follow(state, now, flow, air)
-            if self.lagged:
-                return now._replace(implicit=result)
+            return now._replace(implicit=self._follow(state, now, flow, air))
+
+        return follow(guess) if self.lagged else self._fixed_point(follow, guess)
+
+    def _fixed_point(self, follow: Callable[[Array], Instant], guess: Array) -> Instant:
+        """Return the instant whose implicit regressors are those that follow from it (Anderson 1965)."""
+        tried: list[tuple[Array, Array]] = []
+        for _ in range(self.settings.iterations):
+            now = follow(guess)
+            result: Any = now.implicit
             off = ((result - guess) / (1.0 + np.abs(result)))[..., self._follows]
             settled = np.abs(off).max(axis=-1) < self.settings.tolerance
             is_lost = ~np.isfinite(off).all(axis=-1)
             if np.all(settled | is_lost):
                 break
             guess = _anderson(tried, result, off, self.settings)
-        return now._replace(implicit=result, settled=settled)
+        return now._replace(settled=settled)
 
     def _flow(self, state: Array, air: LocalAir | None) -> Flow:
         """Return the air that the aircraft meets."""

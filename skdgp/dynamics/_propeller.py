@@ -185,17 +185,8 @@ class Propeller:
         [0.1, -0.125]
         """
         loads = ["thrust", "torque"] if "torque" in table else ["thrust"]
-        check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
-        defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
-        table = pd.DataFrame({**defaults, **table}, index=table.index)
-        values = table[["propeller_speed", "airspeed", "density", *loads]].to_numpy(float)
+        values = _bench_values(table, loads)
         speed, airspeed, density = values[:, :3].T
-        is_physical = (speed > 0) & (airspeed >= 0) & (density > 0)
-        if not (is_physical.all() and np.isfinite(values).all()):
-            raise ValueError(
-                "Got a bench table with NaN, or with propeller_speed <= 0, airspeed < 0 or density "
-                "<= 0: drop those rows or fix the units [rad/s, m/s, kg/m^3]."
-            )
         is_static = not airspeed.any()
         if is_static and pitch is None:
             warn(
@@ -304,6 +295,22 @@ class Propeller:
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
         load = c0 * n**2 + c1 * n * advance + c2 * advance**2
         return np.asarray(density, dtype=float) * self.diameter**power * load
+
+
+def _bench_values(table: pd.DataFrame, loads: list[str]) -> Array:
+    """Return propeller speed, airspeed, density and the loads of a bench table, (n, 3 + loads)."""
+    check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
+    defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
+    table = pd.DataFrame({**defaults, **table}, index=table.index)
+    values = table[["propeller_speed", "airspeed", "density", *loads]].to_numpy(float)
+    speed, airspeed, density = values[:, :3].T
+    is_physical = (speed > 0) & (airspeed >= 0) & (density > 0)
+    if not (is_physical.all() and np.isfinite(values).all()):
+        raise ValueError(
+            "Got a bench table with NaN, or with propeller_speed <= 0, airspeed < 0 or density <= 0: "
+            "drop those rows or fix the units [rad/s, m/s, kg/m^3]."
+        )
+    return values
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,11 +99,18 @@ def replay(
     longest = max(map(len, windows), default=1)
     padded = [np.pad(rows, (0, longest - len(rows)), mode="edge") for rows in windows]
     rows = np.array(padded, dtype=int).reshape(-1, longest).T
-    columns = channels(_integrated(measured, loads, time, rows, aircraft, float(gravity)))
+    states = _integrated(measured, loads, time, rows, aircraft, float(gravity))
+    return _table(flight, rows, states, float(horizon))
+
+
+def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -> pd.DataFrame:
+    """Return the states of all windows (n_samples, n_windows, 13) in the order of the flight."""
+    time = flight["time"].to_numpy(float)
+    columns = channels(states)
     columns["window"] = np.broadcast_to(np.arange(rows.shape[1]), rows.shape)
     columns["elapsed"] = time[rows] - time[rows[0]]
     table = flight[[name for name in ("time", "flight") if name in flight]].astype({"time": float})
-    table["horizon"] = float(horizon)
+    table["horizon"] = horizon
     for name in ("window", "elapsed", *(name for name in POSITION if name in flight), *STATES):
         values = np.full(len(flight), -1 if name == "window" else np.nan)
         # a row that two windows share shows the end of the first

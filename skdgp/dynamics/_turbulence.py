@@ -176,18 +176,7 @@ class Turbulence(NamedTuple):
                 f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
             )
         speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), (len(winds),)).tolist()
-        spectra = []
-        for table, speed in zip(winds, speeds, strict=True):
-            spectrum = _periodogram(table, speed, span, SPECTRA)
-            if spectrum is not None:
-                spectra.append(spectrum)
-        if sum(len(spectrum.frequency) for spectrum in spectra) < SPECTRA.fewest:
-            raise TooShort(
-                "Got winds that are too short, or too rarely sampled, to show gusts, but expected a "
-                f"flight of {SPECTRA.duration:g} s in the air, without gaps or missing values, or some "
-                f"seconds of a wind, with a row for each {SPECTRA.longest / SPECTRA.samples:g} m: fly "
-                "longer."
-            )
+        spectra = _spectra(winds, speeds, span, SPECTRA)
         along = _fitted(spectra, (0, 1), SPECTRA)
         across = along
         vertical = _fitted(spectra, (2,), SPECTRA)
@@ -299,6 +288,24 @@ class _Fit(NamedTuple):
     loss: float  # The negative logarithm of likelihood and prior, but for a constant
 
 
+def _spectra(
+    winds: list[pd.DataFrame], airspeeds: list[float], span: float, settings: SpectraSettings
+) -> list[_Spectra]:
+    """Return the periodograms of the winds that are long enough; raise `TooShort` without enough values."""
+    spectra = []
+    for wind, airspeed in zip(winds, airspeeds, strict=True):
+        spectrum = _periodogram(wind, airspeed, span, settings)
+        if spectrum is not None:
+            spectra.append(spectrum)
+    if sum(len(spectrum.frequency) for spectrum in spectra) < settings.fewest:
+        raise TooShort(
+            "Got winds that are too short, or too rarely sampled, to show gusts, but expected a flight of "
+            f"{settings.duration:g} s in the air, without gaps or missing values, or some seconds of a "
+            f"wind, with a row for each {settings.longest / settings.samples:g} m: fly longer."
+        )
+    return spectra
+
+
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
     """Return time, airspeed and wind of a flight, and the heading of its velocity through the air."""
     attitude = euler_to_quaternion(*rows[[*EULER]].to_numpy(float).T)
@@ -325,17 +332,21 @@ def _periodogram(
     gusts = np.stack([np.interp(even, time, wind[name].to_numpy(float)) for name in WIND], axis=1)
     gusts -= gusts.mean(axis=0)
     if is_along:
-        heading = np.interp(even, time, wind["heading"].to_numpy(float))
-        ahead = np.cos(heading)
-        aside = np.sin(heading)
-        north, east, down = gusts.T
-        gusts = np.stack([ahead * north + aside * east, ahead * east - aside * north, down], axis=1)
+        gusts = _turned(gusts, np.interp(even, time, wind["heading"].to_numpy(float)))
     values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * step / len(even)
     frequency = 2 * np.pi * np.fft.rfftfreq(len(even), step)
     highest = min(settings.band * np.pi * airspeed / (4 * span), 0.9 * np.pi / step)
     used = (frequency > settings.slowest) & (frequency < highest)
     shortest = max(sampled, airspeed / highest)
     return _Spectra(frequency[used], values[used], step, airspeed, shortest, is_along)
+
+
+def _turned(gusts: Array, heading: Array) -> Array:
+    """Return gusts (n, 3), north, east, down, along the heading, across and down."""
+    north, east, down = gusts.T
+    along = np.cos(heading) * north + np.sin(heading) * east
+    across = np.cos(heading) * east - np.sin(heading) * north
+    return np.stack([along, across, down], axis=1)
 
 
 def _spectrum(frequency: Array, time: float, axis: int) -> Array:
@@ -347,10 +358,6 @@ def _spectrum(frequency: Array, time: float, axis: int) -> Array:
 def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSettings) -> _Fit:
     """Return intensity and length that the axes share; each has white noise of its own."""
     observed = np.concatenate([part.values[:, axis] for part in spectra for axis in axes])
-    level = max(float(np.mean(observed)), settings.calm)
-    power = level * max(part.frequency[-1] for part in spectra)
-    density = level / min(part.step for part in spectra)
-    shortest = min(part.shortest for part in spectra)
 
     def log_spectrum(theta: Array) -> Array:
         variance, length, *noise = np.exp(theta)
@@ -367,7 +374,11 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSet
         off = (theta[1] - np.log(settings.length)) / settings.length_std
         return whittle + 0.5 * off**2
 
+    level = max(float(np.mean(observed)), settings.calm)
+    power = level * max(part.frequency[-1] for part in spectra)
+    density = level / min(part.step for part in spectra)
     loudest = (10 if spectra[0].is_along else 2e-6) * density
+    shortest = min(part.shortest for part in spectra)
     n_axes = len(axes)
     least = [1e-6 * power, shortest, *[1e-6 * density] * n_axes]
     most = [100 * power, settings.longest, *[loudest] * n_axes]

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.frames import air_data_slopes
+from skdgp._flight.frames import air_data_slopes, gravity_in_body_axes
 from skdgp.dynamics import (
     air_data,
     air_velocity,
     body_to_ned,
     euler_to_matrix,
     euler_to_quaternion,
-    gravity_in_body_axes,
     ned_to_body,
     quaternion_to_euler,
     quaternion_to_matrix,

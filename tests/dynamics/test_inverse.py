@@ -60,14 +60,17 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
 
 
-def test_external_force_is_taken_away(simulated, aircraft, true_coefficients):
+def test_external_loads_are_taken_away(simulated, aircraft, true_coefficients):
     tether, twist = np.array([3.0, -8.0, 40.0]), np.array([0.4, 0.2, -0.1])
     pulled = simulated.copy()
     pulled[["ax", "ay", "az"]] += tether / aircraft.mass
     pulled[DERIVATIVES] += np.linalg.solve(aircraft.inertia, twist)
     for axis, value in zip(["x", "y", "z", "l", "m", "n"], [*tether, *twist], strict=True):
-        pulled[f"tether_{axis}"] = value
-    got = aerodynamic_coefficients(pulled, aircraft, cutoff=None, external_forces=["tether"])
+        pulled[f"tether_{axis}"] = 3 * value
+        pulled[f"rope_{axis}"] = -2 * value
+    got = aerodynamic_coefficients(
+        pulled, aircraft, cutoff=None, external_forces=["tether", "rope"]
+    )
     np.testing.assert_allclose(got, true_coefficients, atol=1e-12)
 
 

@@ -10,7 +10,6 @@ from skdgp.dynamics import (
     Propeller,
     ThrustLine,
     aerodynamic_coefficients,
-    external_loads,
     propeller_loads,
     propulsive_loads,
     stability_derivatives,
@@ -136,13 +135,6 @@ def test_beyond_the_bench_is_warned_of(aircraft):
         propulsive_loads(flight(propeller_speed=500.0), with_engine(aircraft, propeller=propeller))
 
 
-def test_external_loads_add_up():
-    table = flight(a_x=1.0, a_y=2.0, a_z=3.0, b_x=1.0, b_y=0.0, b_z=-1.0, b_m=0.5)
-    force, moment = external_loads(table, ["a", "b"])
-    np.testing.assert_allclose(force, [[2, 2, 2]] * 2)
-    np.testing.assert_allclose(moment, [[0, 0.5, 0]] * 2)
-
-
 @pytest.mark.parametrize(("ask", "words"), [
     (lambda a: ThrustLine(direction=(0, 0, 0)), "length zero"),
     (lambda a: ThrustLine(position=(1, 2)), "3 finite numbers"),
@@ -158,8 +150,6 @@ def test_external_loads_add_up():
     (lambda a: propulsive_loads(flight(), a), r"and no propeller\. .*thrust=None"),
     (lambda a: propulsive_loads(flight(), with_engine(a, propeller=TRUE)), r"no propeller_speed.*thrust=None"),
     (lambda a: propulsive_loads(flight(), a, "engine"), "Got thrust='engine', but expected"),
-    (lambda a: external_loads(flight(), ["rope"]), "lacks the columns 'rope_x'"),
-    (lambda a: external_loads(flight(), "rope"), "expected a sequence of names"),
 ])  # fmt: skip
 def test_what_is_no_propulsion(aircraft, ask, words):
     with pytest.raises(ValueError, match=words):

@@ -335,13 +335,7 @@ class _PipelineInFlight:
                 "RegressorSelector([...]) into the pipeline, fit on a DataFrame, or give "
                 "Aerodynamics(model.predict, regressors=[...])."
             )
-        before = [step for step in steps[:n_before] if isinstance(step, SCALERS)]
-        if before:
-            raise ValueError(
-                f"Got {[type(step).__name__ for step in before]} before the choice of regressors, but "
-                "expected flight channels in their units there, as a simulation gives them: put it "
-                "behind RegressorSelector."
-            )
+        _check_unscaled(steps[:n_before])
         self.regressors = list(names)
         low = learned.get("data_min_")
         self.limits = None if low is None else np.array([low, learned["data_max_"]])
@@ -349,12 +343,26 @@ class _PipelineInFlight:
         rates = by_role.get("rates")
         self.span = None if rates is None else rates.span
         self.chord = None if rates is None else rates.chord
-        splitter = by_role.get("controls")
-        self.mixing = None
-        if splitter is not None:
-            surfaces = tuple(splitter.surfaces)
-            self.mixing = Mixing(surfaces, tuple(splitter.controls), np.array(splitter.mixing_))
+        self.mixing = _mixing_of(by_role.get("controls"))
         self.servo_lag = sum(step.servo_lag_ for step in steps if isinstance(step, LateSurfaces))
+
+
+def _check_unscaled(steps: list) -> None:
+    """Raise ValueError if scalers stand before the choice of regressors."""
+    scalers = [type(step).__name__ for step in steps if isinstance(step, SCALERS)]
+    if scalers:
+        raise ValueError(
+            f"Got {scalers} before the choice of regressors, but expected flight channels in their units "
+            "there, as a simulation gives them: put it behind RegressorSelector."
+        )
+
+
+def _mixing_of(splitter: Any) -> Mixing | None:
+    """Return the mixing of a step that makes controls of surfaces."""
+    if splitter is None:
+        return None
+    controls = tuple(splitter.controls)
+    return Mixing(tuple(splitter.surfaces), controls, np.array(splitter.mixing_))
 
 
 class _Coefficients:

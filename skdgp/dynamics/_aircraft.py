@@ -88,12 +88,8 @@ class Aircraft:
             self._set(name, value)
             if std:
                 deviations[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "given")
-        inertia: Any = self.inertia
-        if isinstance(inertia, list | tuple) and len(inertia) == 2 and np.shape(inertia[1]) == (3,):
-            inertia, stds = inertia
-            relative = (as_floats(stds) / np.diag(inertia)).tolist()
-            for (name, moment), std in zip(INERTIAS.items(), relative, strict=True):
-                deviations[name] = ScaleFactor(std, {moment: 1.0}, "given")
+        inertia, of_inertia = _inertia_and_deviations(self.inertia)
+        deviations |= of_inertia
         for name, factor in deviations.items():
             deviations[name] = _part(ScaleFactor, factor, f"deviations of {name}")
         self._set("inertia", _inertia(inertia))
@@ -230,6 +226,17 @@ def _full_deflections(values: Any) -> dict[str, float] | None:
         name: check_number(f"full deflection of the {name}", value, unit="rad")
         for name, value in values.items()
     }
+
+
+def _inertia_and_deviations(value: Any) -> tuple[Any, dict[str, ScaleFactor]]:
+    """Return an inertia, and the errors of its moments if they are given with it."""
+    deviations = {}
+    if isinstance(value, list | tuple) and len(value) == 2 and np.shape(value[1]) == (3,):
+        value, stds = value
+        relative = (as_floats(stds) / np.diag(value)).tolist()
+        for (name, moment), std in zip(INERTIAS.items(), relative, strict=True):
+            deviations[name] = ScaleFactor(std, {moment: 1.0}, "given")
+    return value, deviations
 
 
 def _inertia(value: ArrayLike) -> Array:

@@ -248,14 +248,7 @@ class _Frame:
 
     def __init__(self, motion: Motion, now: Instant):
         # what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)
-        self.turn = np.zeros((len(now.alpha), len(ROWS), 6))
-        self.turn[:, :6] = np.eye(6)
-        sine = np.sin(now.alpha)
-        cosine = np.cos(now.alpha)
-        self.turn[:, LIFT, 0] = sine
-        self.turn[:, LIFT, 2] = -cosine
-        self.turn[:, DRAG, 0] = -cosine
-        self.turn[:, DRAG, 2] = -sine
+        self.turn = _turn(now.alpha)
         self.columns = list(motion.regressors)
         # slopes by the conventional quantities over slopes by the model's regressors, (n, d)
         self.scale = np.ones((len(now.airspeed), len(self.columns)))
@@ -313,6 +306,19 @@ class _Frame:
         table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
         table.index = pd.Index((table["coefficient"] + "_" + table["regressor"]).str.rstrip("_"))
         return table.assign(**columns)
+
+
+def _turn(alpha: Array) -> Array:
+    """Return what turns CX CY CZ Cl Cm Cn into the rows of the table, (n, rows, 6)."""
+    sine = np.sin(alpha)
+    cosine = np.cos(alpha)
+    turn = np.zeros((len(alpha), len(ROWS), 6))
+    turn[:, :6] = np.eye(6)
+    turn[:, LIFT, 0] = sine
+    turn[:, LIFT, 2] = -cosine
+    turn[:, DRAG, 0] = -cosine
+    turn[:, DRAG, 2] = -sine
+    return turn
 
 
 def _points(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
@@ -26,6 +26,33 @@ ROUGHEST = 2.0
 HORIZON = 1.0
 # Points of the integral over this time
 POINTS = 101
+
+
+class PathsAir(NamedTuple):
+    """What the paths of a simulation meet."""
+
+    air: AirAt
+    drift: Drift | None  #: Of the coefficients
+    sentence: str  #: On the gusts
+
+
+def paths_air(
+    described: Air,
+    air: AirAt,
+    motion: Motion,
+    clock: Clock,
+    states: Array,
+    n_paths: int,
+    random_state: Any,
+) -> PathsAir:
+    """Return the gusts and the drift that paths from states (n_starts, 13) meet, besides the ``air``."""
+    met, sentence = met_turbulence(described, air, motion, states)
+    drift = None
+    if described.drift:
+        drift = drift_in(met, motion, float(airspeeds(states, air).mean()))
+    if met is not None and np.any(met.intensity):
+        air = gusty_air(described, met, air, motion, clock, states, n_paths, random_state)
+    return PathsAir(air, drift, sentence)
 
 
 def met_turbulence(

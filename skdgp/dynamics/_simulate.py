@@ -25,7 +25,7 @@ from skdgp.dynamics._inputs import (
 )
 from skdgp.dynamics._integrate import FLYING, channels, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
-from skdgp.dynamics._path_air import airspeeds, drift_in, gusty_air, met_turbulence
+from skdgp.dynamics._path_air import paths_air
 from skdgp.dynamics._starts import UncertainStart, as_starts, initial_states, perturbed
 from skdgp.dynamics._trajectories import beyond, trajectory_table, warn_of
 from skdgp.dynamics._trim import Trim
@@ -146,11 +146,8 @@ def simulate(
         if len(states) == 1:
             states = states[0]
     else:
-        met, sentence = met_turbulence(described, local, motion, states)
-        speed = float(airspeeds(states, local).mean())
-        drift = drift_in(met, motion, speed) if described.drift else None
-        if met is not None and np.any(met.intensity):
-            local = gusty_air(described, met, local, motion, clock, states, n_paths, random_state)
+        met = paths_air(described, local, motion, clock, states, n_paths, random_state)
+        local, drift, sentence = met
         motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state)
         states = perturbed(states, start_std, n_paths, random_state)
         if drift is not None:

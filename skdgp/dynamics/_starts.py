@@ -60,22 +60,19 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
     of trims.
     """
+    if isinstance(x0, Mapping):
+        _check_start_names([str(name) for name in x0])
+    if isinstance(x0, Mapping | pd.Series):
+        return pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
+    if isinstance(x0, pd.DataFrame) and len(x0):
+        return x0
+    if not isinstance(x0, pd.DataFrame) and column_names(x0):
+        # a table of another library
+        return pd.DataFrame({name: np.asarray(x0[name]) for name in column_names(x0)})
     if isinstance(x0, Trim):
         x0 = x0.state
     elif isinstance(x0, list | tuple) and any(isinstance(point, Trim) for point in x0):
         x0 = [point.state for point in x0]
-    elif isinstance(x0, Mapping):
-        _check_start_names([str(name) for name in x0])
-        x0 = dict(x0)
-    elif isinstance(x0, pd.Series):
-        x0 = dict(x0)
-    elif not isinstance(x0, pd.DataFrame) and column_names(x0):
-        # a table of another library
-        x0 = {name: np.asarray(x0[name]) for name in column_names(x0)}
-    if isinstance(x0, dict):
-        x0 = pd.DataFrame({name: np.atleast_1d(value) for name, value in x0.items()})
-    if isinstance(x0, pd.DataFrame) and len(x0):
-        return x0
     states = np.atleast_2d(np.array(x0, dtype=float))
     if states.ndim != 2 or states.shape[1] != len(STATE_NAMES) or not len(states):
         raise ValueError(

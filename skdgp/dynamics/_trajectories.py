@@ -48,6 +48,23 @@ def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.D
         """Return values (n_times, ...) of all trajectories, one after the other."""
         return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
 
+    # without a start of its own a single trajectory has shape ()
+    starts = first_times if shape else first_times[0]
+    clock = np.add.outer(record.time, starts)
+    if len(shape) == 2:
+        clock = clock[:, None]
+    table: dict[str, Any] = {"time": column(clock), **_identity(shape, n_times)}
+    for name, values in _columns(record).items():
+        table[name] = column(values)
+    is_over = np.expand_dims(np.arange(n_times), tuple(range(1, 1 + len(shape)))) >= record.end
+    farthest = column(beyond(motion, record.regressors))
+    table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
+    table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, "")))
+    return pd.DataFrame(table)
+
+
+def _columns(record: Record) -> dict[str, Array]:
+    """Return the channels of a record by name, (n_times, ...) each."""
     columns = channels(record.states, record.wind)
     columns["density"] = record.density
     columns |= by_name(("p_dot", "q_dot", "r_dot"), record.derivative[..., rigid_body.RATES])
@@ -55,20 +72,7 @@ def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.D
     columns |= by_name(COEFFICIENTS, record.coefficients)
     if record.wind is not None:
         columns |= by_name(WIND, record.wind)
-    columns |= record.controls
-    # without a start of its own a single trajectory has shape ()
-    starts = first_times if shape else first_times[0]
-    clock = np.add.outer(record.time, starts)
-    if len(shape) == 2:
-        clock = clock[:, None]
-    table: dict[str, Any] = {"time": column(clock), **_identity(shape, n_times)}
-    for name, values in columns.items():
-        table[name] = column(values)
-    is_over = np.expand_dims(np.arange(n_times), tuple(range(1, 1 + len(shape)))) >= record.end
-    farthest = column(beyond(motion, record.regressors))
-    table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
-    table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, "")))
-    return pd.DataFrame(table)
+    return columns | record.controls
 
 
 def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:

@@ -41,6 +41,7 @@ ENGINE = PROPULSION[:3]
 THRUSTS = PROPULSION[1:]
 FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
 ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
+ACCELERATION_UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
 ANGLES = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
@@ -242,15 +243,7 @@ class SteadyFlight:
         self.fixed = fixed
         self.settings = settings
         _check_given(conditions, fixed)
-        # training ranges by name of the regressors that are no scaled rates
-        model = motion.aerodynamics
-        self.flown: dict[str, tuple[float, float]] = {}
-        if model.limits is not None:
-            for full, name, (low, high) in zip(
-                model.regressors, motion.regressors, model.limits.T.tolist(), strict=True
-            ):
-                if HAT not in full:
-                    self.flown[name] = (low, high)
+        self.flown = _training_ranges(motion)
         self.controls = self._controls()
         self.given = {name: value for name, value in conditions.items() if value is not None}
         # without a given climb one control less is needed to hold the sideslip
@@ -401,28 +394,41 @@ class SteadyFlight:
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
-        remaining = dict(zip(ACCELERATIONS, best.fun[:6], strict=True))
-        largest = np.abs(best.fun[:6]).max()
         accelerations = []
-        for name, value in remaining.items():
-            if abs(value) > 0.01 * largest:
-                unit = "m/s^2" if name in ACCELERATIONS[:3] else "rad/s^2"
+        for name, unit, value in zip(ACCELERATIONS, ACCELERATION_UNITS, best.fun[:6], strict=True):
+            if abs(value) > 0.01 * np.abs(best.fun[:6]).max():
                 accelerations.append(f"{name} = {value:.3g} {unit}")
-        ends = []
-        for name, value in zip(self.unknowns, best.x, strict=True):
-            low, high = self.limits[name]
-            for limit in (low, high):
-                if abs(value - limit) < 1e-3 * min(1.0, high - low):
-                    ends.append(f"{name} at its limit {limit:.4g}")
         units = {"airspeed": " m/s", "altitude": " m", "turn_rate": " rad/s"}
         units = dict.fromkeys(self.given, " rad") | units
         conditions = {"airspeed": airspeed} | self.given | self.fixed
         asked = [f"{name} {value:g}{units.get(name, '')}" for name, value in conditions.items()]
         return (
             f"There is no trim of {self.motion.aircraft.name} at {', '.join(asked)}: nearest to it are "
-            f"left {', '.join(accelerations)}, with {', '.join(ends) or 'nothing at a limit'}. Ask for "
+            f"left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask for "
             "another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )
+
+    def _ends(self, x: Array) -> str:
+        """Return the unknowns at a limit."""
+        ends = []
+        for name, value in zip(self.unknowns, x, strict=True):
+            low, high = self.limits[name]
+            for limit in (low, high):
+                if abs(value - limit) < 1e-3 * min(1.0, high - low):
+                    ends.append(f"{name} at its limit {limit:.4g}")
+        return ", ".join(ends)
+
+
+def _training_ranges(motion: Motion) -> dict[str, tuple[float, float]]:
+    """Return the training ranges by name of the regressors that are no scaled rates."""
+    model = motion.aerodynamics
+    ranges: dict[str, tuple[float, float]] = {}
+    if model.limits is not None:
+        limits = model.limits.T.tolist()
+        for full, name, ends in zip(model.regressors, motion.regressors, limits, strict=True):
+            if HAT not in full:
+                ranges[name] = tuple(ends)
+    return ranges
 
 
 def _check_given(conditions: dict, fixed: dict) -> None:

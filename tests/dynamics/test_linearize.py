@@ -106,6 +106,7 @@ def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider
     for entry, value in expected.items():
         assert_allclose(A.loc[entry], value, rtol=1e-8, atol=1e-9, err_msg=entry)
     assert_allclose(B.loc["q", "elevator"], qS * c / Iy * SLOPES[M, ELEVATOR])
+    assert_allclose(B.loc["w", "elevator"], qS / mass * SLOPES[Z, ELEVATOR])
     assert_allclose(B.loc["u", "thrust"], 1 / mass)
     assert np.abs(A.loc[["u", "w", "q", "theta"], ["v", "p", "r", "phi"]]).max(axis=None) < 1e-9
 
@@ -203,6 +204,7 @@ def test_outputs(linear, level):
     assert_allclose(linear.C.loc["beta", "v"], 1 / V)
     assert_allclose(linear.C.loc["az", "w"], linear.A.loc["w", "w"])
     assert_allclose(linear.D.loc["ax", "thrust"], linear.B.loc["u", "thrust"])
+    assert_allclose(linear.D.loc["az", "elevator"], linear.B.loc["w", "elevator"])
 
 
 class TestParts:
@@ -244,19 +246,15 @@ class TestServos:
         assert not servo.drop(columns=POSITIONS).any(axis=None)
         assert_allclose(late.B.loc[POSITIONS, SURFACES], np.eye(3) / LAG)
 
-    def test_pitching_and_lifting_by_the_elevator_are_typed_from_the_textbook(
-        self, late, level, glider
-    ):
-        qS = 0.5 * AIR.density * 20.0**2 * glider.wing_area
-        pitching = qS * glider.chord / glider.inertia[1, 1] * SLOPES[M, ELEVATOR]
-        lifting = qS / glider.mass * SLOPES[Z, ELEVATOR]
-        assert_allclose(late.A.loc["q", "elevator_position"], pitching)
-        assert_allclose(late.A.loc["w", "elevator_position"], lifting)
-        assert_allclose(late.C.loc["az", "elevator_position"], lifting)
-        assert not late.B.loc[["u", "v", "w", "p", "q", "r"], SURFACES].any(axis=None)
+    def test_deflections_act_as_inputs_without_a_lag_do(self, late, linear):
+        body = [*linear.A]
+        outputs = [*linear.C.index[12:]]
+        assert_allclose(late.A.loc[body, POSITIONS], linear.B[SURFACES])
+        assert_allclose(late.C.loc[outputs, POSITIONS], linear.D.loc[outputs, SURFACES])
+        assert not late.B.loc[body, SURFACES].any(axis=None)
         assert not late.D[SURFACES].any(axis=None)
-        assert_allclose(late.B.loc["u", "thrust"], 1 / glider.mass)
-        assert_allclose(late.D.loc["ax", "thrust"], 1 / glider.mass)
+        assert_allclose(late.B.loc[body, "thrust"], linear.B["thrust"])
+        assert_allclose(late.D.loc[outputs, "thrust"], linear.D.loc[outputs, "thrust"])
 
     def test_the_rest_is_the_model_without_a_lag_and_so_are_its_modes(self, late, linear):
         body = [*linear.A]

@@ -77,6 +77,9 @@ STATES = [
 ]
 
 
+REST = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+
+
 def linear(slopes=SLOPES, intercept=INTERCEPT, **options):
     return Aerodynamics(
         lambda X: intercept + X @ slopes.T,
@@ -208,16 +211,10 @@ class TestRegressors:
         gust = pd.DataFrame({"time": np.arange(0, 2.1, 0.01)})
         for k, name in enumerate(("wind_north", "wind_east", "wind_down")):
             gust[name] = 2.0 * np.sin(5 * gust["time"] + k)
-        flown = simulate(
-            Aerodynamics(coefficients, names),
-            aircraft,
-            START,
-            {"elevator": -0.02, "thrust": 14.0},
-            dt=0.005,
-            duration=1.0,
-            air=gust,
-        )
+        model = Aerodynamics(coefficients, names)
+        controls = {"elevator": -0.02, "thrust": 14.0}
         step = 0.005
+        flown = fly(aircraft, model, controls=controls, dt=step, duration=1.0, air=gust)
         for name in ("alpha", "beta"):
             flown[f"{name}_dot"] = np.gradient(flown[name], step, edge_order=2)
         flown["alpha_dot_hat"] = flown["alpha_dot"] * aircraft.chord / (2 * flown["airspeed"])
@@ -235,29 +232,15 @@ class TestRegressors:
             flown = fly(aircraft, flipping, controls={}, duration=0.5, thrust=None)
         assert (flown["ended"] == "fixed point").all()
 
-    def test_one_that_cannot_be_rebuilt_is_named(self, aircraft):
-        model = Aerodynamics(
-            lambda X: np.zeros((len(X), 6)), ["alpha", "elevator_trim", "temperature"]
-        )
-        with pytest.raises(ValueError, match=r"controls lack 'elevator_trim'.*'temperature'"):
-            simulate(model, aircraft, START, {"elevator": 0.0}, duration=1.0, thrust=None)
-        with pytest.raises(ValueError, match="only rates have a non-dimensional form"):
-            fly(
-                aircraft,
-                Aerodynamics(lambda X: X, ["alpha_hat"]),
-                controls={},
-                duration=1.0,
-                thrust=None,
-            )
-        with pytest.raises(
-            ValueError, match=r"regressors \['v_north', 'time'\], which are neither controls nor"
-        ):
-            simulate(
-                Aerodynamics(lambda X: X, ["alpha", "v_north", "time"]),
-                aircraft,
-                START,
-                table_of(1.0),
-            )
+    @pytest.mark.parametrize(("names", "match"), [
+        (["alpha", "elevator_trim", "temperature"], "controls lack 'elevator_trim'.*'temperature'"),
+        (["alpha_hat"], "only rates have a non-dimensional form"),
+        (["alpha", "v_north", "time"], r"regressors \['v_north', 'time'\], which are neither controls nor"),
+    ])  # fmt: skip
+    def test_one_that_cannot_be_rebuilt_is_named(self, aircraft, names, match):
+        model = Aerodynamics(lambda X: np.zeros((len(X), 6)), names)
+        with pytest.raises(ValueError, match=match):
+            fly(aircraft, model, controls={"elevator": 0.0}, duration=1.0, thrust=None)
 
 
 class TestControls:
@@ -350,11 +333,8 @@ class TestControls:
             "speed_range": (200.0, 800.0),
         }
         powered = Aircraft.from_dict(aircraft.to_dict() | {"propeller": engine})
-        surfaces = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
-        by_throttle = simulate(linear(), powered, START, surfaces | {"throttle": 0.5}, duration=1.0)
-        by_speed = simulate(
-            linear(), powered, START, surfaces | {"propeller_speed": 500.0}, duration=1.0
-        )
+        by_throttle = fly(powered, controls=REST | {"throttle": 0.5}, duration=1.0)
+        by_speed = fly(powered, controls=REST | {"propeller_speed": 500.0}, duration=1.0)
         assert_allclose(by_throttle[STATES], by_speed[STATES])
 
     @pytest.mark.parametrize(("controls", "options", "match"), [
@@ -394,10 +374,10 @@ class TestControls:
     def test_starts_of_other_times_than_the_controls_are_noticed(self, aircraft):
         log = table_of(4.0, step=0.02)
         with pytest.warns(UserWarning, match="begin at time 0 s, but start 0 is of time 2 s"):
-            simulate(linear(), aircraft, START | {"time": 2.0}, log, duration=0.1)
+            fly(aircraft, x0=START | {"time": 2.0}, controls=log, duration=0.1)
         late = log[log["time"] >= 2.0]
-        simulate(linear(), aircraft, START | {"time": 2.0}, late, duration=0.1)
-        simulate(linear(), aircraft, START, log.assign(time=log["time"] + 60.0), duration=0.1)
+        fly(aircraft, x0=START | {"time": 2.0}, controls=late, duration=0.1)
+        fly(aircraft, controls=log.assign(time=log["time"] + 60.0), duration=0.1)
 
 
 class TestStarts:
@@ -406,35 +386,15 @@ class TestStarts:
         flown = fly(aircraft, x0=above_home, duration=0.1)
         assert_allclose(flown["density"].iloc[0], standard_density(1500.0))
         with pytest.warns(UserWarning, match="altitude of -900 m, below any land"):
-            simulate(
-                linear(),
-                aircraft,
-                {"airspeed": 22.0, "alpha": 0.08, "down": 900.0},
-                commands,
-                duration=0.1,
-            )
+            fly(aircraft, x0={"airspeed": 22.0, "alpha": 0.08, "down": 900.0}, duration=0.1)
 
     def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, aircraft, flown):
         row = flown.iloc[100]
         controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
         by_row = fly(aircraft, x0=row, controls=controls, duration=0.5, air=[3.0, -2.0, 0.7])
-        names = [
-            "airspeed",
-            "alpha",
-            "beta",
-            "phi",
-            "theta",
-            "psi",
-            "p",
-            "q",
-            "r",
-            "north",
-            "east",
-            "altitude",
-        ]
-        by_names = simulate(
-            linear(), aircraft, dict(row[names]), controls, duration=0.5, air=[3.0, -2.0, 0.7]
-        )
+        names = ["airspeed", "alpha", "beta", "phi", "theta", "psi", "p", "q", "r", "north", "east"]
+        start = dict(row[[*names, "altitude"]])
+        by_names = fly(aircraft, x0=start, controls=controls, duration=0.5, air=[3.0, -2.0, 0.7])
         assert_allclose(by_row[STATES], by_names[STATES], atol=1e-9)
 
     def test_a_start_of_a_windy_flight_without_its_wind_is_noticed(self, aircraft):
@@ -468,13 +428,13 @@ class TestMarks:
             "r": 0.0,
             "airspeed": 8.0,
         }
-        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        controls = REST
         falling = linear(slopes=0.0 * SLOPES, intercept=np.zeros(6))
         starts = pd.DataFrame([vertical, START])
         with pytest.warns(
             SimulationWarning, match="1 of 2 trajectories ended early.*airspeed under 1 m/s: 1"
         ):
-            both = simulate(falling, aircraft, starts, controls, duration=2.0, thrust=None)
+            both = fly(aircraft, falling, starts, controls, duration=2.0, thrust=None)
         lost, kept = (part.reset_index(drop=True) for _, part in both.groupby("start"))
         alone = fly(aircraft, falling, controls=controls, duration=2.0, thrust=None)
         assert_allclose(kept[STATES], alone[STATES], atol=1e-12)
@@ -493,7 +453,7 @@ class TestMarks:
 
     def test_one_that_leaves_the_atmosphere_is_marked(self, aircraft):
         high = pd.DataFrame([START | {"altitude": 31_999.0, "theta": 0.5}, START])
-        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        controls = REST
         with pytest.warns(SimulationWarning, match="outside of the atmosphere: 1"):
             flown = fly(aircraft, x0=high, controls=controls, duration=2.0, thrust=None)
         assert flown.groupby("start")["ended"].last().tolist() == ["altitude", ""]
@@ -520,9 +480,6 @@ def uncertain(size, **options):
         )
 
     return linear(sampler=drawn, **options)
-
-
-REST = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
 
 
 def still(drift):
@@ -602,7 +559,7 @@ class TestEnsembles:
             fly(aircraft, duration=1.0, n_paths=3)
         start = UncertainStart(START, {"speed": 1.0})
         with pytest.raises(ValueError, match="standard deviations of a start lack 'speed'"):
-            simulate(uncertain(0.1), aircraft, start, commands, duration=1.0, n_paths=3)
+            fly(aircraft, uncertain(0.1), start, duration=1.0, n_paths=3)
 
 
 class TestSimulator:
@@ -703,7 +660,7 @@ class TestSimulator:
         with pytest.raises(ValueError, match="2 starts, but expected one"):
             simulator.reset(pd.DataFrame([START, START]))
         seen = simulator.reset({"airspeed": 3.0, "theta": 1.5, "altitude": 50.0})
-        controls = {"elevator": 0.0, "aileron": 0.0, "rudder": 0.0}
+        controls = REST
         while not simulator.ended:
             seen = simulator.step(controls)
         assert simulator.ended == "airspeed"

@@ -180,15 +180,15 @@ class TestDrift:
         assert_allclose(left[:3], 1.0)
         assert_allclose(left[3:] / drift.variance[3:], 0.5, atol=0.06)
 
-    def test_grows_with_the_gusts_up_to_twice_those_of_training(self, model):
+    def test_grows_with_the_gusts_up_to_twice_those_of_training(self):
         """What gusts explain of a variance is proportional to theirs."""
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
-        known = learned_in(TRUE, model, drift)
+        known = learned_in(TRUE, drift)
         left = [drift_in(TRUE.scaled(k), known, SPEED).variance[0] / 1e-6 for k in factors]
         assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
         assert_allclose(left, [0.0, 0.25, 1.0, 2.0], atol=0.03)
-        calm = learned_in(TRUE.scaled(0.0), model, drift)
+        calm = learned_in(TRUE.scaled(0.0), drift)
         for air in (
             TRUE.scaled(0.0),
             TRUE,
@@ -206,15 +206,9 @@ class TestDrift:
             assert_allclose(np.cov(found), expected, atol=0.06)
 
 
-def learned_in(turbulence, model, drift):
+def learned_in(turbulence, drift):
     """The motion of an aircraft whose model was learned in some turbulence."""
-    known = Aerodynamics(
-        coefficients,
-        model.regressors,
-        drift=drift,
-        turbulence=turbulence._replace(airspeed=SPEED),
-        sampler=sampler,
-    )
+    known = learned(drift=drift, turbulence=turbulence._replace(airspeed=SPEED))
     return Motion(known, AIRCRAFT, thrust=None)
 
 
@@ -233,9 +227,15 @@ def sampler(n_paths, random_state):
     return each, None
 
 
+def learned(**known):
+    """A model with a posterior."""
+    names = ["alpha", "beta", "p_hat", "q_hat", "r_hat"]
+    return Aerodynamics(coefficients, names, sampler=sampler, **known)
+
+
 @pytest.fixture
 def model():
-    return Aerodynamics(coefficients, ["alpha", "beta", "p_hat", "q_hat", "r_hat"], sampler=sampler)
+    return learned()
 
 
 START = {"airspeed": 12.0, "alpha": 0.05, "altitude": 100.0}
@@ -264,11 +264,9 @@ class TestSimulate:
         assert_allclose(paths["wind_down"], expected, atol=1e-12)
         assert paths.query("time == 1.0")["p"].std() > 1e-4
 
-    def test_a_wind_has_gusts_of_its_own(self, model):
+    def test_a_wind_has_gusts_of_its_own(self):
         """By itself a table decides the intensity, whatever the model was learned in; it is said."""
-        known = Aerodynamics(
-            coefficients, model.regressors, sampler=sampler, turbulence=TRUE.scaled(9.0)
-        )
+        known = learned(turbulence=TRUE.scaled(9.0))
         wind = dryden_wind(20.0, 12.0, 100.0, wind_at_6m=4.0, span=SPAN, random_state=0)
         by_table = flown(known, air=wind)
         asked = flown(known, air=Air(wind, Turbulence.from_wind([wind], [12.0], SPAN)))
@@ -278,7 +276,7 @@ class TestSimulate:
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
     def test_what_is_not_said_is_as_in_the_training_flights(self, model):
-        known = Aerodynamics(coefficients, model.regressors, sampler=sampler, turbulence=TRUE)
+        known = learned(turbulence=TRUE)
         for wind in (None, [0.0, 0.0, 0.0], WIND_OF_A_SECOND):
             paths, drawn = flown(known, air=wind), flown(known, air=Air(wind, TRUE))
             assert_allclose(paths["p"], drawn["p"], atol=1e-12)
@@ -288,12 +286,10 @@ class TestSimulate:
         assert "without gusts" in calm.attrs["air"]
         assert "is not known" in unknown.attrs["air"]
 
-    def test_rotation_leaves_the_drift(self, model):
+    def test_rotation_leaves_the_drift(self):
         """Flown as learned in turbulence whose rates explain the drift, nothing is counted twice."""
         drift = Drift(np.array([0, 0, 0, 1e-14, 1e-14, 1e-14]), np.ones(6))
-        known = Aerodynamics(
-            coefficients, model.regressors, sampler=sampler, drift=drift, turbulence=TRUE
-        )
+        known = learned(drift=drift, turbulence=TRUE)
         with_drift, without = (flown(known, air=Air(drift=drift))["p"] for drift in (True, False))
         assert_allclose(with_drift, without, atol=1e-12)
 

@@ -178,10 +178,7 @@ def _deviations(
     Deviations of functions drawn from the posterior, and what they are made of.
     """
     model = motion.aerodynamics
-    drawn = model.sample(n_paths, random_state)
-    regressors = np.broadcast_to(now.regressors, (n_paths, *now.regressors.shape))
-    paths = frame(drawn(regressors), drawn.gradient(regressors))
-    std = paths.std(axis=0, ddof=1)
+    std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
     if model.function_errors is None:
         return {"std": std}
     errors = model.function_errors()
@@ -209,6 +206,13 @@ def _deviations(
         "std_method": std_method,
         "merged": _largest(merged, frame.merged_names()[:, None]),
     }
+
+
+def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
+    """Return the standard deviation (n, rows, 1 + columns) over functions drawn from the posterior."""
+    X = now.regressors
+    regressors = np.broadcast_to(X, (paths.n_paths or 1, *X.shape))
+    return frame(paths(regressors), paths.gradient(regressors)).std(axis=0, ddof=1)
 
 
 def _narrowing(frame: _Frame, factor: Array, now: Instant) -> Array:

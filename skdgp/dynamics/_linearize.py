@@ -300,10 +300,7 @@ def jacobian(
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls)
-    angles = quaternion_to_euler(state[..., ATTITUDE])
-    x = np.concatenate([state[..., :6], angles, state[..., RATES]], axis=-1)
-    u = np.broadcast_to([controls[name] for name in inputs], (*state.shape[:-1], len(inputs)))
-    z = np.concatenate([x, u], axis=-1)
+    z = _vector(state, [controls[name] for name in inputs])
     slopes = central_difference(
         _rates(motion, controls, inputs),
         np.concatenate([z, instant.coefficients], axis=-1),
@@ -320,6 +317,13 @@ def jacobian(
         angle_rates = H_z[..., ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
         C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
     return F_z + F_C @ C_z, H_z + H_C @ C_z, instant
+
+
+def _vector(state: Array, inputs: Sequence[float]) -> Array:
+    """Return states (..., 13) with Euler angles, and inputs, as one vector z (..., 12 + k)."""
+    angles = quaternion_to_euler(state[..., ATTITUDE])
+    u = np.broadcast_to(inputs, (*state.shape[:-1], len(inputs)))
+    return np.concatenate([state[..., :6], angles, state[..., RATES], u], axis=-1)
 
 
 def _rates(motion: Motion, controls: Mapping, inputs: Sequence[str]) -> Callable[[Array], Array]:

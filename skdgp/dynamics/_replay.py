@@ -78,11 +78,7 @@ def replay(
     segments = check_flight(flight, ["time", "airspeed", "density", *STATES])
     time = flight["time"].to_numpy(float)
     measured = table_states(flight)
-    if np.shape(coefficients) != (len(flight), 6):
-        raise ValueError(
-            f"Got coefficients of shape {np.shape(coefficients)}, but expected ({len(flight)}, 6): "
-            f"{', '.join(COEFFICIENTS)} at every row of the flight."
-        )
+    _check_coefficients(coefficients, len(flight))
     loads = (
         np.hstack(aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft))
         + np.hstack(propulsive_loads(flight, aircraft, thrust))
@@ -101,6 +97,15 @@ def replay(
     rows = np.array(padded, dtype=int).reshape(-1, longest).T
     states = _integrated(measured, loads, time, rows, aircraft, float(gravity))
     return _table(flight, rows, states, float(horizon))
+
+
+def _check_coefficients(coefficients: ArrayLike, n: int) -> None:
+    """Raise ValueError if there are not six coefficients at every row of a flight."""
+    if np.shape(coefficients) != (n, 6):
+        raise ValueError(
+            f"Got coefficients of shape {np.shape(coefficients)}, but expected ({n}, 6): "
+            f"{', '.join(COEFFICIENTS)} at every row of the flight."
+        )
 
 
 def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -> pd.DataFrame:

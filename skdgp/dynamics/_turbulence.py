@@ -359,17 +359,9 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSet
     """Return intensity and length that the axes share; each has white noise of its own."""
     observed = np.concatenate([part.values[:, axis] for part in spectra for axis in axes])
 
-    def log_spectrum(theta: Array) -> Array:
-        variance, length, *noise = np.exp(theta)
-        parts = []
-        for part in spectra:
-            for axis, white in zip(axes, noise, strict=True):
-                parts.append(variance * part.unit(length, axis) + white * part.step)
-        return np.log(np.concatenate(parts))
-
     def loss(theta: Array) -> float:
         """Return the negative logarithm of Whittle's likelihood and of the prior of the length."""
-        logarithm = log_spectrum(theta)
+        logarithm = _log_spectrum(theta, spectra, axes)
         whittle = np.sum(logarithm + observed * np.exp(-logarithm))
         off = (theta[1] - np.log(settings.length)) / settings.length_std
         return whittle + 0.5 * off**2
@@ -390,3 +382,13 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSet
     best = min(solutions, key=lambda solution: solution.fun)
     variance, length, *_ = np.exp(best.x)
     return _Fit(float(np.sqrt(variance)), float(length), best.fun)
+
+
+def _log_spectrum(theta: Array, spectra: list[_Spectra], axes: tuple[int, ...]) -> Array:
+    """Return the logarithm of the spectra of all axes, by the logarithms of variance, length and white noises."""
+    variance, length, *noise = np.exp(theta)
+    parts = []
+    for part in spectra:
+        for axis, white in zip(axes, noise, strict=True):
+            parts.append(variance * part.unit(length, axis) + white * part.step)
+    return np.log(np.concatenate(parts))

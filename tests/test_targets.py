@@ -11,8 +11,7 @@ from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
 from skdgp.datasets._example_flights import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
-from skdgp.dynamics._inputs import as_starts
-from skdgp.dynamics._inverse import coefficient_array
+from skdgp.dynamics._starts import as_starts
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -69,11 +68,7 @@ def test_thinned(library):
         assert np.isfinite(np.asarray(thin, float).reshape(40, -1)[:, 0]).sum() == 10
 
 
-def test_coefficients_and_starts_are_taken_by_name(library):
-    names = ["Cn", "Cm", "Cl", "CZ", "CY", "CX"]
-    table = library.DataFrame({name: [float(k)] for k, name in enumerate(names)})
-    values = coefficient_array(table, 1)
-    assert values.tolist() == [[5, 4, 3, 2, 1, 0]]
+def test_starts_are_taken_by_name(library):
     starts = as_starts(library.DataFrame({name: [1.0] for name in reversed(STATE_NAMES)}))
     assert isinstance(starts, pd.DataFrame)
     assert list(starts) == list(reversed(STATE_NAMES))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from itertools import takewhile
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.differences import central_difference
-from skdgp._compute.sklearn_compat import unwrap
+from skdgp._compute.sklearn_compat import set_output_container, unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
@@ -27,7 +27,6 @@ from skdgp._flight.channels import COEFFICIENTS
 DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
-LEARNED = ("function_errors", "narrowing", "training_rows")  # of a model with a posterior
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 
@@ -47,14 +46,18 @@ class Drift(NamedTuple):
 
     def draw(self, time: Array, shape: tuple[int, ...], random_state: Any) -> Array:
         """Return draws (n, *shape, 6) at times (n,) that increase."""
-        seed = check_random_state(random_state).randint(
-            2**31 - 1, size=4
-        )  # other numbers than the paths have
-        rng = np.random.default_rng(seed)
+        rng = separate_generator(random_state)
         drawn = rng.standard_normal((len(time), *shape, 6)) * np.sqrt(self.variance)
-        for k, r in enumerate(np.exp(-np.diff(time)[:, None] / self.memory), start=1):
+        correlations = np.exp(-np.diff(time)[:, None] / self.memory)
+        for k, r in enumerate(correlations, start=1):
             drawn[k] = r * drawn[k - 1] + np.sqrt(1 - r**2) * drawn[k]
         return drawn
+
+
+def separate_generator(random_state: Any, n_words: int = 4) -> np.random.Generator:
+    """Return a generator of other numbers than the paths of the same seed have."""
+    words = check_random_state(random_state).randint(2**31 - 1, size=n_words)
+    return np.random.default_rng(words)
 
 
 @dataclass(eq=False, repr=False)
@@ -198,6 +201,47 @@ class Aerodynamics:
         return central_difference(self, X, DIFFERENCE * np.where(ranges > 0, ranges, 1.0))
 
 
+@runtime_checkable
+class Predictor(Protocol):
+    """A fitted estimator that predicts."""
+
+    def predict(self, X: Any) -> Array:
+        """Return the outputs at X (n, d)."""
+
+
+@runtime_checkable
+class PosteriorRegressor(Protocol):
+    """A fitted regressor with a posterior, such as ``DependentGPRegressor``, which documents these members."""
+
+    output_names_: list[str]
+    posterior_: Any
+    misfit_variance_: Array
+    drift_variance_: Array
+    drift_memory_: Array
+
+    def predict(self, X: Any) -> Array:
+        """Return the outputs at X (n, d)."""
+
+    def predict_gradient(self, X: Any) -> Array:
+        """Return the slopes (n, P, d)."""
+
+    def sample_paths(self, n_paths: int, random_state: Any) -> Any:
+        """Return functions drawn from the posterior."""
+
+    def function_errors(self) -> Any:
+        """Return the errors of the function that the posterior does not hold, or None."""
+
+    def narrowing(self, added: Array) -> Array:
+        """Return the factor (P, d) by which added rows narrow standard deviations of slopes."""
+
+
+@runtime_checkable
+class LateSurfaces(Protocol):
+    """A step that knows how late surfaces follow their logged commands."""
+
+    servo_lag_: float  #: [s]
+
+
 def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     """Return the model as a function of named regressors, without tables.
 
@@ -220,9 +264,8 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
       ``servo_lag_`` [s], if any, is how late surfaces follow the logged commands.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by
-    ``transform``. The regressor at the end may have ``predict_gradient``, slopes (n, P, d) at X (n,
-    d); ``sample_paths``, functions with ``each`` and ``gradient``; and a drift in time,
-    ``drift_variance_`` and ``drift_memory_`` (P,).
+    ``transform``. The regressor at the end may have a posterior, as ``DependentGPRegressor`` has:
+    then slopes, sample paths, errors of the function and a drift in time are its own.
 
     Examples
     --------
@@ -236,134 +279,118 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     """
     if isinstance(model, Aerodynamics):
         return model
-    if not isinstance(model, BaseEstimator) or not callable(getattr(model, "predict", None)):
+    if not (isinstance(model, BaseEstimator) and isinstance(model, Predictor)):
         raise TypeError(
             f"Got {type(model).__name__} as the model, but expected a fitted pipeline, an "
-            f"estimator, or "
-            "Aerodynamics(function, regressors=[...])."
+            "estimator, or Aerodynamics(function, regressors=[...])."
         )
     check_is_fitted(model)
-    steps = _steps_of(model)
-    roles = [getattr(step, "in_simulation", "measurements") for step in steps]
-    place = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
-    before, behind = steps[: max(place, 0)], steps[place + 1 :]
-    by_role = dict(zip(roles[: place + 1], steps, strict=False))
-    chosen, rates, splitter = (by_role.get(role) for role in ("regressors", "rates", "controls"))
-    names = getattr(steps[0], "feature_names_in_", None) if chosen is None else chosen.regressors_
-    if names is None:
-        raise ValueError(
-            f"Got a {type(model).__name__} whose regressors have no names: put "
-            f"RegressorSelector([...]) into the "
-            "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
-        )
-    if scaled := [type(step).__name__ for step in before if isinstance(step, SCALERS)]:
-        raise ValueError(
-            f"Got {scaled} before the choice of regressors, but expected flight channels in their "
-            f"units there, as a "
-            "simulation gives them: put it behind RegressorSelector."
-        )
-    chain = _Chain(
-        [_for_arrays(step) for step in behind[:-1]], _without_names(behind[-1]), len(names)
+    pipeline = _PipelineInFlight(model)
+    coefficients = _Coefficients(pipeline.behind, len(pipeline.regressors))
+    facts = vars(unwrap(model))
+    aerodynamics = Aerodynamics(
+        coefficients.mean,
+        pipeline.regressors,
+        turbulence=facts.get("turbulence_"),
+        limits=pipeline.limits,
+        flown=pipeline.flown,
+        span=pipeline.span,
+        chord=pipeline.chord,
+        mixing=pipeline.mixing,
+        units=facts.get("control_units_", {}),
+        servo_lag=pipeline.servo_lag,
     )
-    limits, mixing = [getattr(chosen, name, None) for name in ("data_min_", "data_max_")], None
-    if splitter is not None:
-        mixing = Mixing(
-            tuple(splitter.surfaces), tuple(splitter.controls), np.asarray(splitter.mixing_)
-        )
-    learned: dict[str, Any] = {}
-    if chain.can_sample:
-        learned = {name: getattr(chain, name) for name in LEARNED}
-        learned["training_seconds"] = getattr(model, "seconds_", None)
-    return Aerodynamics(
-        chain.mean,
-        list(names),
-        slopes=chain.slopes if chain.has_slopes else None,
-        sampler=chain.sample if chain.can_sample else None,
-        drift=chain.drift(),
-        turbulence=getattr(unwrap(model), "turbulence_", None),
-        limits=None if limits[0] is None else np.array(limits),
-        flown=dict(getattr(chosen, "ranges_", None) or {}),
-        span=getattr(rates, "span", None),
-        chord=getattr(rates, "chord", None),
-        mixing=mixing,
-        units=dict(getattr(model, "control_units_", None) or {}),
-        servo_lag=sum(getattr(step, "servo_lag_", 0.0) for step in steps),
-        **learned,
+    if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):
+        return aerodynamics
+    learned = _LearnedCoefficients(coefficients, coefficients.regressor)
+    return replace(
+        aerodynamics,
+        slopes=learned.slopes,
+        sampler=learned.sample,
+        drift=learned.drift(),
+        function_errors=learned.function_errors,
+        narrowing=learned.narrowing,
+        training_rows=learned.training_rows,
+        training_seconds=facts.get("seconds_"),
     )
 
 
-class _Chain:
-    """The steps of a pipeline after the selection of regressors: scalings, other transforms, and the regressor."""
+class _PipelineInFlight:
+    """The steps of a fitted pipeline by their roles in a simulation (``in_simulation``)."""
 
-    def __init__(self, transforms: list, regressor: Any, n_regressors: int):
-        self.regressor = regressor
+    def __init__(self, model: BaseEstimator):
+        steps = _steps_of(model)
+        roles = [getattr(step, "in_simulation", "measurements") for step in steps]
+        n_before = 0
+        if "regressors" in roles:
+            n_before = len(roles) - roles[::-1].index("regressors")
+        self.behind = steps[n_before:]
+        by_role = dict(zip(roles[:n_before], steps, strict=False))
+        chosen = by_role.get("regressors")
+        learned = vars(steps[0] if chosen is None else chosen)
+        names = learned.get("feature_names_in_" if chosen is None else "regressors_")
+        if names is None:
+            raise ValueError(
+                f"Got a {type(model).__name__} whose regressors have no names: put "
+                "RegressorSelector([...]) into the pipeline, fit on a DataFrame, or give "
+                "Aerodynamics(model.predict, regressors=[...])."
+            )
+        _check_unscaled(steps[:n_before])
+        self.regressors = list(names)
+        low = learned.get("data_min_")
+        self.limits = None if low is None else np.array([low, learned["data_max_"]])
+        self.flown = dict(learned.get("ranges_", {}))
+        rates = by_role.get("rates")
+        self.span = None if rates is None else rates.span
+        self.chord = None if rates is None else rates.chord
+        self.mixing = _mixing_of(by_role.get("controls"))
+        self.servo_lag = sum(step.servo_lag_ for step in steps if isinstance(step, LateSurfaces))
+
+
+def _check_unscaled(steps: list) -> None:
+    """Raise ValueError if scalers stand before the choice of regressors."""
+    scalers = [type(step).__name__ for step in steps if isinstance(step, SCALERS)]
+    if scalers:
+        raise ValueError(
+            f"Got {scalers} before the choice of regressors, but expected flight channels in their units "
+            "there, as a simulation gives them: put it behind RegressorSelector."
+        )
+
+
+def _mixing_of(splitter: Any) -> Mixing | None:
+    """Return the mixing of a step that makes controls of surfaces."""
+    if splitter is None:
+        return None
+    controls = tuple(splitter.controls)
+    return Mixing(tuple(splitter.surfaces), controls, np.array(splitter.mixing_))
+
+
+class _Coefficients:
+    """What the steps behind the choice of regressors predict: scalings, other transforms, and the regressor."""
+
+    def __init__(self, steps: list, n_regressors: int):
+        transforms = [_for_arrays(step) for step in steps[:-1]]
+        self.regressor = _without_names(steps[-1])
         self.shift, self.scale, self.others = scaling_of(transforms, n_regressors)
-        self.order = self._order()
-        self.has_slopes = not self.others and hasattr(regressor, "predict_gradient")
-        self.can_sample = not self.others and hasattr(regressor, "sample_paths")
+        names = list(vars(self.regressor).get("output_names_", NO_NAMES))
+        self.order = self._order(names)
 
     def mean(self, X: Array) -> Array:
         """Return the coefficients (n, 6) at regressors (n, d)."""
         return self._predicted(X)[:, self.order]
 
-    def slopes(self, X: Array) -> Array:
-        """Return their slopes (n, 6, d)."""
-        return (
-            self.regressor.predict_gradient((X - self.shift) / self.scale)[:, self.order]
-            / self.scale
-        )
-
-    def narrowing(self, added: Array) -> Array:
-        """Return the factor (6, d) by which rows (k, d) that are flown next narrow deviations of slopes."""
-        if not hasattr(self.regressor, "narrowing"):
-            return np.ones((len(COEFFICIENTS), added.shape[-1]))
-        return self.regressor.narrowing((added - self.shift) / self.scale)[self.order]
-
-    def training_rows(self) -> Array | None:
-        """Return the regressors (n, d) that the model was learned from, None where they are not known."""
-        data = getattr(getattr(self.regressor, "posterior_", None), "data", None)
-        return None if data is None else data.X[0] * self.scale + self.shift
-
-    def function_errors(self) -> Any:
-        """Return the errors of the function that come from the time series, None where none are known."""
-        return self._function_errors
-
-    @cached_property
-    def _function_errors(self) -> Any:
-        errors = getattr(self.regressor, "function_errors", lambda: None)()
-        if errors is None:
-            return None
-        units = np.ones(len(errors.discrepancy))
-        return errors.in_units(self.shift, self.scale, units).of_outputs(self.order)
-
-    def drift(self) -> Drift | None:
-        """Return the drift of the regressor, or None if it has none."""
-        variance = np.asarray(getattr(self.regressor, "drift_variance_", 0.0))
-        if not np.any(variance > 0):
-            return None
-        memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
-        # the discrepancy is an error of the function, which its paths have
-        variance = np.maximum(variance - getattr(self.regressor, "misfit_variance_", 0.0), 0.0)
-        return Drift(variance[self.order], memory[self.order])
-
-    def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
-        """Return values and slopes of functions drawn from the posterior."""
-        paths, order, shift, scale = (
-            self.regressor.sample_paths(n_paths, random_state), self.order, self.shift, self.scale,
-        )  # fmt: skip
-        return (
-            lambda X: paths.each((X - shift) / scale)[..., order],
-            lambda X: paths.gradient((X - shift) / scale)[..., order, :] / scale,
-        )
+    def scaled(self, X: Array) -> Array:
+        """Return the inputs of the regressor, or of the first transform that is no scaler."""
+        return (X - self.shift) / self.scale
 
     def _predicted(self, X: Array) -> Array:
-        X = (X - self.shift) / self.scale
+        X = self.scaled(X)
         for step in self.others:
             X = step.transform(X)
         return self.regressor.predict(X)
 
-    def _order(self) -> slice | list[int]:
-        names = list(getattr(self.regressor, "output_names_", NO_NAMES))
+    def _order(self, names: list[str]) -> slice | list[int]:
+        """Return the places of the coefficients among the outputs."""
         if names == NO_NAMES:
             shape = np.shape(self._predicted(self.shift[None]))
             if shape != (1, 6):
@@ -372,30 +399,102 @@ class _Chain:
                     f"{', '.join(COEFFICIENTS)}."
                 )
             return slice(None)
-        if lacking := [name for name in COEFFICIENTS if name not in names]:
+        lacking = [name for name in COEFFICIENTS if name not in names]
+        if lacking:
             raise ValueError(
-                f"Got a model of {names}, but flight needs all six coefficients: it lacks "
-                f"{lacking}. Fit it on a table "
-                "of all of them (aerodynamic_coefficients gives it)."
+                f"Got a model of {names}, but flight needs all six coefficients: it lacks {lacking}. "
+                "Fit it on a table of all of them (aerodynamic_coefficients gives it)."
             )
-        order = [names.index(name) for name in COEFFICIENTS]
-        return slice(None) if order == list(range(len(names))) else order
+        if names == list(COEFFICIENTS):
+            return slice(None)
+        return [names.index(name) for name in COEFFICIENTS]
+
+
+class _LearnedCoefficients:
+    """What a regressor with a posterior knows of the coefficients, in units and order of a flight."""
+
+    def __init__(self, coefficients: _Coefficients, regressor: PosteriorRegressor):
+        self.regressor = regressor
+        self.shift = coefficients.shift
+        self.scale = coefficients.scale
+        self.scaled = coefficients.scaled
+        self.order = coefficients.order
+
+    def slopes(self, X: Array) -> Array:
+        """Return the slopes (n, 6, d) of the mean."""
+        return self.regressor.predict_gradient(self.scaled(X))[:, self.order] / self.scale
+
+    def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
+        """Return values and slopes of functions drawn from the posterior."""
+        paths = self.regressor.sample_paths(n_paths, random_state)
+
+        def values(X: Array) -> Array:
+            return paths.each(self.scaled(X))[..., self.order]
+
+        def slopes(X: Array) -> Array:
+            return paths.gradient(self.scaled(X))[..., self.order, :] / self.scale
+
+        return values, slopes
+
+    def narrowing(self, added: Array) -> Array:
+        """Return the factor (6, d) by which rows (k, d) that are flown next narrow deviations of slopes."""
+        return self.regressor.narrowing(self.scaled(added))[self.order]
+
+    def training_rows(self) -> Array:
+        """Return the regressors (n, d) that the model was learned from."""
+        return self.regressor.posterior_.data.X[0] * self.scale + self.shift
+
+    def function_errors(self) -> Any:
+        """Return the errors of the function that come from the time series, None where none are known."""
+        return self._function_errors
+
+    @cached_property
+    def _function_errors(self) -> Any:
+        errors = self.regressor.function_errors()
+        if errors is None:
+            return None
+        units = np.ones(len(errors.discrepancy))
+        return errors.in_units(self.shift, self.scale, units).of_outputs(self.order)
+
+    def drift(self) -> Drift | None:
+        """Return the drift of the regressor, or None if it has none."""
+        variance = self.regressor.drift_variance_
+        if not np.any(variance > 0):
+            return None
+        memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
+        # the discrepancy is an error of the function, which its paths have
+        rest = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
+        return Drift(rest[self.order], memory[self.order])
 
 
 def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
     """Return shift and scale of the scalers that begin the steps, x = shift + scale z, and the other steps."""
-    shift, scale = np.zeros(n_regressors), np.ones(n_regressors)
-    scalers = list(
-        takewhile(lambda step: type(step) in SCALERS and not getattr(step, "clip", False), steps)
-    )
+    shift = np.zeros(n_regressors)
+    scale = np.ones(n_regressors)
+    scalers = list(takewhile(_is_linear, steps))
     for step in scalers:
-        if isinstance(step, MinMaxScaler):
-            offset, factor = -step.min_ / step.scale_, 1.0 / step.scale_
-        else:
-            offset, factor = getattr(step, "mean_", getattr(step, "center_", None)), step.scale_
-        shift = shift + (0.0 if offset is None else offset) * scale
-        scale = scale * (1.0 if factor is None else factor)
+        offset, factor = _scaling_of(step)
+        if offset is not None:
+            shift = shift + offset * scale
+        if factor is not None:
+            scale = scale * factor
     return shift, scale, steps[len(scalers) :]
+
+
+def _is_linear(step: Any) -> bool:
+    """Return whether a step is a scaler that does not clip."""
+    return type(step) in SCALERS and not step.get_params().get("clip", False)
+
+
+def _scaling_of(scaler: Any) -> tuple[Array | None, Array | None]:
+    """Return offset and factor of a scaler, x = offset + factor z; None for none."""
+    if isinstance(scaler, MinMaxScaler):
+        return -scaler.min_ / scaler.scale_, 1.0 / scaler.scale_
+    if isinstance(scaler, StandardScaler):
+        return scaler.mean_ if scaler.with_mean else None, scaler.scale_
+    if isinstance(scaler, RobustScaler):
+        return scaler.center_, scaler.scale_
+    return None, scaler.scale_
 
 
 def _steps_of(model: BaseEstimator) -> list:
@@ -410,13 +509,13 @@ def _steps_of(model: BaseEstimator) -> list:
 def _for_arrays(transform: Any) -> Any:
     """Return the transform as if fitted on an array, returning arrays, whatever `set_output` chose."""
     twin = copy.deepcopy(_without_names(transform))
-    return twin.set_output(transform="default") if hasattr(twin, "set_output") else twin
+    set_output_container(twin, "default")
+    return twin
 
 
 def _without_names(step: Any) -> Any:
     """Return the step as if fitted on an array: one that was fitted on a table warns at arrays."""
     twin = object.__new__(type(step))
-    twin.__dict__.update(
-        {name: value for name, value in vars(step).items() if name != "feature_names_in_"}
-    )
+    twin.__dict__.update(vars(step))
+    twin.__dict__.pop("feature_names_in_", None)
     return twin

@@ -13,13 +13,16 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics
-from skdgp.dynamics._aircraft import Aircraft, errors_of_sizes
+from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._size_errors import errors_of_sizes
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import ROTATION_OF, std_by_method, unsteady_terms
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
+LIFT = ROWS.index("CL")
+DRAG = ROWS.index("CD")
 NORMAL_95 = 1.959963984540054
 
 
@@ -117,41 +120,42 @@ def stability_derivatives(
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
     motion = Motion(model, aircraft, thrust=thrust, air=air)
-    if added is not None and motion.aerodynamics.narrowing is None:
-        raise ValueError(
-            "Got rows that are added to a model without its own, but expected one that holds the "
-            "rows it was learned from: give a pipeline of identify."
-        )
     if added is not None:
-        added = _check_added(added, motion.aerodynamics.regressors)
-    states, controls, single = _points(motion, point, controls)
+        added = _check_added(added, motion.aerodynamics)
+    states, controls, is_single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)
-    X, frame = now.regressors, _Frame(motion, now)
-    values = frame(now.coefficients, motion.aerodynamics.gradient(X))
+    frame = _Frame(motion, now)
+    values = frame(now.coefficients, motion.aerodynamics.gradient(now.regressors))
     if not np.isfinite(values).all():
         raise ValueError(
             "Got coefficients or slopes that are not finite: the model is not defined there."
         )
-    parts: dict[str, Array] = {}
+    columns: dict[str, np.ndarray] = {}
     if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
-        parts = _deviations(motion, now, frame, n_paths, random_state, added)
-    tables = [
-        frame.table(values[k], {name: part[k] for name, part in parts.items()})
-        for k in range(len(states))
-    ]
+        columns = _deviations(motion, now, frame, n_paths, random_state, added)
     if aircraft.deviations:
-        _add_errors_of_aircraft(tables, motion, now, frame)
-    if single:
+        columns |= _errors_of_aircraft(motion, now, frame)
+    tables = []
+    for k, value in enumerate(values):
+        tables.append(frame.table(value, {name: column[k] for name, column in columns.items()}))
+    if is_single:
         return tables[0]
     for k, table in enumerate(tables):
-        for place, name in enumerate(("airspeed", "alpha", "beta")):
-            table.insert(place, name, float(getattr(now, name)[k]))
+        table.insert(0, "airspeed", float(now.airspeed[k]))
+        table.insert(1, "alpha", float(now.alpha[k]))
+        table.insert(2, "beta", float(now.beta[k]))
     return pd.concat(tables, keys=range(len(tables)), names=["point", None])
 
 
-def _check_added(added: ArrayLike, names: Sequence[str]) -> Array:
+def _check_added(added: ArrayLike, model: Aerodynamics) -> Array:
     """Return the regressors of rows that are flown next, (k, d)."""
+    if model.narrowing is None:
+        raise ValueError(
+            "Got rows that are added to a model without its own, but expected one that holds the rows "
+            "it was learned from: give a pipeline of identify."
+        )
+    names = model.regressors
     rows = np.asarray(added, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != len(names) or not np.isfinite(rows).all():
         raise ValueError(
@@ -168,77 +172,79 @@ def _deviations(
     n_paths: int,
     random_state: Seed,
     added: ArrayLike | None,
-) -> dict[str, Array]:
-    """Return the columns of the table that say what deviations are made of, (n, rows, 1 + columns) each."""
+) -> dict[str, np.ndarray]:
+    """Return the standard deviations of the table by column, (n, rows, 1 + columns) each.
+
+    Deviations of functions drawn from the posterior, and what they are made of.
+    """
     model = motion.aerodynamics
-    total = _deviation_of_paths(motion, now, frame, n_paths, random_state)
+    std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
     if model.function_errors is None:
-        return {"std": total, "std_posterior": total}
+        return {"std": std}
     errors = model.function_errors()
-    of_parts = {"std_random": np.zeros_like(total), "std_method": np.zeros_like(total)}
+    std_random = np.zeros_like(std)
+    std_method = np.zeros_like(std)
     if errors is not None:
-        for name, (values, slopes) in zip(of_parts, errors.parts(now.regressors), strict=True):
-            of_parts[name] = frame.errors(slopes, values)
+        (values, slopes), (values_by_method, slopes_by_method) = errors.parts(now.regressors)
+        std_random = frame.std(slopes, values)
+        std_method = frame.std(slopes_by_method, values_by_method)
     # what the errors of the function do not explain
-    of_errors = sum(part**2 for part in of_parts.values())
-    posterior = np.sqrt(np.maximum(total**2 - of_errors, 0.0))
+    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
     if added is not None and model.narrowing is not None:
         factor = _narrowing(frame, model.narrowing(added), now)
-        posterior = posterior * factor
-        of_parts["std_random"] = of_parts["std_random"] * factor
-        of_errors = sum(part**2 for part in of_parts.values())
-        total = np.sqrt(posterior**2 + of_errors)
+        std_posterior = std_posterior * factor
+        std_random = std_random * factor
+        std = np.sqrt(std_posterior**2 + (std_random**2 + std_method**2))
     scatter = std_by_method(errors)
     unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), scatter)
-    merged = frame.errors(unsteady.errors, apart=True)
+    merged = frame.sizes(unsteady.errors)
     return {
-        "std": total,
-        "std_posterior": posterior,
+        "std": std,
+        "std_posterior": std_posterior,
         "std_merged": np.hypot(*merged),
-        "merged": np.where(merged.any(axis=0), 1 + merged.argmax(axis=0), 0),
-        **of_parts,
+        "std_random": std_random,
+        "std_method": std_method,
+        "merged": _largest(merged, frame.merged_names()[:, None]),
     }
 
 
-def _deviation_of_paths(
-    motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed
-) -> Array:
+def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
     """Return the standard deviation (n, rows, 1 + columns) over functions drawn from the posterior."""
-    drawn = motion.aerodynamics.sample(n_paths, random_state)
-    regressors = np.broadcast_to(now.regressors, (n_paths, *now.regressors.shape))
-    values = frame(drawn(regressors), drawn.gradient(regressors))
-    return values.std(axis=0, ddof=1)
+    X = now.regressors
+    regressors = np.broadcast_to(X, (paths.n_paths or 1, *X.shape))
+    return frame(paths(regressors), paths.gradient(regressors)).std(axis=0, ddof=1)
 
 
 def _narrowing(frame: _Frame, factor: Array, now: Instant) -> Array:
     """Return the ``factor`` (6, d) of deviations of slopes for every entry of the table, (n, rows, 1 + columns)."""
     n, d = now.regressors.shape
-    before = frame.errors(_each_output(np.ones((n, 6, d))))
-    after = frame.errors(_each_output(np.broadcast_to(factor, (n, 6, d))))
-    ratio = np.ones_like(before)
-    np.divide(after, before, out=ratio, where=before > 0)
-    return ratio
+    # errors (n, 6, d, 6) that are independent between outputs
+    independent = np.broadcast_to(np.eye(6)[:, None], (n, 6, d, 6))
+    before = frame.std(independent)
+    after = frame.std(factor[..., None] * independent)
+    return np.divide(after, before, out=np.ones_like(before), where=before > 0)
 
 
-def _each_output(std: Array) -> Array:
-    """Return errors (n, 6, d, 6) of slopes that are independent between outputs, of standard deviations (n, 6, d)."""
-    return std[..., None] * np.eye(6)[:, None]
-
-
-def _add_errors_of_aircraft(
-    tables: list[pd.DataFrame], motion: Motion, now: Instant, frame: _Frame
-) -> None:
-    """Add what errors of the aircraft's sizes make of the values, and the largest of these errors."""
-    aircraft, deviations = motion.aircraft, motion.aircraft.deviations or {}
+def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:
+    """Return what errors of the aircraft's sizes make of the values, and the names of the largest errors."""
+    aircraft = motion.aircraft
+    deviations = aircraft.deviations or {}
     slopes = motion.aerodynamics.gradient(now.regressors)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
-    errors = errors_of_sizes(deviations, aircraft.inertia, tuple(motion.regressors), values)
+    errors = errors_of_sizes(deviations, aircraft.inertia, motion.regressors, values)
     sizes = np.abs([frame(error[..., 0], error[..., 1:]) for error in errors])
-    causes = np.array(list(deviations))
-    for k, table in enumerate(tables):
-        by_cause = sizes[:, k].reshape(len(causes), -1)
-        table["std_aircraft"] = np.sqrt(np.sum(by_cause**2, axis=0))
-        table["aircraft"] = np.where(by_cause.any(axis=0), causes[by_cause.argmax(axis=0)], "")
+    names = np.array(list(deviations), dtype=object)
+    return {
+        "std_aircraft": np.sqrt(np.sum(sizes**2, axis=0)),
+        "aircraft": _largest(sizes, names[:, None, None, None]),
+    }
+
+
+def _largest(sizes: Array, names: np.ndarray) -> np.ndarray:
+    """Return the name of the largest of k sizes (k, ...) by entry, "" where all vanish."""
+    names = np.broadcast_to(names, sizes.shape)
+    largest = np.take_along_axis(names, sizes.argmax(axis=0)[None], axis=0)[0]
+    return np.where(sizes.any(axis=0), largest, "")
 
 
 class _Frame:
@@ -246,74 +252,77 @@ class _Frame:
 
     def __init__(self, motion: Motion, now: Instant):
         # what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)
-        self.turn = np.zeros((len(now.alpha), len(ROWS), 6))
-        self.turn[:, :6] = np.eye(6)
-        sine, cosine = np.sin(now.alpha), np.cos(now.alpha)
-        self.turn[:, 6, 0], self.turn[:, 6, 2] = sine, -cosine  # CL
-        self.turn[:, 7, 0], self.turn[:, 7, 2] = -cosine, -sine  # CD
+        self.turn = _turn(now.alpha)
         self.columns = list(motion.regressors)
         # slopes by the conventional quantities over slopes by the model's regressors, (n, d)
         self.scale = np.ones((len(now.airspeed), len(self.columns)))
         for k, name in enumerate(self.columns):
             if name in LENGTHS:
-                length = getattr(motion.aircraft, LENGTHS[name])
+                length = motion.aircraft.lengths[LENGTHS[name]]
                 usual = rate_factor(name, length, now.airspeed)
                 self.scale[:, k] = motion.factor(k, now.airspeed) / usual
         units = {name: channel.unit for name, channel in CHANNELS.items()}
         self.units = units | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
+        self.names = ["", *self.columns]
 
     def __call__(self, coefficients: Array, slopes: Array) -> Array:
         """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
         C = self.turn @ coefficients[..., None]
         S = self.turn @ (slopes * self.scale[:, None, :])
         if "alpha" in self.columns:
-            lift, drag = ROWS.index("CL"), ROWS.index("CD")
             k = self.columns.index("alpha")
-            S[..., lift, k] -= C[..., drag, 0]
-            S[..., drag, k] += C[..., lift, 0]
+            S[..., LIFT, k] -= C[..., DRAG, 0]
+            S[..., DRAG, k] += C[..., LIFT, 0]
         return np.concatenate([C, S], axis=-1)
 
-    def errors(self, slopes: Array, values: Array | None = None, apart: bool = False) -> Array:
-        """Return the standard deviation (n, rows, 1 + columns) of k errors of slopes (n, 6, d, k), or of each.
+    def sizes(self, slopes: Array, values: Array | None = None) -> Array:
+        """Return the sizes (k, n, rows, 1 + columns) of k errors of slopes (n, 6, d, k).
 
         Errors of the coefficients are ``values`` (n, 6, k), by default zero.
         """
         if values is None:
             values = np.zeros((*slopes.shape[:2], slopes.shape[-1]))
-        parts = np.zeros((slopes.shape[-1], len(slopes), len(ROWS), 1 + len(self.columns)))
-        for k in range(len(parts)):
-            parts[k] = np.abs(self(values[..., k], slopes[..., k]))
-        return parts if apart else np.sqrt(np.sum(parts**2, axis=0))
+        return np.abs(self(np.moveaxis(values, -1, 0), np.moveaxis(slopes, -1, 0)))
 
-    def table(self, values: Array, parts: dict[str, Array]) -> pd.DataFrame:
-        """Return the table of one point, of values and parts of their deviations (rows, 1 + columns)."""
-        names = ["", *self.columns]
-        pairs = [(row, name) for row in ROWS for name in names]
-        table = pd.DataFrame(
-            {"value": values.ravel()}, index=[f"{row}_{name}".rstrip("_") for row, name in pairs]
-        )
-        columns = {name: part.ravel() for name, part in parts.items()}
-        if columns:
+    def std(self, slopes: Array, values: Array | None = None) -> Array:
+        """Return the standard deviation (n, rows, 1 + columns) of independent errors, as of `sizes`."""
+        return np.sqrt(np.sum(self.sizes(slopes, values) ** 2, axis=0))
+
+    def merged_names(self) -> np.ndarray:
+        """Return the derivative by alpha_dot or beta_dot that each merges with, (2, rows, 1 + columns)."""
+        names = np.empty((len(ROTATION_OF), len(ROWS), len(self.names)), dtype=object)
+        for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
+            for k, name in enumerate(self.names):
+                other = rotation if name == angle_rate else angle_rate
+                names[j, :, k] = [f"{row}_{other}" for row in ROWS]
+        return names
+
+    def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
+        """Return the table of one point, of values and standard deviations by name (rows, 1 + columns)."""
+        table = pd.DataFrame({"value": values.ravel()})
+        columns = {name: column.ravel() for name, column in columns.items()}
+        if "std" in columns:
             table["std"] = columns.pop("std")
             table["lower"] = table["value"] - NORMAL_95 * table["std"]
             table["upper"] = table["value"] + NORMAL_95 * table["std"]
-        table["coefficient"], table["regressor"] = ([pair[k] for pair in pairs] for k in (0, 1))
-        table["per"] = [self.units.get(name, "") for _, name in pairs]
-        if "merged" in columns:
-            rates = np.array(["", *ROTATION_OF])[columns.pop("merged").astype(int)]
-            merged = [
-                _merged_with(row, name, rate)
-                for (row, name), rate in zip(pairs, rates.tolist(), strict=True)
-            ]
-            table = table.assign(**columns, merged=merged)
-        return table
+        table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
+        table["regressor"] = self.names * len(ROWS)
+        table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
+        table.index = pd.Index((table["coefficient"] + "_" + table["regressor"]).str.rstrip("_"))
+        return table.assign(**columns)
 
 
-def _merged_with(row: str, regressor: str, rate: str) -> str:
-    """Return the derivative of a row that its derivative by a regressor merges with: Cm_alpha_dot of Cm_q."""
-    if not rate:
-        return ""
-    return f"{row}_{ROTATION_OF[rate] if regressor == rate else rate}"
+def _turn(alpha: Array) -> Array:
+    """Return what turns CX CY CZ Cl Cm Cn into the rows of the table, (n, rows, 6)."""
+    sine = np.sin(alpha)
+    cosine = np.cos(alpha)
+    turn = np.zeros((len(alpha), len(ROWS), 6))
+    turn[:, :6] = np.eye(6)
+    turn[:, LIFT, 0] = sine
+    turn[:, LIFT, 2] = -cosine
+    turn[:, DRAG, 0] = -cosine
+    turn[:, DRAG, 2] = -sine
+    return turn
 
 
 def _points(
@@ -322,13 +331,14 @@ def _points(
     """Return states (n, 13), controls by name (n,), and whether it is a single point."""
     is_single = isinstance(point, Trim) or (np.ndim(point) == 1 and not isinstance(point[0], Trim))
     points = [point] if is_single else list(point)
-    columns = {
-        name: np.broadcast_to(value, len(points)) for name, value in (controls or {}).items()
-    }
-    flights = [
-        flight_point(motion, item, {name: x[k] for name, x in columns.items()} or None)
-        for k, item in enumerate(points)
-    ]
-    states = np.stack([state for state, _ in flights])
-    names = flights[0][1]
-    return states, {n: np.array([row[n] for _, row in flights]) for n in names}, is_single
+    states = []
+    settings = []
+    for k, item in enumerate(points):
+        own = None
+        if controls:
+            own = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
+        state, known = flight_point(motion, item, own)
+        states.append(state)
+        settings.append(known)
+    by_name = {name: np.array([known[name] for known in settings]) for name in settings[0]}
+    return np.stack(states), by_name, is_single

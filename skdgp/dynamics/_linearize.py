@@ -5,37 +5,47 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
-from sklearn.utils import check_random_state
 
 from skdgp._compute.differences import central_difference
 from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import BODY_VELOCITY, EULER, POSITION
+from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import (
     euler_per_rotation,
     euler_to_quaternion,
     quaternion_to_euler,
 )
-from skdgp.dynamics._aerodynamics import Aerodynamics
+from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
+from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
 
-STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)  # States of the rigid body
-SERVO_STATE = "{}_position"  # Name of the state that is the deflection of a surface with a servo
-OUTPUTS = ("airspeed", "alpha", "beta", "ax", "ay", "az")
+# States of the rigid body
+STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
+OUTPUTS = (*AIR_DATA, *SPECIFIC_FORCE)
 ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
-# Of differences of the mechanics [m, rad or rad/s]; velocities and controls step by a fraction of
-# themselves
-POSITION_STEP, ANGLE_STEP, FRACTION = 1.0, 1e-3, 1e-3
+
+
+@dataclass(frozen=True)
+class DifferenceSteps:
+    """Steps of the differences of the mechanics."""
+
+    position: float = 1.0  # [m]
+    angle: float = 1e-3  # [rad], [rad/s]
+    # Of velocities over the airspeed, of controls over 1 + their size, of coefficients
+    fraction: float = 1e-3
+
+
+STEPS = DifferenceSteps()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +59,8 @@ class LinearModel:
     B: Any
     C: Any
     D: Any
-    paths: LinearModel | None = (
-        None  #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
-    )
+    #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
+    paths: LinearModel | None = None
 
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
@@ -140,15 +149,17 @@ def linearize(
     """
     motion = Motion(model, aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
+    inputs = list(motion.controls)
     engine = thrust_control(aircraft, thrust)
-    inputs = list(dict.fromkeys([*motion.controls, *([engine] if engine in controls else [])]))
+    if engine in controls and engine not in inputs:
+        inputs.append(str(engine))
     paths = None
     if check_paths(n_paths):
         drawn, unsteady = _drawn(motion, state, controls, n_paths, random_state)
         paths = _matrices(drawn, np.tile(state, (n_paths, 1)), controls, inputs, unsteady)
     mean = _matrices(motion, state, controls, inputs)
     surfaces = Servos.of(motion).surfaces
-    states = [*STATES, *(SERVO_STATE.format(name) for name in inputs if name in surfaces)]
+    states = [*STATES, *(f"{name}_position" for name in inputs if name in surfaces)]
     outputs = [*states, *OUTPUTS]
     return LinearModel(
         A=pd.DataFrame(mean.A, states, states),
@@ -172,28 +183,27 @@ def flight_point(
     motion: Motion, point: Any, controls: Mapping | None
 ) -> tuple[Array, dict[str, float]]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
-    if isinstance(point, Sequence) and any(hasattr(item, "state") for item in point):
+    if isinstance(point, Sequence) and any(isinstance(item, Trim) for item in point):
         raise TypeError(
-            f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in "
-            f"trims]."
+            f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in trims]."
         )
-    state = np.array(getattr(point, "state", point), dtype=float)
-    controls = getattr(point, "controls", None) if controls is None else controls
+    if isinstance(point, Trim):
+        controls = point.controls if controls is None else controls
+        point = point.state
+    state = np.array(point, dtype=float)
     if state.shape != (13,) or not np.isfinite(state).all():
         raise ValueError(
-            f"Got a point of shape {state.shape} or with values that are not finite, but expected "
-            f"a Trim or a state of "
-            "13 finite numbers (STATE_NAMES)."
+            f"Got a point of shape {state.shape} or with values that are not finite, but expected a "
+            "Trim or a state of 13 finite numbers (STATE_NAMES)."
         )
     if controls is None:
         raise ValueError(
-            f"Got a state without controls, but expected controls={{name: value}} of "
+            "Got a state without controls, but expected controls={name: value} of "
             f"{motion.controls}."
         )
     if not np.linalg.norm(state[3:6]) > 0:
         raise ValueError(
-            "Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho "
-            "V^2 / 2."
+            "Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho V^2 / 2."
         )
     return state, {name: float(value) for name, value in motion.mixed(controls).items()}
 
@@ -211,9 +221,8 @@ def _drawn(
     unsteady = unsteady_terms(
         motion, now, model.gradient(now.regressors), std_by_method(model.function_errors())
     )
-    # slopes by alpha_dot and beta_dot of each path; other numbers than for the paths
-    seed = check_random_state(random_state).randint(2**31 - 1, size=4)
-    sizes = np.random.default_rng(seed).standard_normal((n_paths, 1, 2))
+    # slopes by alpha_dot and beta_dot of each path
+    sizes = separate_generator(random_state).standard_normal((n_paths, 1, 2))
     return drawn, unsteady._replace(slopes=sizes * unsteady.slopes)
 
 
@@ -231,10 +240,9 @@ def _matrices(
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
-    n = len(STATES)
-    return _with_servos(
-        rate[..., :n], rate[..., n:], output[..., :n], output[..., n:], inputs, Servos.of(motion)
-    )
+    A, B = np.split(rate, [len(STATES)], axis=-1)
+    C, D = np.split(output, [len(STATES)], axis=-1)
+    return _with_servos(A, B, C, D, inputs, Servos.of(motion))
 
 
 def _with_servos(
@@ -250,25 +258,22 @@ def _with_servos(
         \begin{pmatrix} I & 0 \\ 0 & I \\ C & D E^T \end{pmatrix}, \quad
         \begin{pmatrix} 0 \\ 0 \\ D (I - E^T E) \end{pmatrix}
     """
-    moved = np.array([name in servos.surfaces for name in inputs], dtype=bool)
-    E = np.eye(len(inputs))[moved]
-    at_once = np.eye(len(inputs)) - E.T @ E
+    identity = np.eye(len(inputs))
+    E = identity[[name in servos.surfaces for name in inputs]]
+    at_once = identity - E.T @ E
     n = A.shape[-1]
     s = len(E)
-    T = servos.lag if s else 1.0
-
-    def zeros(rows: int, columns: int) -> Array:
-        return np.zeros((*A.shape[:-2], rows, columns))
-
-    def repeated(matrix: Array) -> Array:
-        return np.broadcast_to(matrix, (*A.shape[:-2], *matrix.shape))
-
-    states = repeated(np.eye(n + s))
+    rate = 1.0 / servos.lag if s else 0.0
+    zero = np.zeros((*A.shape[:-2], n + s, max(n + s, len(inputs))))
+    # each path has the same servos
+    servo = zero[..., :s, :n], zero[..., :s, :s] - rate * np.eye(s)
+    command = zero[..., :s, : len(inputs)] + rate * E
+    states = zero[..., : n + s] + np.eye(n + s)
     return LinearModel(
-        A=np.block([[A, B @ E.T], [zeros(s, n), repeated(-np.eye(s) / T)]]),
-        B=np.block([[B @ at_once], [repeated(E / T)]]),
-        C=np.concatenate([states, np.block([[C, D @ E.T]])], axis=-2),
-        D=np.concatenate([zeros(n + s, len(inputs)), D @ at_once], axis=-2),
+        A=np.block([[A, B @ E.T], [*servo]]),
+        B=np.block([[B @ at_once], [command]]),
+        C=np.block([[states], [C, D @ E.T]]),
+        D=np.block([[zero[..., : len(inputs)]], [D @ at_once]]),
     )
 
 
@@ -295,81 +300,60 @@ def jacobian(
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls)
-    slopes = _mechanics(motion, state, controls, inputs, instant)
-    c_X = motion.aerodynamics.gradient(instant.regressors)
-    loop = np.linalg.inv(np.eye(6) - c_X @ slopes.G_C)
-    C_z = loop @ c_X @ slopes.G_z
-    if unsteady is not None:
-        rate = slopes.F_z + slopes.F_C @ C_z
-        angle_rates = slopes.H_z[..., ANGLES, : len(STATES)] @ rate
-        C_z = C_z + loop @ unsteady.coefficients(angle_rates, slopes.G_z)
-    rate = slopes.F_z + slopes.F_C @ C_z
-    output = slopes.H_z + slopes.H_C @ C_z
-    return rate, output, instant
-
-
-class _Mechanics(NamedTuple):
-    """Slopes of rates of change F, regressors G and outputs H by z = (x, u), and by coefficients C."""
-
-    F_z: Array  # (..., 12, 12 + k)
-    F_C: Array  # (..., 12, 6)
-    G_z: Array  # (..., d, 12 + k)
-    G_C: Array  # (..., d, 6)
-    H_z: Array  # (..., 6, 12 + k)
-    H_C: Array  # (..., 6, 6)
-
-
-def _mechanics(
-    motion: Motion, state: Array, controls: Mapping, inputs: Sequence[str], instant: Instant
-) -> _Mechanics:
-    """Return the slopes of the mechanics at states (..., 13) by central differences."""
-    angles = quaternion_to_euler(state[..., ATTITUDE])
-    x = np.concatenate([state[..., :6], angles, state[..., RATES]], axis=-1)
-    u = np.broadcast_to([controls[name] for name in inputs], (*state.shape[:-1], len(inputs)))
-    z = np.concatenate([x, u], axis=-1)
+    z = _vector(state, [controls[name] for name in inputs])
     slopes = central_difference(
         _rates(motion, controls, inputs),
         np.concatenate([z, instant.coefficients], axis=-1),
         _steps(z, instant.airspeed),
     )
-    n, m = len(STATES), len(STATES) + len(motion.regressors)
-    by_z, by_C = slopes[..., : z.shape[-1]], slopes[..., z.shape[-1] :]
-    return _Mechanics(
-        F_z=by_z[..., :n, :],
-        F_C=by_C[..., :n, :],
-        G_z=by_z[..., n:m, :],
-        G_C=by_C[..., n:m, :],
-        H_z=by_z[..., m:, :],
-        H_C=by_C[..., m:, :],
-    )
+    by_z, by_C = np.split(slopes, [z.shape[-1]], axis=-1)
+    ends = [len(STATES), len(STATES) + len(motion.regressors)]
+    F_z, G_z, H_z = np.split(by_z, ends, axis=-2)
+    F_C, G_C, H_C = np.split(by_C, ends, axis=-2)
+    c_X = motion.aerodynamics.gradient(instant.regressors)
+    loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
+    C_z = loop @ c_X @ G_z
+    if unsteady is not None:
+        angle_rates = H_z[..., ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
+        C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
+    return F_z + F_C @ C_z, H_z + H_C @ C_z, instant
+
+
+def _vector(state: Array, inputs: Sequence[float]) -> Array:
+    """Return states (..., 13) with Euler angles, and inputs, as one vector z (..., 12 + k)."""
+    angles = quaternion_to_euler(state[..., ATTITUDE])
+    u = np.broadcast_to(inputs, (*state.shape[:-1], len(inputs)))
+    return np.concatenate([state[..., :6], angles, state[..., RATES], u], axis=-1)
 
 
 def _rates(motion: Motion, controls: Mapping, inputs: Sequence[str]) -> Callable[[Array], Array]:
     """Return the function of states, inputs and coefficients (..., 12 + k + 6) to (state_dot, regressors, outputs)."""
-    n, k = len(STATES), len(inputs)
+    ends = [len(STATES), len(STATES) + len(inputs)]
 
     def rates(z: Array) -> Array:
-        x, u, C = np.split(z, [n, n + k], axis=-1)
-        phi, theta = x[..., 6], x[..., 7]
-        attitude = euler_to_quaternion(phi, theta, x[..., 8])
-        state = np.concatenate([x[..., :6], attitude, x[..., 9:]], axis=-1)
+        x, u, C = np.split(z, ends, axis=-1)
+        position_velocity, angles, rotation = np.split(x, [6, 9], axis=-1)
+        phi, theta, psi = np.moveaxis(angles, -1, 0)
+        attitude = euler_to_quaternion(phi, theta, psi)
+        state = np.concatenate([position_velocity, attitude, rotation], axis=-1)
         moved = dict(zip(inputs, np.moveaxis(u, -1, 0), strict=True))
         now = motion.at(state, {**controls, **moved}, coefficients=C)
-        euler_rate = (euler_per_rotation(phi, theta) @ x[..., 9:, None])[..., 0]
-        air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
+        euler_rate = (euler_per_rotation(phi, theta) @ rotation[..., None])[..., 0]
         state_dot = [now.derivative[..., :6], euler_rate, now.derivative[..., RATES]]
-        outputs = [air, now.force / motion.aircraft.mass]
-        return np.concatenate([*state_dot, now.regressors, *outputs], axis=-1)
+        air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
+        specific_force = now.force / motion.aircraft.mass
+        return np.concatenate([*state_dot, now.regressors, air, specific_force], axis=-1)
 
     return rates
 
 
-def _steps(z: Array, airspeed: Array) -> Array:
+def _steps(z: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:
     """Return the steps of states and inputs z (..., 12 + k), and of the coefficients."""
     n = len(STATES)
-    steps = np.full((*z.shape[:-1], z.shape[-1] + 6), FRACTION)
-    steps[..., :3] = POSITION_STEP
-    steps[..., 3:6] = FRACTION * airspeed[..., None]
-    steps[..., 6:n] = ANGLE_STEP
-    steps[..., n : z.shape[-1]] = FRACTION * (1.0 + np.abs(z[..., n:]))
+    n_inputs = z.shape[-1] - n
+    steps = np.full((*z.shape[:-1], n + n_inputs + 6), sizes.fraction)
+    steps[..., :3] = sizes.position
+    steps[..., 3:6] *= airspeed[..., None]
+    steps[..., 6:n] = sizes.angle
+    steps[..., n : n + n_inputs] *= 1.0 + np.abs(z[..., n:])
     return steps

@@ -14,22 +14,26 @@ from scipy.optimize import linear_sum_assignment
 from skdgp._compute.typing import Array
 
 # States of the modes along and across the plane of symmetry
-LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+LONGITUDINAL = ("u", "w", "q", "theta")
+LATERAL = ("v", "p", "r", "phi")
 
 
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
-    states = [*map(str, A)]
-    families = [family for family in (LONGITUDINAL, LATERAL) if set(family) <= set(states)]
-    core = [name for family in families for name in family] or states
-    rows = [states.index(name) for name in core]
-    eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
-    participation = pd.DataFrame(_participation(left, right), core)
-    named = _named(_units(eigenvalues), participation, eigenvalues)
-    roots = {name: eigenvalues[list(unit)] for name, unit in named.items()}
-    table = pd.DataFrame.from_dict({name: _row(root) for name, root in roots.items()}, "index")
+    states = list(map(str, A))
+    core: list[str] = []
+    for family in (LONGITUDINAL, LATERAL):
+        if set(family) <= set(states):
+            core += family
+    rows = [states.index(name) for name in core or states]
+    block = np.ix_(rows, rows)
+    eigenvalues, left, right = eig(A.to_numpy()[block], left=True)
+    participation = pd.DataFrame(_participation(left, right), core or states)
+    units = _named(_units(eigenvalues), participation, eigenvalues)
+    roots = [eigenvalues[list(unit)] for unit in units.values()]
+    table = pd.DataFrame(list(map(_row, roots)), index=list(units))
     if paths is not None:
-        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(named.values()))
+        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(units.values()))
     return table
 
 
@@ -76,36 +80,45 @@ def _named(
     units: list[tuple[int, ...]], participation: pd.DataFrame, eigenvalues: Array
 ) -> dict[str, tuple[int, ...]]:
     """Return the units by name, of the participation of the states in each eigenvalue."""
-
-    def part(names, unit):
-        return participation.loc[list(names), list(unit)].to_numpy().sum()
-
-    def split(units, names, size):
-        """Return the units, ``size`` eigenvalues, with the largest participation of these states, and the others."""
-        every = (subset for number in range(1, size + 1) for subset in combinations(units, number))
-        complete = (subset for subset in every if sum(map(len, subset)) == size)
-        best = max(complete, key=lambda subset: sum(part(names, unit) for unit in subset))
-        return best, [unit for unit in units if unit not in best]
-
     named: dict[str, tuple[int, ...]] = {}
     states = set(participation.index)
     if set(LONGITUDINAL) <= states:
-        along, units = split(units, LONGITUDINAL, 4)
-        short, long = split(along, ("w", "q"), 2)
+        along, units = _split(units, participation.loc[list(LONGITUDINAL)], 4)
+        short, long = _split(along, participation.loc[["w", "q"]], 2)
         named |= _numbered("short period", short, eigenvalues)
         named |= _numbered("phugoid", long, eigenvalues)
     if set(LATERAL) <= states:
-        dutch, slow = split(units, ("v", "r"), 2)
-        slow.sort(key=lambda unit: -part(("p",), unit))
+        dutch, slow = _split(units, participation.loc[["v", "r"]], 2)
+        rolling = participation.loc["p"].to_numpy()
+        slow.sort(key=lambda unit: -rolling[list(unit)].sum())
         names = ("roll", "spiral") if len(slow) == 2 else ("roll-spiral",)
-        named |= _numbered("Dutch roll", dutch, eigenvalues) | dict(zip(names, slow, strict=True))
+        named |= _numbered("Dutch roll", dutch, eigenvalues)
+        named |= dict(zip(names, slow, strict=True))
     return named or _numbered("mode", units, eigenvalues)
+
+
+def _split(
+    units: list[tuple[int, ...]], participation: pd.DataFrame, size: int
+) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """Return the units, ``size`` eigenvalues, with the largest participation of some states, and the others."""
+    share = participation.sum().to_numpy()
+    best: Sequence = ()
+    largest = -np.inf
+    for number in range(1, size + 1):
+        for subset in combinations(units, number):
+            members = [k for unit in subset for k in unit]
+            if len(members) == size and share[members].sum() > largest:
+                best = subset
+                largest = share[members].sum()
+    return list(best), [unit for unit in units if unit not in best]
 
 
 def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
     """Return a single unit by its name; several with numbers, the fastest first."""
     units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
-    names = [f"{name} {k}" for k in range(1, len(units) + 1)] if len(units) > 1 else [name]
+    names = [name]
+    if len(units) > 1:
+        names = [f"{name} {k}" for k in range(1, len(units) + 1)]
     return dict(zip(names, units, strict=True))
 
 
@@ -113,7 +126,8 @@ def _values(roots: np.ndarray) -> tuple[float, float, float]:
     """Return frequency, damping and rate of decay of a root, or of two as s^2 + 2 zeta omega s + omega^2."""
     decay = float(-roots.real.mean())
     frequency = float(np.abs(np.prod(roots)) ** (1.0 / len(roots)))
-    return frequency, decay / frequency if frequency > 0 else 0.0, decay
+    damping = decay / frequency if frequency > 0 else 0.0
+    return frequency, damping, decay
 
 
 def _row(roots: np.ndarray) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     ALL_SURFACES,
+    BODY_VELOCITY,
     CHANNELS,
     EULER,
     HAT,
@@ -22,6 +24,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     rate_factor,
 )
+from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import (
     HIGHEST,
@@ -53,26 +56,27 @@ CONTROLS = (*ALL_SURFACES, *PROPULSION, "gust")
 DEFLECTION = np.pi / 4
 # Channels that follow from the loads, and so from the coefficients that they may be regressors of
 IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
-STATES = (
-    "airspeed",
-    "alpha",
-    "beta",
-    "density",
-    "altitude",
-    "u",
-    "v",
-    "w",
-    "p",
-    "q",
-    "r",
-    "phi",
-    "theta",
-    "psi",
+# Channels that are rebuilt from the state
+REBUILT = (
+    *("airspeed", "alpha", "beta", "density", "altitude"),
+    *("u", "v", "w", "p", "q", "r", "phi", "theta", "psi"),
 )
-MOST_ITERATIONS = 60
-MEMORY = 4  # Changes that Anderson's method mixes
-RIDGE, TINY = 1e-12, 1e-300
-TOLERANCE = 1e-10  # Of the implicit regressors, each over 1 + its size
+
+
+@dataclass(frozen=True)
+class FixedPointSettings:
+    """Settings of the fixed point of the implicit regressors (Anderson 1965)."""
+
+    # Largest difference of a regressor between two iterations, over 1 + its size
+    tolerance: float = 1e-10
+    iterations: int = 60
+    # Changes that are mixed
+    memory: int = 4
+    # Of the normal equations of the mixture, over their trace
+    ridge: float = 1e-12
+
+
+FIXED_POINT = FixedPointSettings()
 
 
 class Instant(NamedTuple):
@@ -94,10 +98,21 @@ def check_settled(instant: Instant) -> None:
     """Raise ValueError if the fixed point of the implicit regressors was not found."""
     if not np.all(instant.settled):
         raise ValueError(
-            "The coefficients depend so strongly on the accelerations they cause that the motion "
-            "is not determined: "
-            "learn a model without accelerations, as RegressorSelector() does."
+            "The coefficients depend so strongly on the accelerations they cause that the motion is "
+            "not determined: learn a model without accelerations, as RegressorSelector() does."
         )
+
+
+class Flow(NamedTuple):
+    """The air that an aircraft meets, at states (..., 13)."""
+
+    velocity: Array  #: Through the air, body axes, (..., 3) [m/s]
+    wind: Array | None  #: Body axes, (..., 3) [m/s]; None: at rest
+    airspeed: Array
+    alpha: Array
+    beta: Array
+    altitude: Array
+    density: Array
 
 
 class Motion:
@@ -123,44 +138,59 @@ class Motion:
         thrust: str | None = "auto",
         air: Any = None,
         lagged: bool = False,
+        settings: FixedPointSettings = FIXED_POINT,
     ) -> None:
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
-        check_aircraft(aircraft)
+        self.settings = settings
+        self.aircraft = check_aircraft(aircraft)
+        self.thrust = thrust
         air = as_air(air)
-        self.aircraft, self.gravity, self.thrust = aircraft, air.gravity, thrust
+        self.gravity = air.gravity
         self._density = air.density
-        span, chord = self.aerodynamics.span, self.aerodynamics.chord
-        lengths = [aircraft.span, aircraft.chord]
-        if (
-            span is not None
-            and chord is not None
-            and not np.isclose([span, chord], lengths, rtol=0.01).any()
-        ):
-            warn(
-                f"The model's rates were made non-dimensional by span {span:g} m and chord "
-                f"{chord:g} m, but "
-                f"{aircraft!r} has others: is this the aircraft that the model was learned from?",
-                stacklevel=3,
-            )
-        self._plan = [self._source(name) for name in self.aerodynamics.regressors]
-        self.regressors = tuple(name for name, *_ in self._plan)
-        self.controls = tuple(n for n in self.regressors if n not in IMPLICIT and n not in STATES)
-        if unknown := [name for name in self.controls if name in CHANNELS and name not in CONTROLS]:
+        self._lengths = self._check_lengths()
+        self._sources = [self._source(name) for name in self.aerodynamics.regressors]
+        self.regressors = tuple(name for name, _ in self._sources)
+        known = (*REBUILT, *IMPLICIT)
+        self.controls = tuple(name for name in self.regressors if name not in known)
+        unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
+        if unknown:
             raise ValueError(
-                f"Got a model with the regressors {unknown}, which are neither controls nor "
-                f"rebuilt along a flight: "
-                f"learn one without them. What is rebuilt: {', '.join((*STATES, *IMPLICIT))}."
+                f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt "
+                f"along a flight: learn one without them. What is rebuilt: {', '.join(known)}."
             )
-        self._needs_angles = any(name in EULER for name in self.regressors)
+        self._needs_angles = not set(EULER).isdisjoint(self.regressors)
         # places of regressors that follow from the coefficients
         self.implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self.implicit]
 
+    def _check_lengths(self) -> dict[str, float]:
+        """Return span and chord of the non-dimensional rates; warn if the aircraft has others."""
+        model = self.aerodynamics
+        aircraft = self.aircraft
+        lengths = {"span": model.span or aircraft.span, "chord": model.chord or aircraft.chord}
+        if not any(
+            np.isclose(lengths[name], aircraft.lengths[name], rtol=0.01) for name in lengths
+        ):
+            warn(
+                f"The model's rates were made non-dimensional by span {lengths['span']:g} m and chord "
+                f"{lengths['chord']:g} m, but {aircraft!r} has others: is this the aircraft that the "
+                "model was learned from?",
+                stacklevel=4,
+            )
+        return lengths
+
+    @property
+    def inputs(self) -> frozenset[str]:
+        """Names of the controls, and of the surfaces that they may be mixed from."""
+        mixing = self.aerodynamics.mixing
+        surfaces = () if mixing is None else mixing.surfaces
+        return frozenset((*self.controls, *surfaces))
+
     def factor(self, k: int, airspeed: Array) -> Array | float:
         """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""
-        name, length = self._plan[k]
-        return rate_factor(name, length, airspeed) if length else 1.0
+        name, length = self._sources[k]
+        return 1.0 if length is None else rate_factor(name, length, airspeed)
 
     def _source(self, full: str) -> tuple[str, float | None]:
         """Return the channel that a regressor is made from, and the length that makes it non-dimensional."""
@@ -170,30 +200,24 @@ class Motion:
         name = name.removesuffix(HAT)
         if name not in LENGTHS:
             raise ValueError(
-                f"Got regressor {full!r}, but only rates have a non-dimensional form: "
-                f"{list(LENGTHS)}."
+                f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(LENGTHS)}."
             )
-        return name, getattr(self.aerodynamics, LENGTHS[name]) or getattr(
-            self.aircraft, LENGTHS[name]
-        )
+        return name, self._lengths[LENGTHS[name]]
 
     def mixed(self, controls: Mapping) -> dict:
         """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""
         if not isinstance(controls, Mapping):
             raise TypeError(
-                f"Got {type(controls).__name__} as controls, but expected values by name: "
-                f"{{name: value}}."
+                f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}."
             )
         controls = dict(controls)
         mixing = self.aerodynamics.mixing
         lacking = [name for name in self.controls if name not in controls]
-        if lacking and mixing is not None and all(name in controls for name in mixing.surfaces):
-            values = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
-            by_mixing = {
-                n: sum(a * v for a, v in zip(row, values, strict=True))
-                for n, row in zip(*mixing[1:], strict=True)
-            }
-            controls |= {name: by_mixing[name] for name in lacking if name in by_mixing}
+        if lacking and mixing is not None and controls.keys() >= set(mixing.surfaces):
+            for name, row in zip(mixing.controls, mixing.matrix, strict=True):
+                if name in lacking:
+                    parts = zip(mixing.surfaces, row, strict=True)
+                    controls[name] = sum(a * np.asarray(controls[n], float) for n, a in parts)
         check_names(self.controls, controls, "controls")
         return controls
 
@@ -212,73 +236,77 @@ class Motion:
         ``drift`` (..., 6) is added to the coefficients. Given ``coefficients`` (..., 6) take the
         place of the model's.
         """
+        flow = self._flow(state, air)
+        X = self._explicit(state, controls, flow, air)
+        values = {**controls, "airspeed": flow.airspeed, "density": flow.density}
+        engine = propulsive_loads(values, self.aircraft, self.thrust)
+
+        def loaded() -> Instant:
+            C = self._coefficients(X) + drift if coefficients is None else coefficients
+            return self._loaded(state, X, C, flow, engine)
+
+        if not self.implicit:
+            return loaded()
+        guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
+
+        def follow(guess: Array) -> Instant:
+            for k, place in zip(self.implicit, self._follows, strict=True):
+                X[..., k] = guess[..., place] * self.factor(k, flow.airspeed)
+            now = loaded()
+            return now._replace(implicit=self._follow(state, now, flow, air))
+
+        return follow(guess) if self.lagged else self._fixed_point(follow, guess)
+
+    def _fixed_point(self, follow: Callable[[Array], Instant], guess: Array) -> Instant:
+        """Return the instant whose implicit regressors are those that follow from it (Anderson 1965)."""
+        tried: list[tuple[Array, Array]] = []
+        for _ in range(self.settings.iterations):
+            now = follow(guess)
+            result: Any = now.implicit
+            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._follows]
+            settled = np.abs(off).max(axis=-1) < self.settings.tolerance
+            is_lost = ~np.isfinite(off).all(axis=-1)
+            if np.all(settled | is_lost):
+                break
+            guess = _anderson(tried, result, off, self.settings)
+        return now._replace(settled=settled)
+
+    def _flow(self, state: Array, air: LocalAir | None) -> Flow:
+        """Return the air that the aircraft meets."""
         velocity = state[..., VELOCITY]
         wind = None
         if air is not None:
             wind = ned_to_body(state[..., ATTITUDE], air.wind)
             velocity = velocity - wind
-        airspeed, alpha, beta = air_data(velocity)
         altitude = -state[..., 2]
-        density = self._density(altitude) if callable(self._density) else self._density
-        if density is None:  # the standard atmosphere, NaN outside
-            density = standard_density(
-                np.where((altitude > LOWEST) & (altitude < HIGHEST), altitude, np.nan)
-            )
-        X = self._explicit(state, controls, air, airspeed, alpha, beta, density, altitude)
-        values = {**controls, "airspeed": airspeed, "density": density}
-        propulsion = propulsive_loads(values, self.aircraft, self.thrust)
+        density = self._density
+        if callable(density):
+            density = density(altitude)
+        elif density is None:
+            # the standard atmosphere, NaN outside
+            is_inside = (altitude > LOWEST) & (altitude < HIGHEST)
+            density = standard_density(np.where(is_inside, altitude, np.nan))
+        return Flow(velocity, wind, *air_data(velocity), altitude, density)
 
-        def loaded() -> Instant:
-            C = self._coefficients(X) + drift if coefficients is None else coefficients
-            return self._loaded(state, X, C, airspeed, alpha, beta, density, propulsion)
-
-        if not self.implicit:
-            return loaded()
-        guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
-        tried: list[tuple[Array, Array]] = []
-        for _ in range(MOST_ITERATIONS):
-            for k, place in zip(self.implicit, self._follows, strict=True):
-                X[..., k] = guess[..., place] * self.factor(k, airspeed)
-            now = loaded()
-            result = self._follow(state, now, velocity, wind, air)
-            if self.lagged:
-                return now._replace(implicit=result)
-            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._follows]
-            settled = np.abs(off).max(axis=-1) < TOLERANCE
-            if np.all(settled | ~np.isfinite(off).all(axis=-1)):
-                break
-            guess = _anderson(tried, result, off)
-        return now._replace(implicit=result, settled=settled)
-
-    def _explicit(self, state, controls, air, airspeed, alpha, beta, density, altitude) -> Array:
+    def _explicit(self, state: Array, controls: Mapping, flow: Flow, air: LocalAir | None) -> Array:
         """Return the regressors (..., d); regressors that follow from the loads are not yet set."""
-        rates = (
-            state[..., RATES]
-            if air is None or air.rotation is None
-            else state[..., RATES] - air.rotation
+        rates = state[..., RATES]
+        if air is not None and air.rotation is not None:
+            rates = rates - air.rotation
+        values = dict(controls)
+        values |= dict(
+            zip(("airspeed", "alpha", "beta", "altitude", "density"), flow[2:], strict=True)
         )
-        values = {
-            "airspeed": airspeed,
-            "alpha": alpha,
-            "beta": beta,
-            "density": density,
-            "altitude": altitude,
-            "p": rates[..., 0],
-            "q": rates[..., 1],
-            "r": rates[..., 2],
-            "u": state[..., 3],
-            "v": state[..., 4],
-            "w": state[..., 5],
-        }
+        for names, columns in ((BODY_VELOCITY, state[..., VELOCITY]), (RATE_NAMES, rates)):
+            for k, name in enumerate(names):
+                values[name] = columns[..., k]
         if self._needs_angles:
             angles = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
             values |= dict(zip(EULER, angles, strict=True))
-        X = np.empty((*state.shape[:-1], len(self._plan)))
+        X = np.empty((*state.shape[:-1], len(self.regressors)))
         for k, name in enumerate(self.regressors):
             if name not in IMPLICIT:
-                X[..., k] = (values[name] if name in values else controls[name]) * self.factor(
-                    k, airspeed
-                )
+                X[..., k] = values[name] * self.factor(k, flow.airspeed)
         return X
 
     def _coefficients(self, X: Array) -> Array:
@@ -287,45 +315,47 @@ class Motion:
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
-    def _loaded(self, state, X, C, airspeed, alpha, beta, density, propulsion) -> Instant:
+    def _loaded(
+        self, state: Array, X: Array, C: Array, flow: Flow, engine: tuple[Array, Array]
+    ) -> Instant:
         """Return what happens at coefficients (..., 6), with force and moment of the engine."""
-        force, moment = aerodynamic_loads(C, airspeed, density, self.aircraft)
-        force, moment = force + propulsion[0], moment + propulsion[1]
+        force, moment = aerodynamic_loads(C, flow.airspeed, flow.density, self.aircraft)
+        force = force + engine[0]
+        moment = moment + engine[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
-        return Instant(derivative, C, X, airspeed, alpha, beta, density, force, None, True)
+        air = (flow.airspeed, flow.alpha, flow.beta, flow.density)
+        return Instant(derivative, C, X, *air, force, None, True)
 
-    def _follow(self, state, now: Instant, velocity, wind, air) -> Array:
-        """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`; ``wind`` in body axes."""
+    def _follow(self, state: Array, now: Instant, flow: Flow, air: LocalAir | None) -> Array:
+        """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`."""
         acceleration = now.derivative[..., VELOCITY]
-        if (
-            wind is not None
-        ):  # a wind that is constant over the earth turns against the aircraft in body axes
-            acceleration = acceleration + cross(state[..., RATES], wind)
+        if air is not None and flow.wind is not None:
+            # a wind that is constant over the earth turns against the aircraft in body axes
+            acceleration = acceleration + cross(state[..., RATES], flow.wind)
             if air.wind_rate is not None:
                 acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
-        implicit = np.empty((*state.shape[:-1], len(IMPLICIT)))
-        implicit[..., :2] = (air_data_slopes(velocity)[..., 1:, :] @ acceleration[..., None])[
-            ..., 0
-        ]
-        implicit[..., 2:5] = now.derivative[..., RATES]
-        implicit[..., 5:] = now.force / self.aircraft.mass
-        return implicit
+        air_rates = air_data_slopes(flow.velocity) @ acceleration[..., None]
+        angle_rates = air_rates[..., 1:, 0]
+        specific_force = now.force / self.aircraft.mass
+        return np.concatenate([angle_rates, now.derivative[..., RATES], specific_force], axis=-1)
 
 
-def _anderson(tried: list[tuple[Array, Array]], result: Array, off: Array) -> Array:
+def _anderson(
+    tried: list[tuple[Array, Array]], result: Array, off: Array, settings: FixedPointSettings
+) -> Array:
     """Return the next guess from the last ones, (result, off) each: the mixture whose residual vanishes to first order.
 
-    Anderson (1965), over the last `MEMORY` changes, for each trajectory by itself.
+    Anderson (1965), over the last changes, for each trajectory by itself.
     """
     tried.append((result, off))
-    del tried[: -MEMORY - 1]
+    del tried[: -settings.memory - 1]
     if len(tried) == 1:
         return result
-    changes, steps = ([b[i] - a[i] for a, b in pairwise(tried)] for i in (1, 0))
-    D, F = np.stack(changes, axis=-1), np.stack(steps, axis=-1)
-    normal = np.swapaxes(D, -1, -2) @ D
-    normal = normal + (RIDGE * np.trace(normal, axis1=-2, axis2=-1) + TINY)[
-        ..., None, None
-    ] * np.eye(len(changes))
-    mixture = np.linalg.solve(normal, np.swapaxes(D, -1, -2) @ off[..., None])
+    F = np.stack([after[0] - before[0] for before, after in pairwise(tried)], axis=-1)
+    D = np.stack([after[1] - before[1] for before, after in pairwise(tried)], axis=-1)
+    transposed = np.swapaxes(D, -1, -2)
+    normal = transposed @ D
+    ridge = settings.ridge * np.trace(normal, axis1=-2, axis2=-1) + np.finfo(float).tiny
+    normal = normal + ridge[..., None, None] * np.eye(len(tried) - 1)
+    mixture = np.linalg.solve(normal, transposed @ off[..., None])
     return result - (F @ mixture)[..., 0]

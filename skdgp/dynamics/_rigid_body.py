@@ -19,10 +19,15 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import STANDARD_GRAVITY, cross
-from skdgp.dynamics._aircraft import Aircraft, Propeller, ThrustLine
+from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._propeller import Propeller, ThrustLine
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
-POSITION, VELOCITY, ATTITUDE, RATES = slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
+POSITION = slice(0, 3)
+VELOCITY = slice(3, 6)
+ATTITUDE = slice(6, 10)
+RATES = slice(10, 13)
+CENTRED = ThrustLine()
 
 
 def rigid_body_derivative(
@@ -65,40 +70,48 @@ def rigid_body_derivative(
     >>> rigid_body_derivative(level, lift, np.zeros(3), aircraft)[:6]
     array([15., 0., 0., 0., 0., 0.])
     """
-    state, force, moment = (np.asarray(x, dtype=float) for x in (state, force, moment))
-    # Of one aircraft as plain numbers, which are several times faster than arrays without axes.
-    single = state.ndim == force.ndim == moment.ndim == 1
-    u, v, w, q0, e1, e2, e3, p, q, r = (
-        state[3:].tolist() if single else (state[..., k] for k in range(3, 13))
-    )
-    fx, fy, fz = force.tolist() if single else (force[..., k] for k in range(3))
-    # Rows of R from one shared set of products: this runs four times in every step of every
-    # simulation.
-    s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
-    s1, s2, s3 = s * e1, s * e2, s * e3
-    x1, x2, x3 = s1 * q0, s2 * q0, s3 * q0
-    y11, y12, y13, y22, y23, y33 = s1 * e1, s1 * e2, s1 * e3, s2 * e2, s2 * e3, s3 * e3
-    down_x, down_y, down_z = y13 - x2, y23 + x1, 1.0 - y11 - y22
-    derivative = np.empty(
-        (
-            *np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1]),
-            len(STATE_NAMES),
-        )
-    )
-    derivative[..., 0] = (1.0 - y22 - y33) * u + (y12 - x3) * v + (y13 + x2) * w
-    derivative[..., 1] = (y12 + x3) * u + (1.0 - y11 - y33) * v + (y23 - x1) * w
-    derivative[..., 2] = down_x * u + down_y * v + down_z * w
-    derivative[..., 3] = fx / aircraft.mass + gravity * down_x - q * w + r * v
-    derivative[..., 4] = fy / aircraft.mass + gravity * down_y - r * u + p * w
-    derivative[..., 5] = fz / aircraft.mass + gravity * down_z - p * v + q * u
+    state = np.asarray(state, dtype=float)
+    force = np.asarray(force, dtype=float)
+    moment = np.asarray(moment, dtype=float)
+    u, v, w, q0, e1, e2, e3, p, q, r = _components(state)[3:]
+    fx, fy, fz = _components(force)
+    north, east, down = _rotation_rows(q0, e1, e2, e3)
+    shape = np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1])
+    derivative = np.empty((*shape, len(STATE_NAMES)))
+    derivative[..., 0] = north[0] * u + north[1] * v + north[2] * w
+    derivative[..., 1] = east[0] * u + east[1] * v + east[2] * w
+    derivative[..., 2] = down[0] * u + down[1] * v + down[2] * w
+    derivative[..., 3] = fx / aircraft.mass + gravity * down[0] - q * w + r * v
+    derivative[..., 4] = fy / aircraft.mass + gravity * down[1] - r * u + p * w
+    derivative[..., 5] = fz / aircraft.mass + gravity * down[2] - p * v + q * u
     derivative[..., 6] = -0.5 * (e1 * p + e2 * q + e3 * r)
     derivative[..., 7] = 0.5 * (q0 * p + e2 * r - e3 * q)
     derivative[..., 8] = 0.5 * (q0 * q + e3 * p - e1 * r)
     derivative[..., 9] = 0.5 * (q0 * r + e1 * q - e2 * p)
-    derivative[..., RATES] = (
-        moment - gyroscopic_moment(state[..., RATES], aircraft)
-    ) @ aircraft.inertia_inverse
+    net_moment = moment - gyroscopic_moment(state[..., RATES], aircraft)
+    derivative[..., RATES] = net_moment @ aircraft.inertia_inverse
     return derivative
+
+
+def _rotation_rows(q0: Any, e1: Any, e2: Any, e3: Any) -> tuple[tuple, tuple, tuple]:
+    """Return the rows of the rotation matrix body to NED of a quaternion of any length.
+
+    From one shared set of products: this runs four times in every step of every simulation.
+    """
+    s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
+    s1, s2, s3 = s * e1, s * e2, s * e3
+    x1, x2, x3 = s1 * q0, s2 * q0, s3 * q0
+    y11, y22, y33 = s1 * e1, s2 * e2, s3 * e3
+    y12, y13, y23 = s1 * e2, s1 * e3, s2 * e3
+    north = (1.0 - y22 - y33, y12 - x3, y13 + x2)
+    east = (y12 + x3, 1.0 - y11 - y33, y23 - x1)
+    down = (y13 - x2, y23 + x1, 1.0 - y11 - y22)
+    return north, east, down
+
+
+def _components(vectors: Array) -> Any:
+    """Return the components of vectors (..., n); of one vector as plain numbers, which are faster than arrays."""
+    return vectors.tolist() if vectors.ndim == 1 else np.moveaxis(vectors, -1, 0)
 
 
 def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:
@@ -154,9 +167,6 @@ def rk4(derivative: Callable[[float, Array], Array], state0: ArrayLike, times: A
     for k in range(len(times) - 1):
         states[k + 1] = rk4_step(derivative, times[k], states[k], times[k + 1] - times[k])
     return states
-
-
-CENTRED = ThrustLine()
 
 
 def aerodynamic_loads(
@@ -220,13 +230,13 @@ def propeller_loads(
     propeller = aircraft.propeller
     if propeller is None:
         raise ValueError(
-            f"{aircraft!r} has no propeller: give propeller=Propeller.from_table(bench, diameter) "
-            f"to Aircraft."
+            f"{aircraft!r} has no propeller: give propeller=Propeller.from_table(bench, diameter) to "
+            "Aircraft."
         )
-    state = (propeller_speed, airspeed, density)
-    return (aircraft.thrust_line or CENTRED).loads(
-        propeller.thrust(*state), propeller.torque(*state)
-    )
+    thrust = propeller.thrust(propeller_speed, airspeed, density)
+    torque = propeller.torque(propeller_speed, airspeed, density)
+    line = aircraft.thrust_line or CENTRED
+    return line.loads(thrust, torque)
 
 
 def propulsive_loads(
@@ -259,10 +269,10 @@ def propulsive_loads(
     if speed is None:
         lacking = "no propeller_speed [rad/s]" if aircraft.propeller else "no propeller"
         raise ValueError(
-            f"The thrust is unknown: there is neither thrust_x, thrust_y, thrust_z nor thrust [N], "
-            f"and {lacking}. Add them, or Propeller.from_table(bench, diameter) to the aircraft and "
-            f"propeller_speed, or throttle with speed_range=(idle, full); or say thrust=None "
-            f"(--thrust none) for a glider, or to leave an unknown thrust in the coefficients."
+            "The thrust is unknown: there is neither thrust_x, thrust_y, thrust_z nor thrust [N], and "
+            f"{lacking}. Add them, or Propeller.from_table(bench, diameter) to the aircraft and "
+            "propeller_speed, or throttle with speed_range=(idle, full); or say thrust=None "
+            "(--thrust none) for a glider, or to leave an unknown thrust in the coefficients."
         )
     if isinstance(values, pd.DataFrame):
         _warn_beyond_bench(aircraft.propeller, speed, airspeed)
@@ -272,12 +282,14 @@ def propulsive_loads(
 def _warn_beyond_bench(propeller: Any, speed: Array, airspeed: Array) -> None:
     """Warn of samples whose advance ratio exceeds the largest one of the bench table."""
     largest = propeller.max_advance_ratio
-    is_beyond = propeller.advance_ratio(speed, airspeed)[speed > 0] > 1.05 * (largest or np.inf)
+    if largest is None:
+        return
+    is_beyond = propeller.advance_ratio(speed, airspeed)[speed > 0] > 1.05 * largest
     if is_beyond.any():
         warn(
-            f"In {100 * is_beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds "
-            f"the largest one on the bench ({largest:.2f}): the thrust there is an extrapolation. "
-            f"Measure at higher airspeed, or give thrust columns.",
+            f"In {100 * is_beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the "
+            f"largest one on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure "
+            "at higher airspeed, or give thrust columns.",
             stacklevel=4,
         )
 
@@ -288,8 +300,9 @@ def propeller_speed_of(propeller: Propeller | None, values: Mapping | pd.DataFra
         return None
     if "propeller_speed" in values:
         return np.asarray(values["propeller_speed"], dtype=float)
-    by_throttle = propeller.speed_range is not None and "throttle" in values
-    return propeller.speed_at(values["throttle"]) if by_throttle else None
+    if propeller.speed_range is None or "throttle" not in values:
+        return None
+    return propeller.speed_at(values["throttle"])
 
 
 def thrust_control(aircraft: Aircraft, thrust: str | None) -> str | None:
@@ -311,12 +324,14 @@ def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, A
         raise ValueError(
             f"Got external_forces={names!r}, but expected a sequence of names: ({names!r},)."
         )
-    force, moment = np.zeros((len(flight), 3)), np.zeros((len(flight), 3))
+    n = len(flight)
+    force = np.zeros((n, 3))
+    moment = np.zeros((n, 3))
     for name in names:
-        forces, moments = ([f"{name}_{axis}" for axis in axes] for axes in ("xyz", "lmn"))
+        forces = [f"{name}_x", f"{name}_y", f"{name}_z"]
         check_columns(flight, forces)
-        force += stacked(flight, forces, (len(flight),))
-        moment += stacked(flight, moments, (len(flight),))
+        force += stacked(flight, forces, (n,))
+        moment += stacked(flight, [f"{name}_l", f"{name}_m", f"{name}_n"], (n,))
     return force, moment
 
 

@@ -20,10 +20,9 @@ class Servos(NamedTuple):
     @classmethod
     def of(cls, motion: Motion) -> Servos:
         """Return the servos of an aircraft; they move nothing where its model has no lag."""
-        model = motion.aerodynamics
-        moved = {*motion.controls, *(() if model.mixing is None else model.mixing.surfaces)}
-        surfaces = moved - {*PROPULSION, "gust"} if model.servo_lag > 0 else ()
-        return cls(model.servo_lag, frozenset(surfaces))
+        lag = motion.aerodynamics.servo_lag
+        surfaces = motion.inputs - {*PROPULSION, "gust"} if lag > 0 else frozenset()
+        return cls(lag, surfaces)
 
     def deflected(
         self, commands: Mapping, elapsed: float, first: Mapping, begun: Mapping

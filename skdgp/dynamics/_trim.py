@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
 
+from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HAT
@@ -35,34 +36,41 @@ from skdgp.dynamics._rigid_body import (
     thrust_control,
 )
 
-ENGINE, THRUSTS = PROPULSION[:3], PROPULSION[1:]  # Controls that give the thrust of any engine
+# Controls that give the thrust of any engine
+ENGINE = PROPULSION[:3]
+THRUSTS = PROPULSION[1:]
+FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
+ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
+ACCELERATION_UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
 ANGLES = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
     "theta": (-1.4, 1.4),
     "phi": (-1.5, 1.5),
-}
-FIXED_LIMITS = {
-    **{name: ANGLES[name] for name in ("beta", "theta", "phi")},
     "climb": (-1.4, 1.4),
-    "turn_rate": (-np.inf, np.inf),
-    "thrust": (0.0, np.inf),
-    "throttle": (0.0, 1.0),
 }
-# Least distance by which a control or alpha may leave its training range [rad]
-LEAST_MARGIN = 0.1
-ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
-TOLERANCE = 1e-6  # Largest acceleration of a trim [m/s^2, rad/s^2]
-# Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is
-# as given
-DEMAND = 100.0
-JACOBIAN_STEP = (
-    1e-5  # Step of an unknown, relative if it is above 1, for differences of the residual
-)
-STARTS = (0.5, 0.25, 0.75, 0.05)  # Where between its limits alpha starts
+# Limits of unknowns, of alpha where its training range is not known
+LIMITS = ANGLES | {"turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
 
 
-FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
+@dataclass(frozen=True)
+class TrimSettings:
+    """Settings of the search for a trim."""
+
+    # Largest acceleration of a trim [m/s^2, rad/s^2]
+    tolerance: float = 1e-6
+    # Where between its limits alpha starts
+    starts: tuple[float, ...] = (0.5, 0.25, 0.75, 0.05)
+    # Step of an unknown, relative if it is above 1, for differences of the residual
+    step: float = 1e-5
+    # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path
+    # is as given
+    path_weight: float = 100.0
+    # Least distance by which a control or alpha may leave its training range [rad]
+    margin: float = 0.1
+
+
+TRIM_SETTINGS = TrimSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +95,10 @@ class Trim:
     beyond: dict  #: Regressors outside their training ranges: name to (value, smallest, largest)
 
     def __repr__(self) -> str:
-        named = {name: getattr(self, name) for name in FLIGHT[1:]} | self.controls
-        parts = [f"{name} {value:.4g}" for name, value in named.items()]
-        parts += [f"beyond training in {', '.join(self.beyond)}"] if self.beyond else []
+        values = {name: vars(self)[name] for name in FLIGHT[1:]} | self.controls
+        parts = [f"{name} {value:.4g}" for name, value in values.items()]
+        if self.beyond:
+            parts.append(f"beyond training in {', '.join(self.beyond)}")
         return f"Trim({self.airspeed:g} m/s, {', '.join(parts)})"
 
 
@@ -171,9 +180,13 @@ def trim(
     if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
         raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")
     given = dict(fixed or {})
-    turn_rate = given.pop("turn_rate", 0.0 if bank is None else None)
-    conditions = {"altitude": altitude, "climb": climb, "turn_rate": turn_rate, "phi": bank}
-    conditions["beta"] = given.pop("beta", None)
+    conditions = {
+        "altitude": altitude,
+        "climb": climb,
+        "turn_rate": given.pop("turn_rate", 0.0 if bank is None else None),
+        "phi": bank,
+        "beta": given.pop("beta", None),
+    }
     steady = SteadyFlight(motion, conditions, given)
     trims: list[Trim] = []
     near = None
@@ -190,10 +203,14 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     check_settled(now)
     model = steady.motion.aerodynamics
     aircraft = steady.motion.aircraft
-    limits = [[-np.inf], [np.inf]] if model.limits is None else model.limits
-    values = np.vstack(np.broadcast_arrays(now.regressors, *limits)).T.tolist()
-    named = zip(model.regressors, values, strict=True)
-    engine = now.force - aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)[0]
+    beyond = {}
+    if model.limits is not None:
+        values = np.stack([now.regressors, *model.limits], axis=1).tolist()
+        for name, (value, low, high) in zip(model.regressors, values, strict=True):
+            if not low <= value <= high:
+                beyond[name] = (value, low, high)
+    aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
+    line = aircraft.thrust_line or CENTRED
     return Trim(
         state=state,
         controls={name: float(value) for name, value in controls.items()},
@@ -201,10 +218,10 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         **{name: float(flight[name]) for name in FLIGHT},
         rates=state[RATES].copy(),
         coefficients=now.coefficients,
-        thrust=float(engine @ (aircraft.thrust_line or CENTRED).direction),
+        thrust=float((now.force - aerodynamic) @ line.direction),
         solved=steady.unknowns,
         residual=float(np.abs(steady.residual(x, airspeed)[:6]).max()),
-        beyond={name: (x, a, b) for name, (x, a, b) in named if not a <= x <= b},
+        beyond=beyond,
     )
 
 
@@ -215,97 +232,125 @@ class SteadyFlight:
     `trim`.
     """
 
-    def __init__(self, motion: Motion, conditions: dict, fixed: dict):
+    def __init__(
+        self,
+        motion: Motion,
+        conditions: dict,
+        fixed: dict,
+        settings: TrimSettings = TRIM_SETTINGS,
+    ):
         self.motion = motion
         self.fixed = fixed
+        self.settings = settings
         _check_given(conditions, fixed)
-        # training ranges by name of the regressors that are no scaled rates
-        model = motion.aerodynamics
-        limits = [] if model.limits is None else model.limits.T.tolist()
-        pairs = zip(model.regressors, motion.regressors, limits, strict=False)
-        self.flown = {name: (*ends,) for full, name, ends in pairs if HAT not in full}
+        self.flown = _training_ranges(motion)
         self.controls = self._controls()
         self.given = {name: value for name, value in conditions.items() if value is not None}
+        # without a given climb one control less is needed to hold the sideslip
+        n_needed = 4 if "climb" in self.given else 3
         has_turn = {"phi", "turn_rate"} <= self.given.keys()
-        if len(self.controls) >= 4 - ("climb" not in self.given) and not has_turn:
+        if len(self.controls) >= n_needed and not has_turn:
             self.given.setdefault("beta", 0.0)
         angles = ("alpha", "beta", "theta", "phi", "turn_rate", "climb")
         self.unknowns = (*(name for name in angles if name not in self.given), *self.controls)
         if len(self.unknowns) > 7:
             raise ValueError(
-                f"Got {len(self.unknowns)} unknowns, {', '.join(self.unknowns)}, but a steady "
-                f"flight has 7 equations: give the value of {len(self.unknowns) - 7} more, controls "
-                f"as fixed={{name: value}}."
+                f"Got {len(self.unknowns)} unknowns, {', '.join(self.unknowns)}, but a steady flight "
+                f"has 7 equations: give the value of {len(self.unknowns) - 7} more, controls as "
+                "fixed={name: value}."
             )
         self.limits = {name: self._limits(name) for name in self.unknowns}
 
     def _controls(self) -> tuple[str, ...]:
         """Return the controls to solve for; fix a throttle without thrust, and surfaces of unknown effect."""
-        motion = self.motion
-        engine = thrust_control(motion.aircraft, motion.thrust)
-        if motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
-            engine = engine and "propeller_speed"
-        if motion.thrust == "auto" and any(name in self.fixed for name in THRUSTS):
-            engine = None
-        names = list(dict.fromkeys([*motion.controls, *([engine] if engine else [])]))
+        engine = self._engine()
+        names = list(self.motion.controls)
+        if engine is not None and engine not in names:
+            names.append(engine)
         check_names(self.fixed, (*names, *THRUSTS), "controls of the model and the engine")
         for name in self.flown.keys() & {*names} - {engine}:
-            has_moved = not constant_columns(np.reshape(self.flown[name], (2, 1)))[0]
+            limits = self.flown[name]
+            has_moved = not constant_columns(np.array(limits)[:, None])[0]
             if name in ENGINE or (name in ALL_SURFACES and not has_moved):
-                self.fixed.setdefault(name, float(np.mean(self.flown[name])))
+                self.fixed.setdefault(name, float(np.mean(limits)))
         free = [name for name in names if name not in self.fixed]
         settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, engine}
-        if lacking := [name for name in free if name in settings]:
+        lacking = [name for name in free if name in settings]
+        if lacking:
             raise ValueError(
                 f"The trim lacks values of {lacking}, which no steady flight determines: give "
                 f"fixed={{{lacking[0]!r}: value}}."
             )
         return tuple(free)
 
+    def _engine(self) -> str | None:
+        """Return the control of the thrust that is solved for, None without one."""
+        motion = self.motion
+        if motion.thrust is None or any(name in self.fixed for name in THRUSTS):
+            return None
+        if motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
+            return "propeller_speed"
+        return thrust_control(motion.aircraft, motion.thrust)
+
     def _limits(self, name: str) -> tuple[float, float]:
+        """Return the limits of an unknown."""
         propeller = self.motion.aircraft.propeller
         if name == "propeller_speed":
-            idle, full = (propeller and propeller.speed_range) or (0.0, np.inf)
-            return idle, full
-        if name in FIXED_LIMITS or name not in self.flown:
-            return (ANGLES | FIXED_LIMITS).get(name, (-DEFLECTION, DEFLECTION))
-        low, high = self.flown[name]
-        margin = max(high - low, LEAST_MARGIN)
-        return low - margin, high + margin
+            speeds = None if propeller is None else propeller.speed_range
+            low, high = speeds or (0.0, np.inf)
+        elif name in LIMITS and not (name == "alpha" and name in self.flown):
+            low, high = LIMITS[name]
+        elif name in self.flown:
+            low, high = self.flown[name]
+            margin = max(high - low, self.settings.margin)
+            low, high = low - margin, high + margin
+        else:
+            low, high = -DEFLECTION, DEFLECTION
+        return low, high
 
     def solve(self, airspeed: float, near: Array | None = None) -> Array:
         """Return the values of the unknowns, searched first ``near`` another flight."""
         low, high = np.array([self.limits[name] for name in self.unknowns]).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
-        starts = [self._start(airspeed, fraction) for fraction in STARTS]
+        starts = [self._start(airspeed, fraction) for fraction in self.settings.starts]
+        if near is not None:
+            starts.insert(0, near)
         best: Any = None
-        for start in starts if near is None else [near, *starts]:
+        for start in starts:
             solution = least_squares(
-                self.residual, np.clip(start, low + margin, high - margin), jac=self._slopes, args=(airspeed,),
-                bounds=(low, high), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200,
-            )  # fmt: skip
+                self.residual,
+                np.clip(start, low + margin, high - margin),
+                jac=self._slopes,
+                args=(airspeed,),
+                bounds=(low, high),
+                x_scale="jac",
+                xtol=1e-15,
+                ftol=1e-15,
+                gtol=1e-15,
+                max_nfev=200,
+            )
             if best is None or solution.cost < best.cost:
                 best = solution
-            if np.abs(best.fun).max() < TOLERANCE:
+            if np.abs(best.fun).max() < self.settings.tolerance:
                 return best.x
         raise ValueError(self._no_trim(best, airspeed))
 
     def _start(self, airspeed: float, fraction: float) -> Array:
         """Return a first guess, with alpha at a fraction of its training range."""
-        conditions = {"climb": 0.0, "turn_rate": 0.0, "phi": 0.0} | self.given
         gravity = self.motion.gravity
+        climb = self.given.get("climb", 0.0)
+        turn_rate = self.given.get("turn_rate", 0.0)
         low, high = self.flown.get("alpha", (-0.1, 0.3))
-        alpha = low + fraction * (high - low)
-        start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()} | {
-            "alpha": alpha,
-            "theta": alpha + conditions["climb"],
-            "phi": np.arctan(airspeed * conditions["turn_rate"] / gravity),
-            "turn_rate": gravity * np.tan(conditions["phi"]) / airspeed,
-            "thrust": 0.15 * self.motion.aircraft.mass * gravity,
-            "throttle": 0.5,
-        }
+        start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
+        start["alpha"] = low + fraction * (high - low)
+        start["theta"] = start["alpha"] + climb
+        start["phi"] = np.arctan(airspeed * turn_rate / gravity)
+        start["turn_rate"] = gravity * np.tan(self.given.get("phi", 0.0)) / airspeed
+        start["thrust"] = 0.15 * self.motion.aircraft.mass * gravity
+        start["throttle"] = 0.5
         propeller = self.motion.aircraft.propeller
-        if propeller is not None:  # an advance ratio of 1/2
+        if propeller is not None:
+            # an advance ratio of 1/2
             start["propeller_speed"] = 4.0 * np.pi * airspeed / propeller.diameter
         return np.array([start[name] for name in self.unknowns])
 
@@ -334,44 +379,56 @@ class SteadyFlight:
         if not np.isfinite(derivative).all():
             raise ValueError(
                 f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
-                f"{np.mean(flight['alpha']):.3g} rad, but expected six accelerations: the model, "
-                f"the thrust or the air is not defined there."
+                f"{np.mean(flight['alpha']):.3g} rad, but expected six accelerations: the model, the "
+                "thrust or the air is not defined there."
             )
-        path = DEMAND * (-derivative[..., 2] / airspeed - np.sin(flight["climb"]))
-        return np.concatenate(
-            [derivative[..., VELOCITY], derivative[..., RATES], path[..., None]], axis=-1
-        )
+        path = -derivative[..., 2] / airspeed - np.sin(flight["climb"])
+        accelerations = [derivative[..., VELOCITY], derivative[..., RATES]]
+        weighted = self.settings.path_weight * path
+        return np.concatenate([*accelerations, weighted[..., None]], axis=-1)
 
     def _slopes(self, x: Array, airspeed: float) -> Array:
-        """Return d residual / d unknowns by central differences, all points at once."""
-        steps = JACOBIAN_STEP * np.maximum(1.0, np.abs(x))
-        ahead, behind = self.residual(x + np.stack([np.diag(steps), -np.diag(steps)]), airspeed)
-        return (ahead - behind).T / (2.0 * steps)
+        """Return d residual / d unknowns."""
+        steps = self.settings.step * np.maximum(1.0, np.abs(x))
+        return central_difference(lambda x: self.residual(x, airspeed), x, steps)
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
-        least = 0.01 * np.abs(best.fun[:6]).max()
-        accelerations = ", ".join(
-            f"{name} = {value:.3g} {'m' if name[0] in 'uvw' else 'rad'}/s^2"
-            for name, value in zip(ACCELERATIONS, best.fun[:6], strict=True)
-            if abs(value) > least
-        )
-        ends = ", ".join(
-            f"{name} at its limit {limit:.4g}"
-            for name, value in zip(self.unknowns, best.x, strict=True)
-            for limit in self.limits[name]
-            if abs(value - limit) < 1e-3 * min(1.0, np.ptp(self.limits[name]))
-        )
-        units = {"airspeed": "m/s", "altitude": "m", "turn_rate": "rad/s"}
-        conditions = ", ".join(
-            f"{name} {value:g} {units.get(name, 'rad' if name in self.given else '')}".strip()
-            for name, value in ({"airspeed": airspeed} | self.given | self.fixed).items()
-        )
+        accelerations = []
+        for name, unit, value in zip(ACCELERATIONS, ACCELERATION_UNITS, best.fun[:6], strict=True):
+            if abs(value) > 0.01 * np.abs(best.fun[:6]).max():
+                accelerations.append(f"{name} = {value:.3g} {unit}")
+        units = {"airspeed": " m/s", "altitude": " m", "turn_rate": " rad/s"}
+        units = dict.fromkeys(self.given, " rad") | units
+        conditions = {"airspeed": airspeed} | self.given | self.fixed
+        asked = [f"{name} {value:g}{units.get(name, '')}" for name, value in conditions.items()]
         return (
-            f"There is no trim of {self.motion.aircraft.name} at {conditions}: nearest to it are left "
-            f"{accelerations}, with {ends or 'nothing at a limit'}. Ask for another airspeed, climb or turn, "
-            f"free a control, or let the path follow (climb=None)."
+            f"There is no trim of {self.motion.aircraft.name} at {', '.join(asked)}: nearest to it are "
+            f"left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask for "
+            "another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )
+
+    def _ends(self, x: Array) -> str:
+        """Return the unknowns at a limit."""
+        ends = []
+        for name, value in zip(self.unknowns, x, strict=True):
+            low, high = self.limits[name]
+            for limit in (low, high):
+                if abs(value - limit) < 1e-3 * min(1.0, high - low):
+                    ends.append(f"{name} at its limit {limit:.4g}")
+        return ", ".join(ends)
+
+
+def _training_ranges(motion: Motion) -> dict[str, tuple[float, float]]:
+    """Return the training ranges by name of the regressors that are no scaled rates."""
+    model = motion.aerodynamics
+    ranges: dict[str, tuple[float, float]] = {}
+    if model.limits is not None:
+        limits = model.limits.T.tolist()
+        for full, name, ends in zip(model.regressors, motion.regressors, limits, strict=True):
+            if HAT not in full:
+                ranges[name] = tuple(ends)
+    return ranges
 
 
 def _check_given(conditions: dict, fixed: dict) -> None:

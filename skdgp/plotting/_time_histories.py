@@ -179,7 +179,7 @@ class TimeHistoryDisplay(Display):
 
     @classmethod
     def from_replay(cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, ax: Any = None) -> Self:
-        """Draw a :func:`skdgp.dynamics.replay` and the flight that it replays (the paper's figure 7).
+        """Draw a replay of `skdgp.identification` and its flight (the paper's figure 7).
 
         ``trajectory`` has ``time``, ``window`` and states, and a row for each row of the flight.
         Drawn are v_east, p and r, where the flight has them.

@@ -19,7 +19,8 @@ from skdgp.dynamics import (
     euler_to_quaternion,
     ned_to_body,
 )
-from skdgp.dynamics._air import Gusts, GustyAir, LocalAir
+from skdgp.dynamics._air import GustyAir, LocalAir
+from skdgp.dynamics._dryden import Gusts
 
 FLIGHTS = ("lateral", "latlon", "two_altitudes")
 GRAVITY = np.array([0.0, 0.0, 9.80665])

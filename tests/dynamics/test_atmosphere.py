@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import standard_density
 
@@ -29,7 +30,7 @@ def test_air_carries_its_own_weight():
         return standard_density(h) * 287.05287 * (288.15 - 0.0065 * np.minimum(h, 11000.0))
 
     slope = (pressure(h + 1.0) - pressure(h - 1.0)) / 2
-    np.testing.assert_allclose(slope, -standard_density(h) * 9.80665, rtol=1e-8)
+    assert_allclose(slope, -standard_density(h) * 9.80665, rtol=1e-8)
 
 
 def test_any_shape_and_what_is_not_known():

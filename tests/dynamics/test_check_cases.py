@@ -8,6 +8,7 @@ verifies.
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import (
     Aircraft,
@@ -78,7 +79,7 @@ class TestTumblingBrickWithoutDamping:
             "the body must tumble for this to prove anything"
         )
         energy, momentum = spin_energy(states, aircraft), angular_momentum(states, aircraft)
-        np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+        assert_allclose(energy, energy[0], rtol=1e-9)
         assert np.linalg.norm(momentum - momentum[0], axis=1).max() < 1e-9 * np.linalg.norm(
             momentum[0]
         )
@@ -92,8 +93,8 @@ class TestTumblingBrickWithoutDamping:
         )
         states = flown(state_of(rates=rates), top, times, gravity=0.0)
         expected = (rates[0] + 1j * rates[1]) * np.exp(1j * (0.8 - 0.5) / 0.5 * rates[2] * times)
-        np.testing.assert_allclose(states[:, 10] + 1j * states[:, 11], expected, atol=1e-9)
-        np.testing.assert_allclose(states[:, 12], rates[2], rtol=1e-12)
+        assert_allclose(states[:, 10] + 1j * states[:, 11], expected, atol=1e-9)
+        assert_allclose(states[:, 12], rates[2], rtol=1e-12)
 
     def test_the_instability_grows_at_its_rate(self):
         """As exp(k t), k^2 = (I2 - I1) (I3 - I2) / (I1 I3) omega^2, from the growing eigenvector."""
@@ -102,7 +103,7 @@ class TestTumblingBrickWithoutDamping:
         small = 1e-7 * np.array([1.0, -np.sqrt(I1 * (I2 - I1) / (I3 * (I3 - I2)))])
         states = flown(state_of(rates=[small[0], omega, small[1]]), body(), times, gravity=0.0)
         expected = small * np.exp(k * times)[:, None]
-        np.testing.assert_allclose(states[:, [10, 12]], expected, rtol=1e-6)
+        assert_allclose(states[:, [10, 12]], expected, rtol=1e-6)
 
 
 def drag_of(aircraft, density, wind=NOTHING, coefficient=0.1):
@@ -140,12 +141,12 @@ class TestFallingSphere:
         states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, steady_air))
         terminal = np.sqrt(2 * self.SPHERE.mass * G / (density * self.SPHERE.wing_area * 0.1))
         falling = body_to_ned(states[:, 6:10], states[:, 3:6])
-        np.testing.assert_allclose(
+        assert_allclose(
             falling[:, 2], terminal * np.tanh(G * times / terminal), rtol=1e-8, atol=1e-9
         )
-        np.testing.assert_allclose(falling[:, :2], 0.0, atol=1e-5)
+        assert_allclose(falling[:, :2], 0.0, atol=1e-5)
         fallen = terminal**2 / G * np.log(np.cosh(G * times / terminal))
-        np.testing.assert_allclose(states[:, 2], fallen - 9000.0, atol=1e-5)
+        assert_allclose(states[:, 2], fallen - 9000.0, atol=1e-5)
 
     def test_a_steady_wind_is_a_moving_frame(self):
         """Galileo: in wind W it flies as without wind from a velocity less W, and drifts with W t besides."""
@@ -167,11 +168,11 @@ class TestFallingSphere:
             times,
             drag_of(self.SPHERE, steady_air),
         )
-        np.testing.assert_allclose(windy[:, :3], calm[:, :3] + np.outer(times, wind), atol=1e-6)
+        assert_allclose(windy[:, :3], calm[:, :3] + np.outer(times, wind), atol=1e-6)
         difference = body_to_ned(windy[:, 6:10], windy[:, 3:6]) - body_to_ned(
             calm[:, 6:10], calm[:, 3:6]
         )
-        np.testing.assert_allclose(difference, np.broadcast_to(wind, difference.shape), atol=1e-7)
+        assert_allclose(difference, np.broadcast_to(wind, difference.shape), atol=1e-7)
 
 
 class TestLoop:
@@ -188,20 +189,20 @@ class TestLoop:
             rates=[0.0, q, 0.0],
         )
         states = flown(start, aircraft, times, lambda t, state: loads, gravity=0.0)
-        np.testing.assert_allclose(states[-1, :6], start[:6], atol=1e-7)
-        np.testing.assert_allclose(
+        assert_allclose(states[-1, :6], start[:6], atol=1e-7)
+        assert_allclose(
             -states[-1, 6:10], start[6:10], atol=1e-9
         )  # a full turn is minus the quaternion
         rotation = quaternion_to_matrix(states[:, 6:10])
-        np.testing.assert_allclose(
+        assert_allclose(
             rotation @ rotation.swapaxes(1, 2),
             np.broadcast_to(np.eye(3), rotation.shape),
             atol=1e-14,
         )
-        np.testing.assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
-        np.testing.assert_allclose(states[:, 2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
-        assert np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max() == pytest.approx(
-            np.pi / 2, abs=4e-3
+        assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
+        assert_allclose(states[:, 2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
+        assert_allclose(
+            np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max(), np.pi / 2, atol=4e-3
         )
 
 
@@ -255,10 +256,10 @@ class TestWholeProblem:
         start = self.start(2.0 + turn)
         start[:3] = about_down @ here[0, :3]
         there = self.flight(start, times, about_down @ self.WIND)
-        np.testing.assert_allclose(there[:, :3], here[:, :3] @ about_down.T, atol=1e-9)
-        np.testing.assert_allclose(there[:, 3:6], here[:, 3:6], atol=1e-10)
-        np.testing.assert_allclose(there[:, 10:], here[:, 10:], atol=1e-10)
-        np.testing.assert_allclose(
+        assert_allclose(there[:, :3], here[:, :3] @ about_down.T, atol=1e-9)
+        assert_allclose(there[:, 3:6], here[:, 3:6], atol=1e-10)
+        assert_allclose(there[:, 10:], here[:, 10:], atol=1e-10)
+        assert_allclose(
             quaternion_to_matrix(there[:, 6:10]),
             about_down @ quaternion_to_matrix(here[:, 6:10]),
             atol=1e-10,

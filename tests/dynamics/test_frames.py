@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.frames import air_data_slopes
+from skdgp._flight.frames import air_data_slopes, gravity_in_body_axes
 from skdgp.dynamics import (
     air_data,
     air_velocity,
     body_to_ned,
     euler_to_matrix,
     euler_to_quaternion,
-    gravity_in_body_axes,
     ned_to_body,
     quaternion_to_euler,
     quaternion_to_matrix,
@@ -23,17 +23,17 @@ EULER = RNG.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
 
 def test_matrix_is_scipys_intrinsic_yaw_pitch_roll():
     expected = Rotation.from_euler("ZYX", EULER[:, ::-1]).as_matrix()
-    np.testing.assert_allclose(euler_to_matrix(*EULER.T), expected, atol=1e-14)
+    assert_allclose(euler_to_matrix(*EULER.T), expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("scale", [1.0, -1.0, 0.4, 7.0])
 def test_length_and_sign_of_a_quaternion_do_not_matter(scale):
     quaternion, vector = euler_to_quaternion(*EULER.T), RNG.normal(size=(50, 3))
-    np.testing.assert_allclose(
+    assert_allclose(
         quaternion_to_matrix(scale * quaternion), quaternion_to_matrix(quaternion), atol=1e-14
     )
-    np.testing.assert_allclose(quaternion_to_euler(scale * quaternion), EULER, atol=1e-12)
-    np.testing.assert_allclose(
+    assert_allclose(quaternion_to_euler(scale * quaternion), EULER, atol=1e-12)
+    assert_allclose(
         body_to_ned(scale * quaternion, vector), body_to_ned(quaternion, vector), atol=1e-14
     )
 
@@ -41,15 +41,13 @@ def test_length_and_sign_of_a_quaternion_do_not_matter(scale):
 def test_turning_a_vector_is_the_matrix_product_and_its_inverse():
     quaternion, vector = euler_to_quaternion(*EULER.T), RNG.normal(size=(50, 3))
     turned = np.einsum("nij,nj->ni", quaternion_to_matrix(quaternion), vector)
-    np.testing.assert_allclose(body_to_ned(quaternion, vector), turned, atol=1e-14)
-    np.testing.assert_allclose(ned_to_body(quaternion, turned), vector, atol=1e-14)
+    assert_allclose(body_to_ned(quaternion, vector), turned, atol=1e-14)
+    assert_allclose(ned_to_body(quaternion, turned), vector, atol=1e-14)
 
 
 def test_signs_mean_what_pilots_mean():
     nose, right = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
-    np.testing.assert_allclose(
-        body_to_ned(euler_to_quaternion(0, 0, np.pi / 2), nose), [0, 1, 0], atol=1e-15
-    )
+    assert_allclose(body_to_ned(euler_to_quaternion(0, 0, np.pi / 2), nose), [0, 1, 0], atol=1e-15)
     assert body_to_ned(euler_to_quaternion(0, 0.2, 0.7), nose)[2] < 0, "pitch > 0 raises the nose"
     assert body_to_ned(euler_to_quaternion(0.2, 0.1, 0.7), right)[2] > 0, (
         "roll > 0 lowers the right wing"
@@ -58,9 +56,7 @@ def test_signs_mean_what_pilots_mean():
 
 def test_gravity_is_the_down_vector_in_body_axes():
     down = ned_to_body(euler_to_quaternion(*EULER.T), [0.0, 0.0, 9.81])
-    np.testing.assert_allclose(
-        gravity_in_body_axes(EULER[:, 0], EULER[:, 1], 9.81), down, atol=1e-13
-    )
+    assert_allclose(gravity_in_body_axes(EULER[:, 0], EULER[:, 1], 9.81), down, atol=1e-13)
 
 
 def test_air_data_round_trip():
@@ -68,14 +64,14 @@ def test_air_data_round_trip():
     for got, expected in zip(
         air_data(air_velocity(airspeed, alpha, beta)), (airspeed, alpha, beta), strict=True
     ):
-        np.testing.assert_allclose(got, expected, atol=1e-12)
+        assert_allclose(got, expected, atol=1e-12)
 
 
 def test_wind_from_the_right_is_positive_sideslip_and_from_below_positive_alpha():
     _, alpha, beta = air_data([20.0, 1.0, 2.0])
     assert alpha > 0
     assert beta > 0
-    np.testing.assert_allclose(beta, np.arcsin(1.0 / np.sqrt(405.0)))
+    assert_allclose(beta, np.arcsin(1.0 / np.sqrt(405.0)))
 
 
 def test_slopes_of_air_data_are_its_derivatives():
@@ -86,5 +82,5 @@ def test_slopes_of_air_data_are_its_derivatives():
         differences = (np.stack(air_data(velocity + h)) - np.stack(air_data(velocity - h))) / (
             2 * step
         )
-        np.testing.assert_allclose(slopes[..., k], differences.T, atol=1e-8)
+        assert_allclose(slopes[..., k], differences.T, atol=1e-8)
     assert np.abs(air_data_slopes([0.0, 0.0, 0.0], least_speed=3.0)).max() <= 1 / 3

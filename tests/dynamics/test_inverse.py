@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -20,7 +22,7 @@ def relative(got, expected):
 def test_simulated_flight_gives_its_coefficients_back(simulated, aircraft, true_coefficients):
     got = aerodynamic_coefficients(simulated, aircraft, cutoff=None)
     assert list(got.columns) == COEFFICIENTS
-    np.testing.assert_allclose(got, true_coefficients, atol=1e-12)
+    assert_allclose(got, true_coefficients, atol=1e-12)
 
 
 def test_rates_are_differentiated_where_accelerations_are_not_measured(
@@ -29,9 +31,7 @@ def test_rates_are_differentiated_where_accelerations_are_not_measured(
     got = aerodynamic_coefficients(simulated.drop(columns=DERIVATIVES), aircraft, cutoff=None)
     assert relative(got, true_coefficients).max() < 2e-3
     two_of_three = simulated.drop(columns="q_dot").assign(p_dot=1e3)
-    pd.testing.assert_frame_equal(
-        aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got
-    )
+    assert_frame_equal(aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got)
 
 
 def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
@@ -60,15 +60,18 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
 
 
-def test_external_force_is_taken_away(simulated, aircraft, true_coefficients):
+def test_external_loads_are_taken_away(simulated, aircraft, true_coefficients):
     tether, twist = np.array([3.0, -8.0, 40.0]), np.array([0.4, 0.2, -0.1])
     pulled = simulated.copy()
     pulled[["ax", "ay", "az"]] += tether / aircraft.mass
     pulled[DERIVATIVES] += np.linalg.solve(aircraft.inertia, twist)
     for axis, value in zip(["x", "y", "z", "l", "m", "n"], [*tether, *twist], strict=True):
-        pulled[f"tether_{axis}"] = value
-    got = aerodynamic_coefficients(pulled, aircraft, cutoff=None, external_forces=["tether"])
-    np.testing.assert_allclose(got, true_coefficients, atol=1e-12)
+        pulled[f"tether_{axis}"] = 3 * value
+        pulled[f"rope_{axis}"] = -2 * value
+    got = aerodynamic_coefficients(
+        pulled, aircraft, cutoff=None, external_forces=["tether", "rope"]
+    )
+    assert_allclose(got, true_coefficients, atol=1e-12)
 
 
 def test_flights_do_not_see_each_other(simulated, aircraft):
@@ -78,7 +81,7 @@ def test_flights_do_not_see_each_other(simulated, aircraft):
     )
     alone = aerodynamic_coefficients(flight, aircraft)
     together = aerodynamic_coefficients(both, aircraft)
-    np.testing.assert_allclose(together.iloc[: len(flight)], alone, atol=1e-12)
+    assert_allclose(together.iloc[: len(flight)], alone, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["airspeed", "density", "ay", "q", "q_dot", "thrust_x"])

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import (
     body_to_ned,
@@ -133,7 +134,7 @@ def test_accelerations_are_jsbsims_where_its_earth_is_accounted_for(flown):
     found = earth.derivative(earth.state, earth.loads, earth.gravity, earth.rate)
     for part, names in ((VELOCITY, "uvw"), (RATES, "pqr")):
         expected = flight[[f"{name}_dot" for name in names]]
-        np.testing.assert_allclose(found[:, part], expected, rtol=0, atol=1e-9)
+        assert_allclose(found[:, part], expected, rtol=0, atol=1e-9)
 
 
 def test_trajectories_are_jsbsims_from_restarts_at_its_state(flown):

@@ -3,8 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
-from skdgp.dynamics import replay
+from skdgp.dynamics._replay import replay
 
 STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
 EVERY = ["north", "east", "down", *STATES]
@@ -15,7 +16,7 @@ def test_true_coefficients_follow_the_flight(
     simulated, aircraft, true_coefficients, gravity, horizon, tolerance
 ):
     flown = replay(simulated, aircraft, true_coefficients, horizon=horizon, gravity=gravity)
-    np.testing.assert_allclose(flown[EVERY], simulated[EVERY], atol=tolerance)
+    assert_allclose(flown[EVERY], simulated[EVERY], atol=tolerance)
 
 
 def test_the_error_is_of_the_loads_interpolation_only(
@@ -27,23 +28,21 @@ def test_the_error_is_of_the_loads_interpolation_only(
         flown = replay(flight, aircraft, coefficients, horizon=np.inf, gravity=gravity)
         errors.append(np.abs(flown[STATES] - flight[STATES]).iloc[-1])
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert np.median(orders) == pytest.approx(2.0, abs=0.2), (
-        "loads linear between samples: second order"
+    assert_allclose(
+        np.median(orders), 2.0, atol=0.2, err_msg="loads linear between samples: second order"
     )
 
 
 def test_wrong_gravity_falls_as_gravity_does(simulated, aircraft, true_coefficients, gravity):
     flown = replay(simulated, aircraft, true_coefficients, horizon=1.0, gravity=gravity + 0.1)
-    np.testing.assert_allclose(
-        flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3
-    )
+    assert_allclose(flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3)
 
 
 def test_restarts_stand_every_horizon_and_rows_show_the_end(simulated, aircraft, true_coefficients):
     wrong = true_coefficients + np.array([0.01, 0, 0, 0, 0, 0])
     flown = replay(simulated, aircraft, wrong, horizon=1.0)
     assert flown["window"].tolist() == [0] + [k // 100 for k in range(599)]
-    np.testing.assert_allclose(
+    assert_allclose(
         flown["elapsed"].iloc[[0, 1, 100, 101, 599]], [0, 0.01, 1.0, 0.01, 0.99], atol=1e-9
     )
     error = np.abs(flown["v_north"] - simulated["v_north"])
@@ -63,7 +62,7 @@ def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true
     assert flown["window"].unique().tolist() == [0, 1, 2, -1, 3]
     assert flown[STATES].isna().all(axis=1).sum() == 10
     good = flown["window"] >= 0
-    np.testing.assert_allclose(flown.loc[good, STATES], flight.loc[good, STATES], atol=0.05)
+    assert_allclose(flown.loc[good, STATES], flight.loc[good, STATES], atol=0.05)
 
 
 def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficients):
@@ -71,7 +70,7 @@ def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficient
         psi=simulated["psi"] + 2 * np.pi * (simulated["psi"] > 2.0) - 2 * np.pi
     )
     flown = replay(flight, aircraft, true_coefficients)
-    np.testing.assert_allclose(flown["psi"], flight["psi"], atol=0.01)
+    assert_allclose(flown["psi"], flight["psi"], atol=0.01)
 
 
 @pytest.mark.parametrize("dtype", [float, np.float32])
@@ -84,7 +83,7 @@ def test_windows_start_at_complete_states_and_last_as_long_as_they_can(
     flown = replay(flight, aircraft, true_coefficients, horizon=0.6)
     spans = [(part.index[0], part.index[-1]) for _, part in flown.groupby("window")]
     assert spans == [(0, 599), (20, 70), (71, 130), (131, 190)]
-    assert flown["elapsed"].max() == pytest.approx(0.6, abs=1e-6)
+    assert_allclose(flown["elapsed"].max(), 0.6, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -95,7 +94,6 @@ def test_windows_start_at_complete_states_and_last_as_long_as_they_can(
             for name in ("phi", "v_east", "airspeed")
         ),
         ({"coefficients": np.zeros((3, 6))}, r"shape \(3, 6\), but expected \(600, 6\)"),
-        ({"coefficients": pd.DataFrame({"CX": np.zeros(600)})}, "table of coefficients lacks"),
         ({"horizon": 0.0}, "horizon=0.0"),
     ],
 )

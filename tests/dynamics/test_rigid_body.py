@@ -1,6 +1,7 @@
 """The rigid body against Newton and Euler; flights with known answers are in test_check_cases.py."""
 
 import numpy as np
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from skdgp.dynamics import (
@@ -26,9 +27,9 @@ def test_derivative_is_newton_and_euler(aircraft):
     got = rigid_body_derivative(states, force, moment, aircraft, 9.7)
     for state, f, m, derivative in zip(states, force, moment, got, strict=True):
         rotation, velocity, rates = quaternion_to_matrix(state[6:10]), state[3:6], state[10:]
-        np.testing.assert_allclose(derivative[:3], rotation @ velocity, atol=1e-12)
+        assert_allclose(derivative[:3], rotation @ velocity, atol=1e-12)
         newton = f / aircraft.mass + rotation.T @ [0, 0, 9.7] - np.cross(rates, velocity)
-        np.testing.assert_allclose(derivative[3:6], newton, atol=1e-12)
+        assert_allclose(derivative[3:6], newton, atol=1e-12)
         size, attitude = np.linalg.norm(state[6:10]), Rotation.from_quat(np.roll(state[6:10], -1))
         ahead, behind = (
             (attitude * Rotation.from_rotvec(rates * t)).as_quat(scalar_first=True)
@@ -36,6 +37,6 @@ def test_derivative_is_newton_and_euler(aircraft):
         )
         turning = size * (ahead - behind) / 2e-5
         sign = np.sign(ahead @ state[6:10])  # q and -q are one attitude
-        np.testing.assert_allclose(derivative[6:10], sign * turning, atol=1e-7)
+        assert_allclose(derivative[6:10], sign * turning, atol=1e-7)
         euler = np.linalg.solve(aircraft.inertia, m - np.cross(rates, aircraft.inertia @ rates))
-        np.testing.assert_allclose(derivative[10:], euler, atol=1e-12)
+        assert_allclose(derivative[10:], euler, atol=1e-12)

@@ -1,0 +1,142 @@
+"""Gusts by Dryden's spectra (MIL-F-8785C): their linear system, driven by white noise, and draws of it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+
+from skdgp._compute.linalg import covariance_root
+from skdgp._compute.typing import Array
+
+
+class Gusts(NamedTuple):
+    """Motion of the air around the aircraft, body axes, each (n_times, n_flights, 3)."""
+
+    velocity: np.ndarray  # u, v, w of the air [m/s]
+    acceleration: np.ndarray  # Rate of change of the velocity [m/s^2]
+    rates: np.ndarray  # p, q, r of the air as if it turned like a rigid body [rad/s]
+
+
+def dryden_system(
+    airspeed: float, length: Array, intensity: Array, span: float
+) -> tuple[Array, ...]:
+    r"""Return A (9, 9), B (9, 4), C (9, 9) of the gusts' linear system driven by unit white noise.
+
+    x' = A x + B n, and C x = (u, v, w, u', v', w', p, q, r) of the air. With T = L / V
+    (MIL-F-8785C, 3.7.2.2, Dryden form; b the span):
+
+    .. math::
+        H_u = \sigma_u \frac{\sqrt{2 T_u}}{1 + T_u s}, \quad
+        H_{v,w} = \sigma \sqrt{T} \frac{1 + \sqrt3 T s}{(1 + T s)^2}, \quad
+        H_p = \sigma_w \sqrt{\frac{0.8 \pi}{V L_w}} \left(\frac{\pi L_w}{4 b}\right)^{1/6}
+              \frac{1}{1 + \frac{4 b}{\pi V} s}, \quad
+        H_q = \frac{-s / V}{1 + \frac{4 b}{\pi V} s} H_w, \quad H_r = \frac{s / V}{1 + \frac{3
+        b}{\pi V} s} H_v.
+
+    The lags of H_q and H_r are the wing's averaging over its span. Here they apply to u, v and w
+    too, so that q and r are exactly -w'/V and v'/V of the gusts that the aircraft meets, and all
+    slopes are finite.
+    """
+    Tu, Tv, Tw = np.asarray(length) / airspeed
+    su, sv, sw = intensity
+    lag = 4 * span / (np.pi * airspeed)
+    lag_r = 3 * span / (np.pi * airspeed)
+    first = np.array([[-1 / Tu, 0.0], [su * np.sqrt(2 * Tu) / lag, -1 / lag]])
+    A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), [[-1 / lag]])
+    B = np.zeros((9, 4))
+    B[0, 0] = 1 / Tu
+    B[3, 1] = 1 / Tv**2
+    B[6, 2] = 1 / Tw**2
+    B[8, 3] = sw / lag * np.sqrt(0.8 * np.pi / (airspeed * length[2])) * (Tw / lag) ** (1 / 6)
+    velocity = np.eye(9)[[1, 4, 7]]
+    _, v_dot, w_dot = velocity @ A
+    rates = np.array([np.eye(9)[8], -w_dot / airspeed, v_dot / airspeed])
+    return A, B, np.vstack([velocity, velocity @ A, rates])
+
+
+def _second_order(T: float, sigma: float, lag: float) -> Array:
+    """Return A of the states x, x' and gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
+    gain = sigma * np.sqrt(T) / lag
+    return np.array(
+        [[0.0, 1.0, 0.0], [-1 / T**2, -2 / T, 0.0], [gain, gain * np.sqrt(3) * T, -1 / lag]]
+    )
+
+
+def dryden_gusts(
+    n_times: int,
+    step: float,
+    airspeed: ArrayLike,
+    length: Any,
+    intensity: Any,
+    span: float,
+    rng: np.random.Generator,
+    *,
+    n_draws: int = 1,
+) -> Gusts:
+    """Return stationary Dryden gusts of several flights at once.
+
+    The linear systems are discretised exactly (matrix exponentials), for any step.
+
+    Parameters
+    ----------
+    n_times : int
+    step : float
+        Time between two rows [s].
+    airspeed : float or array (n_flights,)
+        At which the frozen field is crossed [m/s].
+    length, intensity : array (n_flights, 3)
+        Of u, v, w [m], [m/s].
+    span : float
+        Of the wing [m].
+    rng : Generator
+    n_draws : int
+        Draws of each flight.
+
+    Returns
+    -------
+    Gusts
+        Each (n_times, n_draws * n_flights, 3), all flights of the first draw first.
+    """
+    n_flights = len(length)
+    speeds = np.broadcast_to(airspeed, n_flights)
+    A = np.empty((n_flights, 9, 9))
+    C = np.empty((n_flights, 9, 9))
+    covariance = np.empty((n_flights, 9, 9))
+    for k, speed in enumerate(speeds):
+        A[k], B, C[k] = dryden_system(speed, length[k], intensity[k], span)
+        covariance[k] = solve_continuous_lyapunov(A[k], -B @ B.T)
+    transition = expm(A * step)
+    # in steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral
+    noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
+    repeats = (n_draws, 1, 1)
+    states = _driven(
+        n_times,
+        np.tile(transition, repeats),
+        np.tile(covariance_root(covariance), repeats),
+        np.tile(covariance_root(noise), repeats),
+        rng,
+    )
+    outputs = np.split(np.tile(C, repeats), 3, axis=1)
+    velocity, acceleration, rates = (np.einsum("fij,kfj->kfi", C, states) for C in outputs)
+    return Gusts(velocity, acceleration, rates)
+
+
+def _driven(
+    n_times: int, transition: Array, first: Array, root: Array, rng: np.random.Generator
+) -> Array:
+    """Return states (n_times, n, 9) of n linear systems driven by white noise.
+
+    ``first`` is a root of the covariance of the first state, ``root`` of the noise of each step.
+    """
+    n = len(transition)
+    x = np.einsum("fij,fj->fi", first, rng.standard_normal((n, 9)))
+    states = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, n, 9)))
+    # in place: the states of a thousand paths fill hundreds of megabytes
+    for k, shock in enumerate(states):
+        following = (transition @ x[..., None])[..., 0] + shock
+        states[k] = x
+        x = following
+    return states

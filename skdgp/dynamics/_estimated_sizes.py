@@ -1,0 +1,186 @@
+"""Sizes of an aircraft that are not given, estimated from mass and span: usual ratios and radii of gyration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._flight.checks import as_floats, check_choice
+from skdgp.dynamics._size_errors import MOMENTS, PRODUCT, ScaleFactor
+
+# Sizes of an aircraft and their units
+QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
+# Errors of the moments of inertia
+INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
+# Step of a complex derivative, which has no error of cancellation
+COMPLEX_STEP = 1e-20
+
+
+class Kind(NamedTuple):
+    """A class of aircraft: sizes, radii of gyration, and relative standard deviations of all."""
+
+    aspect_ratio: tuple[float, float]  # b^2 / S
+    length: tuple[float, float]  # Overall length over span
+    radii: tuple[float, float, float]  # Radii of gyration over half of: span, length, their mean
+    inertia_std: tuple[float, float, float]  # Of the moments that these radii give
+    source: str  # Of the radii
+    chord: tuple[float, float] = (1.0, 0.0)  # Mean aerodynamic chord over the mean one, S / b
+
+
+# Radii: Raymer, Aircraft Design, table 16.1, equations 16.52 to 16.54. Their deviations, and those
+# of length and aspect ratio, of the conventional kind: published moments of five aircraft
+# (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: the Zagi (Beard &
+# McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as the B-49's gives them a sixth
+# of their moment. Deltas: radii of four published aircraft and planforms of ten (the same file), as
+# Raymer's of jet fighters give Izz > Ixx + Iyy; deviations of moments of the conventional kind, as
+# those of the four are less, but of crewed ones; the chord is between those of F-16 (1.13), ADMIRE
+# (1.16), F-106 (1.31) and a triangle (4/3). Sizes of other kinds and their deviations: guesses,
+# wider for gliders.
+KINDS = {
+    "conventional": Kind(
+        (7.5, 0.35),
+        (0.77, 0.15),
+        (0.25, 0.38, 0.39),
+        (0.45, 0.25, 0.35),
+        "of a single propeller, Raymer",
+    ),
+    "flying wing": Kind(
+        (6.5, 0.2),
+        (0.4, 0.2),
+        (0.32, 0.55, 0.51),
+        (0.5, 0.5, 0.5),
+        "of a flying wing, Raymer and two UAVs",
+    ),
+    "delta": Kind(
+        (2.2, 0.2),
+        (1.55, 0.2),
+        (0.26, 0.375, 0.48),
+        (0.45, 0.25, 0.35),
+        "of four deltas",
+        (1.25, 0.15),
+    ),
+    "motor glider": Kind(
+        (16.0, 0.25),
+        (0.5, 0.2),
+        (0.25, 0.38, 0.39),
+        (0.6, 0.6, 0.6),
+        "of a single propeller, Raymer",
+    ),
+    "twin": Kind(
+        (8.0, 0.3),
+        (0.75, 0.15),
+        (0.34, 0.29, 0.44),
+        (0.45, 0.3, 0.35),
+        "of twin propellers, Raymer",
+    ),
+}
+# Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
+# 25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
+# (tests/dynamics/test_estimate.py).
+PRODUCT_STD = 0.07
+
+
+class Factor(NamedTuple):
+    """A factor of the sizes of an aircraft."""
+
+    value: float
+    std: float  # Relative
+    source: str
+
+
+def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
+    """Return mass, inertia, wing_area, span, chord and deviations of an aircraft, as of `Aircraft.estimate`.
+
+    ``sizes`` are mass, span, wing_area, chord, length, None where not given.
+    """
+    check_choice("kind", kind, KINDS)
+    factors = _factors(KINDS[kind], f"usual of {kind} aircraft", inertia is not None, sizes)
+    values = {name: factor.value for name, factor in factors.items()}
+    is_length_given = sizes["length"] is not None
+    derived = _sizes(values, is_length_given)
+    deviations = {}
+    for name, factor in factors.items():
+        if factor.std > 0:
+            powers = _powers(values, name, is_length_given)
+            deviations[name] = ScaleFactor(factor.std, powers, factor.source)
+    if inertia is None:
+        inertia = np.diag([derived[moment] for moment in MOMENTS])
+        source = f"none, usual of {kind} aircraft"
+        deviations["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, source)
+    estimates = {name: derived[name] for name in QUANTITIES}
+    return {**estimates, "inertia": inertia, "deviations": deviations}
+
+
+def _factors(
+    rule: Kind, usual: str, is_inertia_given: bool, sizes: Mapping[str, Any]
+) -> dict[str, Factor]:
+    """Return the factors that all sizes are products of: given sizes, and usual ratios in place of others."""
+    given = {}
+    for name, value in sizes.items():
+        if value is not None:
+            given[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
+    factors = {}
+    if "wing area" not in given and "chord" not in given:
+        ratio, std = rule.aspect_ratio
+        factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
+    if "chord" not in given:
+        ratio, std = rule.chord
+        factors["mean aerodynamic chord"] = Factor(ratio, std, f"{ratio:g} S / b, {usual}")
+    length = given.pop("length", None)
+    if not is_inertia_given:
+        if length is None:
+            ratio, std = rule.length
+            length = Factor(ratio, std, f"{given['span'].value * ratio:.3g} m, {usual}")
+        factors["length"] = length
+        for name, radius, std in zip(INERTIAS, rule.radii, rule.inertia_std, strict=True):
+            source = f"radius of gyration {radius:g}, {rule.source}"
+            factors[name] = Factor(radius**2, std, source)
+    return factors | given
+
+
+def _powers(values: Mapping[str, Any], name: str, is_length_given: bool) -> dict[str, float]:
+    """Return the powers of a factor in each size, d log(size) / d log(factor), by a complex step."""
+    stepped = {**values, name: values[name] * (1.0 + COMPLEX_STEP * 1j)}
+    powers = {}
+    for size, value in _sizes(stepped, is_length_given).items():
+        power = float(np.imag(value) / np.real(value)) / COMPLEX_STEP
+        if power:
+            powers[size] = round(power, 12)
+    return powers
+
+
+def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
+    """Return the sizes of an aircraft by values of its factors; moments of inertia if they have radii of gyration."""
+    b = values["span"]
+    if "wing area" in values:
+        S = values["wing area"]
+    elif "aspect ratio" in values:
+        S = b**2 / values["aspect ratio"]
+    else:
+        S = b * values["chord"]
+    c = values["chord"] if "chord" in values else values["mean aerodynamic chord"] * S / b
+    sizes = {"mass": values["mass"], "wing_area": S, "span": b, "chord": c}
+    if "length" in values:
+        l = values["length"] if is_length_given else values["length"] * b
+        # Raymer, equations 16.52 to 16.54; the factors are the squared radii of gyration
+        sizes["Ixx"] = values["mass"] * (0.5 * b) ** 2 * values["roll inertia"]
+        sizes["Iyy"] = values["mass"] * (0.5 * l) ** 2 * values["pitch inertia"]
+        sizes["Izz"] = values["mass"] * (0.25 * (b + l)) ** 2 * values["yaw inertia"]
+    return sizes
+
+
+def value_and_std(name: str, value: Any) -> tuple[float, float]:
+    """Return a positive number and its relative standard deviation, of a number or a pair (value, deviation)."""
+    number = as_floats(value)
+    std: Any = 0.0
+    if number.shape == (2,):
+        number, std = number
+    if not (np.shape(number) == () and 0 < number < np.inf and 0 <= std < np.inf):
+        unit = f" [{QUANTITIES[name]}]" if name in QUANTITIES else ""
+        raise ValueError(
+            f"Got {name}={value!r}, but expected a number > 0, finite{unit}, or a pair of it and "
+            f"its standard deviation."
+        )
+    return float(number), float(std / number)

@@ -1,0 +1,193 @@
+"""The air that the paths of a simulation meet: their gusts, and the drift of the coefficients besides these."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import expm, solve_continuous_lyapunov
+
+from skdgp._compute.typing import Array, Vector
+from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
+from skdgp._flight.frames import ned_to_body
+from skdgp.dynamics._aerodynamics import Drift, separate_generator
+from skdgp.dynamics._air import Air, AirAt, GustyAir
+from skdgp.dynamics._dryden import Gusts, dryden_gusts, dryden_system
+from skdgp.dynamics._inputs import Clock, tables_of
+from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
+from skdgp.dynamics._turbulence import SPECTRA, TooShort, Turbulence
+
+STILL = Turbulence(np.zeros(3), np.full(3, SPECTRA.length))
+# Largest factor of a drift's variance, in rougher air than in the training flights; a guess
+ROUGHEST = 2.0
+# Time [s] over which the effects of rotation and drift are compared
+HORIZON = 1.0
+# Points of the integral over this time
+POINTS = 101
+
+
+class PathsAir(NamedTuple):
+    """What the paths of a simulation meet."""
+
+    air: AirAt
+    drift: Drift | None  #: Of the coefficients
+    sentence: str  #: On the gusts
+
+
+def paths_air(
+    described: Air,
+    air: AirAt,
+    motion: Motion,
+    clock: Clock,
+    states: Array,
+    n_paths: int,
+    random_state: Any,
+) -> PathsAir:
+    """Return the gusts and the drift that paths from states (n_starts, 13) meet, besides the ``air``."""
+    met, sentence = met_turbulence(described, air, motion, states)
+    drift = None
+    if described.drift:
+        drift = drift_in(met, motion, float(airspeeds(states, air).mean()))
+    if met is not None and np.any(met.intensity):
+        air = gusty_air(described, met, air, motion, clock, states, n_paths, random_state)
+    return PathsAir(air, drift, sentence)
+
+
+def met_turbulence(
+    described: Air, air: AirAt, motion: Motion, states: Array
+) -> tuple[Turbulence | None, str]:
+    """Return the turbulence to fly in, None if unknown, and a sentence about it."""
+    if described.gusts is None:
+        return STILL, "Air without gusts, as asked."
+    if isinstance(described.gusts, Turbulence):
+        return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
+    tables = tables_of(described.wind)
+    if tables:
+        speeds = airspeeds(states, air)
+        winds = [table[["time", *WIND]] for table in tables]
+        with suppress(TooShort):
+            of_wind = Turbulence.from_wind(
+                winds, speeds if len(winds) > 1 else speeds.mean(), motion.aircraft.span
+            )
+            return of_wind, f"Gusts as those of the wind, {_sizes(of_wind)}."
+    flown = motion.aerodynamics.turbulence
+    if flown is None:
+        return None, (
+            "No gusts are drawn, but errors as in the training flights: their turbulence is not known."
+        )
+    return flown, (
+        f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air."
+    )
+
+
+def _sizes(turbulence: Turbulence) -> str:
+    """Return the intensities in words."""
+    u, v, w = turbulence.intensity
+    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w)"
+
+
+def gusty_air(
+    described: Air,
+    met: Turbulence,
+    air: AirAt,
+    motion: Motion,
+    clock: Clock,
+    states: Array,
+    n_paths: int,
+    seed: Any,
+) -> GustyAir:
+    """Return the air (n_paths, n_starts) with gusts, or with their rates alone where the wind contains them."""
+    n_starts = len(states)
+    n_stages = len(clock.stages)
+    drawn = dryden_gusts(
+        n_stages,
+        0.5 * clock.dt,
+        airspeeds(states, air),
+        np.tile(met.length, (n_starts, 1)),
+        np.tile(met.intensity, (n_starts, 1)),
+        motion.aircraft.span,
+        separate_generator(seed, 5),
+        n_draws=n_paths,
+    )
+    velocity, acceleration, rates = (part.reshape(n_stages, -1, n_starts, 3) for part in drawn)
+    if tables_of(described.wind):
+        velocity = acceleration = np.zeros_like(rates)
+    return GustyAir(air, Gusts(velocity, acceleration, rates))
+
+
+def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:
+    r"""Return the drift in the turbulence that is met, besides the rates of its gusts, which are drawn.
+
+    Of the variance :math:`\tau^2` that the training flights had, the rates of their gusts explain g.
+    The rest are other effects of gusts, and errors of regressors that a simulation lacks. It is
+
+    .. math:: \min(1, \rho) (\tau^2 - g),
+              \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
+
+    where :math:`\sigma_0` is what sensors show of calm air.
+    """
+    model = motion.aerodynamics
+    drift = model.drift
+    flown = model.turbulence
+    if drift is None or flown is None or met is None:
+        return drift
+    speed = start_speed if flown.airspeed is None else flown.airspeed
+    slopes = _rate_slopes(motion, speed)
+    besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
+    met_power = np.sum(np.square(met.intensity)) + SENSOR_GUST**2
+    flown_power = np.sum(np.square(flown.intensity)) + SENSOR_GUST**2
+    # share of gusts in what sensors showed of the flown air, none in calm air
+    in_gusts = 1.0 - SENSOR_GUST**2 / flown_power
+    largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
+    return drift._replace(variance=min(met_power / flown_power, largest) * besides)
+
+
+def _rate_slopes(motion: Motion, airspeed: float) -> Array:
+    """Return the slopes (6, 3) of the coefficients by p, q, r [s], in the middle of the training ranges."""
+    model = motion.aerodynamics
+    middle = np.zeros(len(model.regressors))
+    if model.limits is not None:
+        middle = model.limits.mean(axis=0)
+    gradient = model.gradient(middle[None])[0]
+    slopes = np.zeros((6, 3))
+    for k, name in enumerate(motion.regressors):
+        if name in RATES:
+            slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(airspeed))
+    return slopes
+
+
+def without_rotation(
+    drift: Drift, flown: Turbulence, slopes: Array, airspeed: float, span: float
+) -> Vector:
+    """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
+
+    Of each coefficient, tau^2 is reduced by the share of the rates in the variance of its integral
+    over 1 s. ``slopes`` (6, 3) of the coefficients are by p, q, r [s], at this airspeed
+    [m/s].
+    """
+    A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)
+    step = expm(A * HORIZON / (POINTS - 1))
+    lags = np.linspace(0.0, HORIZON, POINTS)
+    autocovariance = np.empty((POINTS, 3))
+    for k in range(POINTS):
+        autocovariance[k] = np.einsum("ij,jk,ik->i", C[6:], covariance, C[6:])
+        covariance = step @ covariance
+    weight = 2 * np.gradient(lags) * (HORIZON - lags)
+    weight[[0, -1]] *= 0.5
+    rotation = slopes**2 @ (weight @ autocovariance)
+    whole = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
+    share = np.divide(rotation, whole, out=np.zeros(6), where=whole > 0)
+    return drift.variance * np.maximum(1 - share, 0.0)
+
+
+def airspeeds(states: Array, air: AirAt) -> Vector:
+    """Return the airspeed of starts (n, 13)."""
+    local = air(0, states)
+    velocity = states[:, VELOCITY]
+    if local is not None:
+        wind = np.broadcast_to(local.wind, velocity.shape)
+        velocity = velocity - ned_to_body(states[:, ATTITUDE], wind)
+    return np.linalg.norm(velocity, axis=-1)

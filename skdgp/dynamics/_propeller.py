@@ -1,0 +1,365 @@
+"""Propeller and thrust line: thrust and torque of the engine, measured on a bench or usual of a size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from skdgp._compute.messages import warn
+from skdgp._compute.typing import Array
+from skdgp._flight.checks import (
+    check_choice,
+    check_columns,
+    check_number,
+    check_numbers,
+    check_table,
+)
+from skdgp._flight.frames import SEA_LEVEL_DENSITY
+
+
+@dataclass(frozen=True)
+class UsualPropeller:
+    """Fit of thrust and torque of propellers of two blades to diameter and pitch.
+
+    Least squares of the wind-tunnel data of 178 propellers (UIUC Propeller Data Site, volumes 1 to
+    3; Brandt & Selig, AIAA 2011-1255), 20,098 points, each propeller with the same weight.
+    """
+
+    # c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter
+    thrust: tuple = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
+    torque: tuple = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
+    # Relative error of the thrust of propellers whose family is not in the fit, root mean square,
+    # at advance ratios of 0.4 to 0.9 times pitch / diameter; of the torque 0.13. Towards zero
+    # thrust it grows.
+    std: float = 0.23
+    # Ranges of the data: diameter [m], pitch / diameter
+    diameters: tuple[float, float] = (0.17, 0.49)
+    pitch_ratios: tuple[float, float] = (0.35, 1.1)
+    # Speed at full throttle over the speed of the motor without load, and the standard deviation of
+    # the thrust by its 0.1, which goes with about its third power in flight; guesses
+    loaded_speed: float = 0.75
+    loaded_std: float = 0.35
+
+
+USUAL = UsualPropeller()
+
+
+@dataclass(frozen=True)
+class Propeller:
+    r"""A fixed-pitch propeller: thrust and torque from its advance ratio.
+
+    With n = Omega / 2 pi the revolutions per second, D the diameter and J = V / (n D) the advance
+    ratio,
+
+        T = rho n^2 D^4 C_T(J),   Q = rho n^2 D^5 C_Q(J),   C(J) = c_0 + c_1 J + c_2 J^2.
+
+    Both are finite when the propeller does not turn.
+
+    Parameters
+    ----------
+    diameter : float
+        D [m].
+    thrust_coefficients : sequence of 1 to 3 floats
+        c_0, c_1, c_2 of C_T. A single c_0 is the static thrust, whatever the airspeed.
+    torque_coefficients : sequence of at most 3 floats
+        c_0, c_1, c_2 of C_Q; empty: no torque.
+    rotation : {1, -1}
+        1 turns clockwise seen from behind, and its torque rolls the aircraft left; -1 the other
+        way.
+    max_advance_ratio : float, optional
+        Largest advance ratio that was measured; flights beyond it get a warning.
+    speed_range : pair of float, optional
+        Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle
+        is a control, and gives the thrust of flights without propeller_speed.
+    load_std : float, default=0.0
+        Relative standard deviation of thrust and torque.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import Propeller
+    >>> propeller = Propeller(diameter=0.5, thrust_coefficients=(0.1, -0.05, -0.08))
+    >>> propeller.thrust(propeller_speed=600.0, airspeed=[0.0, 20.0, 40.0]).round(2)
+    array([69.82, 45.39,  1.37])
+    """
+
+    diameter: float
+    thrust_coefficients: Sequence[float]
+    torque_coefficients: Sequence[float] = ()
+    rotation: int = 1
+    max_advance_ratio: float | None = None
+    speed_range: Sequence[float] | None = None
+    load_std: float = 0.0
+
+    def __post_init__(self):
+        check_choice("rotation", self.rotation, (1, -1))
+        self._set("diameter", check_number("diameter", self.diameter, unit="m"))
+        self._set("load_std", check_number("load_std", self.load_std, is_open=False))
+        thrust = check_numbers("thrust_coefficients", self.thrust_coefficients, 1, 2, 3)
+        self._set("thrust_coefficients", tuple(thrust.tolist()))
+        torque = check_numbers("torque_coefficients", self.torque_coefficients, 0, 1, 2, 3)
+        self._set("torque_coefficients", tuple(torque.tolist()))
+        if self.max_advance_ratio is not None:
+            largest = check_number("max_advance_ratio", self.max_advance_ratio)
+            self._set("max_advance_ratio", largest)
+        if self.speed_range is not None:
+            idle, full = check_numbers("speed_range", self.speed_range, 2).tolist()
+            if not 0 <= idle < full:
+                raise ValueError(
+                    f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s]."
+                )
+            self._set("speed_range", (idle, full))
+
+    def _set(self, name: str, value: Any) -> None:
+        """Store a checked value."""
+        object.__setattr__(self, name, value)
+
+    def speed_at(self, throttle: ArrayLike) -> Array:
+        """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
+        idle, full = check_numbers("speed_range", self.speed_range, 2)
+        return idle + (full - idle) * np.asarray(throttle, dtype=float)
+
+    def thrust(
+        self,
+        propeller_speed: ArrayLike,
+        airspeed: ArrayLike,
+        density: ArrayLike = SEA_LEVEL_DENSITY,
+    ) -> Array:
+        """Return the thrust [N] at propeller speed [rad/s], airspeed [m/s], density [kg/m^3]."""
+        return self._load(self.thrust_coefficients, 4, propeller_speed, airspeed, density)
+
+    def torque(
+        self,
+        propeller_speed: ArrayLike,
+        airspeed: ArrayLike,
+        density: ArrayLike = SEA_LEVEL_DENSITY,
+    ) -> Array:
+        """Return the torque [N m] ON THE AIRCRAFT about the thrust direction (opposite to the rotation)."""
+        load = self._load(self.torque_coefficients, 5, propeller_speed, airspeed, density)
+        return -self.rotation * load
+
+    def advance_ratio(self, propeller_speed: ArrayLike, airspeed: ArrayLike) -> np.ndarray:
+        """Return J = V / (n D) = 2 pi V / (Omega D), infinite where the propeller stands still."""
+        tip_speed = np.asarray(propeller_speed, dtype=float) * self.diameter / (2.0 * np.pi)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(airspeed, dtype=float) / tip_speed
+
+    @classmethod
+    def from_table(
+        cls,
+        table: pd.DataFrame,
+        diameter: float,
+        *,
+        pitch: float | None = None,
+        rotation: int = 1,
+    ) -> Propeller:
+        """Fit the propeller to a bench table by least squares in newtons.
+
+        Warns if the table is static and no pitch is given: thrust in flight is then overstated.
+
+        Parameters
+        ----------
+        table : pandas.DataFrame
+            Columns ``propeller_speed`` [rad/s] and ``thrust`` [N]; where measured also ``airspeed``
+            [m/s], ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
+        diameter : float
+            D [m].
+        pitch : float, optional
+            Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table C_T = c_0 (1
+            - J D / pitch), zero where the blades do not slip: a rule of thumb, true zero-thrust
+            advance ratios are often higher.
+        rotation : {1, -1}
+            1 turns clockwise seen from behind.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> from skdgp.dynamics import Propeller
+        >>> bench = pd.DataFrame({"propeller_speed": [200.0, 400.0, 600.0], "thrust": [7.76, 31.02, 69.81]})
+        >>> propeller = Propeller.from_table(bench, diameter=0.5, pitch=0.4)
+        >>> [round(c, 3) for c in propeller.thrust_coefficients]
+        [0.1, -0.125]
+        """
+        loads = ["thrust", "torque"] if "torque" in table else ["thrust"]
+        values = _bench_values(table, loads)
+        speed, airspeed, density = values[:, :3].T
+        is_static = not airspeed.any()
+        if is_static and pitch is None:
+            warn(
+                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows "
+                "measured in a wind tunnel, or give pitch=... [m]: the thrust then falls to zero at "
+                "the advance ratio pitch / diameter.",
+                stacklevel=2,
+            )
+        # T / D^4 and Q / D^5 are c_0 rho n^2 + c_1 rho n (V / D) + c_2 rho (V / D)^2
+        n = speed / (2.0 * np.pi)
+        advance = airspeed / diameter
+        terms = [density * n**2, density * n * advance, density * advance**2]
+        basis = np.stack(terms[:1] if is_static else terms, axis=-1)
+        targets = values[:, 3:] / [diameter**4, diameter**5][: len(loads)]
+        solution, _, rank, _ = np.linalg.lstsq(basis, targets, rcond=None)
+        if rank < basis.shape[1]:
+            raise ValueError(
+                f"The bench table's {len(table)} rows do not determine c_0, c_1 and c_2: measure at 3 "
+                "or more advance ratios."
+            )
+        coefficients = dict(zip(loads, solution.T.tolist(), strict=True))
+        thrust = coefficients["thrust"]
+        largest = None
+        if not is_static:
+            largest = float(np.max(advance / n))
+        elif pitch is not None:
+            thrust.append(-thrust[0] * diameter / pitch)
+        torque = coefficients.get("torque", ())
+        return cls(diameter, thrust, torque, rotation, max_advance_ratio=largest)
+
+    @classmethod
+    def from_size(
+        cls,
+        diameter: float,
+        pitch: float,
+        *,
+        motor_constant: float | None = None,
+        voltage: float | None = None,
+        rotation: int = 1,
+    ) -> Propeller:
+        r"""Return the usual propeller of two blades of a size, with the deviation of its thrust.
+
+        With x = pitch / D, fitted to 178 propellers in the wind tunnel (UIUC Propeller Data Site;
+        Brandt & Selig 2011),
+
+        .. math:: C_T = 0.048 + 0.092 x - (0.136 - 0.123 x) J - 0.104 J^2,
+
+        and C_Q likewise; the thrust of others is 23 % off, root mean square. Raises ValueError if a
+        size is not positive, or of the motor's constant and the voltage there is one alone; warns
+        beyond the sizes measured.
+
+        Parameters
+        ----------
+        diameter, pitch : float
+            [m]; a "10x5" has 0.254 and 0.127.
+        motor_constant, voltage : float, optional
+            Speed of the electric motor per volt without load [rad/s/V], 0.1047 times the rpm per
+            volt; voltage of the battery in flight [V]. The thrust at a throttle is then some 40 %
+            off. Without them flights need propeller_speed.
+        rotation : {1, -1}
+            1 turns clockwise seen from behind.
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Propeller
+        >>> propeller = Propeller.from_size(0.254, 0.127)
+        >>> propeller.thrust(propeller_speed=800.0, airspeed=[0.0, 10.0]).round(1), propeller.load_std
+        (array([7.8, 5.1]), 0.23)
+        """
+        ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
+        ranges = {
+            "diameter": (diameter, USUAL.diameters),
+            "pitch / diameter": (ratio, USUAL.pitch_ratios),
+        }
+        for name, (value, (low, high)) in ranges.items():
+            if not low <= value <= high:
+                warn(
+                    f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from "
+                    f"others with {low:g} to {high:g}: its error may be larger than stated.",
+                    stacklevel=2,
+                )
+        speed_range = None
+        std = USUAL.std
+        if motor_constant is not None or voltage is not None:
+            constant = check_number("motor_constant", motor_constant, unit="rad/s/V")
+            unloaded = constant * check_number("voltage", voltage, unit="V")
+            speed_range = (0.0, USUAL.loaded_speed * unloaded)
+            std = round(float(np.hypot(USUAL.std, USUAL.loaded_std)), 2)
+        thrust = (np.array(USUAL.thrust) @ [1.0, ratio]).tolist()
+        torque = (np.array(USUAL.torque) @ [1.0, ratio]).tolist()
+        return cls(
+            diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std
+        )
+
+    def _load(
+        self,
+        coefficients: Sequence[float],
+        power: int,
+        propeller_speed: ArrayLike,
+        airspeed: ArrayLike,
+        density: ArrayLike,
+    ) -> Array:
+        # n^2 C(V / n D) multiplied out, which stays finite at n = 0
+        n = np.asarray(propeller_speed, dtype=float) / (2.0 * np.pi)
+        advance = np.asarray(airspeed, dtype=float) / self.diameter
+        c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
+        load = c0 * n**2 + c1 * n * advance + c2 * advance**2
+        return np.asarray(density, dtype=float) * self.diameter**power * load
+
+
+def _bench_values(table: pd.DataFrame, loads: list[str]) -> Array:
+    """Return propeller speed, airspeed, density and the loads of a bench table, (n, 3 + loads)."""
+    check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
+    defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
+    table = pd.DataFrame({**defaults, **table}, index=table.index)
+    values = table[["propeller_speed", "airspeed", "density", *loads]].to_numpy(float)
+    speed, airspeed, density = values[:, :3].T
+    is_physical = (speed > 0) & (airspeed >= 0) & (density > 0)
+    if not (is_physical.all() and np.isfinite(values).all()):
+        raise ValueError(
+            "Got a bench table with NaN, or with propeller_speed <= 0, airspeed < 0 or density <= 0: "
+            "drop those rows or fix the units [rad/s, m/s, kg/m^3]."
+        )
+    return values
+
+
+@dataclass(frozen=True, eq=False)
+class ThrustLine:
+    """Position and direction of the thrust, in body axes relative to the centre of gravity.
+
+    Parameters
+    ----------
+    position : array-like of shape (3,)
+        A point of the line: forward, right, down of the centre of gravity [m].
+    direction : array-like of shape (3,)
+        Where the force points; any length, stored as a unit vector. (1, 0, 0) is straight forward.
+
+    Examples
+    --------
+    An engine 0.2 m above the centre of gravity pitches the nose down:
+
+    >>> from skdgp.dynamics import ThrustLine
+    >>> force, moment = ThrustLine(position=(-0.5, 0.0, -0.2), direction=(1, 0, 0)).loads(100.0)
+    >>> force.tolist(), moment.tolist()
+    ([100.0, 0.0, 0.0], [0.0, -20.0, 0.0])
+    """
+
+    position: Any = (0.0, 0.0, 0.0)
+    direction: Any = (1.0, 0.0, 0.0)
+
+    def __post_init__(self):
+        position = check_numbers("thrust-line position", self.position, 3)
+        direction = check_numbers("thrust-line direction", self.direction, 3)
+        length = np.linalg.norm(direction)
+        if length == 0:
+            raise ValueError(
+                "Got a thrust direction of length zero, but expected one such as (1, 0, 0)."
+            )
+        direction = direction / length
+        position.setflags(write=False)
+        direction.setflags(write=False)
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "direction", direction)
+
+    def loads(self, thrust: ArrayLike, torque: ArrayLike = 0.0) -> tuple[Array, Array]:
+        """Return force (..., 3) [N] and moment (..., 3) [N m] about the centre of gravity.
+
+        F_T = T d and M_T = r_T x F_T + Q d, with ``thrust`` T [N] and ``torque`` Q [N m] on the
+        aircraft about the line's direction d (a propeller turning clockwise seen from behind gives
+        Q < 0).
+        """
+        T = np.asarray(thrust, dtype=float)[..., None]
+        Q = np.asarray(torque, dtype=float)[..., None]
+        force = T * self.direction
+        moment = T * np.cross(self.position, self.direction) + Q * self.direction
+        return force, moment

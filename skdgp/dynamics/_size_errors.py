@@ -1,0 +1,120 @@
+"""Errors of the sizes of an aircraft, and what they make of coefficients that are learned with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
+from skdgp._flight.checks import check_number
+
+MOMENTS = ("Ixx", "Iyy", "Izz")
+PRODUCT = "Ixz"
+PRESSURE = "dynamic pressure"
+# A measured force coefficient is m f / (qbar S), a moment coefficient I omega_dot / (qbar S b) but
+# for products of inertia and gyroscopic moments: powers of the quantities in each
+FORCE_POWERS = {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0}
+MOMENT_POWERS = {"wing_area": -1.0, PRESSURE: -1.0}
+POWERS = {
+    **dict.fromkeys(COEFFICIENTS[:3], FORCE_POWERS),
+    "Cl": {"Ixx": 1.0, "span": -1.0, **MOMENT_POWERS},
+    "Cm": {"Iyy": 1.0, "chord": -1.0, **MOMENT_POWERS},
+    "Cn": {"Izz": 1.0, "span": -1.0, **MOMENT_POWERS},
+}
+# A rate is divided by V, an angular acceleration by V^2: by these powers of the dynamic pressure
+SPEED_POWERS = dict.fromkeys(RATE_LENGTHS, 0.5) | dict.fromkeys(ACCELERATION_LENGTHS, 1.0)
+
+
+@dataclass(frozen=True)
+class ScaleFactor:
+    """An error that several quantities of an aircraft share.
+
+    Parameters
+    ----------
+    std : float
+        Relative standard deviation.
+    powers : mapping of str to float
+        Powers of the factor in each quantity: mass, wing_area, span, chord, Ixx, Iyy, Izz, dynamic
+        pressure, and full throws of controls. An error of 1 % of the aspect ratio b^2 / S is one of
+        -1 % of ``wing_area`` and, as c = S / b, of -1 % of ``chord``. The product Ixz has no size
+        to be relative to: its errors are of sqrt(Ixx Izz).
+    source : str
+        Source of the estimate.
+    added : mapping of str to float
+        Of an error that adds to coefficients, such as an error of the thrust: the change by an
+        error of 100 %, of coefficients and their slopes by regressors of a model, "CX",
+        "CX_alpha", ...
+    """
+
+    std: float
+    powers: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+    added: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        std = check_number("std of a scale factor", self.std, is_open=False)
+        object.__setattr__(self, "std", std)
+        object.__setattr__(self, "powers", _floats(self.powers))
+        object.__setattr__(self, "added", _floats(self.added))
+
+
+def _floats(values: Mapping) -> dict[str, float]:
+    return {str(name): float(value) for name, value in values.items()}
+
+
+def errors_of_sizes(
+    deviations: Mapping[str, ScaleFactor],
+    inertia: Array,
+    regressors: tuple[str, ...],
+    values: Array,
+) -> Array:
+    """Return errors of coefficients and slopes by each factor, (factors, ..., 6, 1 + regressors), as ``values`` are.
+
+    A relative error scales them (`relative_errors`). One of Ixz by e sqrt(Ixx Izz) leaves N / Izz
+    in the moment L, and L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and dCn = -e sqrt(Izz / Ixx) Cl,
+    from L = Ixx p_dot - Ixz r_dot + ... One of the thrust is ``added``.
+    """
+    shape = (len(deviations), *(1,) * (values.ndim - 2), len(COEFFICIENTS), 1 + len(regressors))
+    errors = values * relative_errors(deviations, regressors).reshape(shape)
+    ratio = np.sqrt(inertia[0, 0] / inertia[2, 2])
+    for error, factor in zip(errors, deviations.values(), strict=True):
+        product = factor.std * factor.powers.get(PRODUCT, 0.0)
+        error[..., 3, :] -= product * ratio * values[..., 5, :]
+        error[..., 5, :] -= product / ratio * values[..., 3, :]
+        error += factor.std * _added(factor, regressors)
+    return errors
+
+
+def _added(factor: ScaleFactor, regressors: tuple[str, ...]) -> Array:
+    """Return what a factor adds to coefficients and slopes, (6, 1 + regressors)."""
+    added = np.zeros((len(COEFFICIENTS), 1 + len(regressors)))
+    columns = ["", *(f"_{name}" for name in regressors)]
+    for row, coefficient in enumerate(COEFFICIENTS):
+        for column, ending in enumerate(columns):
+            added[row, column] = factor.added.get(coefficient + ending, 0.0)
+    return added
+
+
+def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:
+    """Return relative errors of the coefficients and of their slopes, (factors, 6, 1 + regressors).
+
+    Slopes are by the non-dimensional rates, p b / 2V, and by controls in the unit of the log, so
+    that a full throw which is wrong by 1 % makes the effect of the control wrong by -1 %.
+    """
+    errors = np.zeros((len(deviations), len(COEFFICIENTS), 1 + len(regressors)))
+    for error, factor in zip(errors, deviations.values(), strict=True):
+        of_coefficients = [_power(POWERS[name], factor) for name in COEFFICIENTS]
+        of_regressors = [0.0]
+        for name in regressors:
+            scale = {PRESSURE: SPEED_POWERS.get(name, 0.0), LENGTHS.get(name, name): -1.0}
+            of_regressors.append(_power(scale, factor))
+        error[:] = factor.std * np.add.outer(of_coefficients, of_regressors)
+    return errors
+
+
+def _power(powers: Mapping[str, float], factor: ScaleFactor) -> float:
+    """Return the power of a factor in a product of powers of quantities."""
+    return sum(power * factor.powers.get(name, 0.0) for name, power in powers.items())

@@ -1,0 +1,201 @@
+"""Starts of a simulation: states of names and values, of flights and of trims, and drawn around these."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from sklearn.utils import check_random_state
+
+from skdgp._compute.files import column_names
+from skdgp._compute.messages import warn
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import (
+    AIR_DATA,
+    BODY_VELOCITY,
+    CHANNELS,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+)
+from skdgp._flight.checks import check_names, check_number, check_radians
+from skdgp._flight.frames import (
+    air_velocity,
+    body_to_ned,
+    euler_to_quaternion,
+    ned_to_body,
+    quaternion_to_euler,
+)
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._air import LocalAir
+from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
+from skdgp.dynamics._trim import Trim
+
+START_NAMES = (*AIR_DATA, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
+# States of a start that may have standard deviations
+DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
+# Relative difference of a start's airspeed and the airspeed of its ground speed and wind, at most
+AIRSPEED_TOLERANCE = 0.15
+LOWEST_LAND = -450.0  # Altitude of the lowest land there is [m]
+
+
+class UncertainStart(NamedTuple):
+    """A start of paths that is known with standard deviations: ``simulate(model, aircraft, UncertainStart(...), ...)``.
+
+    ``std`` is by name ("u", "v", "w", "v_north", ..., "phi", ...). Deviations of angles alone leave
+    the velocity over the ground as it is, which is how it is measured.
+    """
+
+    x0: Any
+    std: Mapping[str, float]
+
+
+def as_starts(x0: Any) -> pd.DataFrame | Array:
+    """Return one start or several as a table of names or an array of states, with a row for each.
+
+    ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
+    of trims.
+    """
+    if isinstance(x0, Mapping):
+        _check_start_names([str(name) for name in x0])
+    if isinstance(x0, Mapping | pd.Series):
+        return pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
+    if isinstance(x0, pd.DataFrame) and len(x0):
+        return x0
+    if not isinstance(x0, pd.DataFrame) and column_names(x0):
+        # a table of another library
+        return pd.DataFrame({name: np.asarray(x0[name]) for name in column_names(x0)})
+    if isinstance(x0, Trim):
+        x0 = x0.state
+    elif isinstance(x0, list | tuple) and any(isinstance(point, Trim) for point in x0):
+        x0 = [point.state for point in x0]
+    states = np.atleast_2d(np.array(x0, dtype=float))
+    if states.ndim != 2 or states.shape[1] != len(STATE_NAMES) or not len(states):
+        raise ValueError(
+            f"Got x0 of shape {np.shape(x0)}, but expected names and values, or (13,) or (n, 13): "
+            f"{', '.join(STATE_NAMES)}."
+        )
+    return states
+
+
+def _check_start_names(names: Sequence[str]) -> None:
+    """Raise ValueError at an unknown name that resembles a name of a start."""
+    lacking = [name for name in START_NAMES if name not in names]
+    for name in names:
+        near = get_close_matches(name, lacking, n=1, cutoff=0.75)
+        if name not in CHANNELS and near:
+            raise ValueError(
+                f"Got {name!r} in x0, but expected a name of docs/notation.md: did you mean {near[0]!r}?"
+            )
+
+
+def initial_states(
+    starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir | None] = lambda states: None
+) -> Array:
+    """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
+
+    By name: the velocity as v_north, v_east, v_down, or airspeed, alpha, beta (relative to the
+    air); what else is not given is zero. Altitude counts before down, as the density follows
+    from it. Raises ValueError if the velocity is missing, or a value is not finite or not in
+    radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
+    """
+    states = _from_table(starts, air_at) if isinstance(starts, pd.DataFrame) else starts
+    is_bad = ~np.isfinite(states).all(axis=0)
+    if is_bad.any():
+        raise ValueError(
+            f"Got a start whose {np.array(STATE_NAMES)[is_bad].tolist()} are NaN or infinite: choose "
+            "rows in which the state was measured."
+        )
+    if not (np.linalg.norm(states[:, ATTITUDE], axis=1) > 0).all():
+        raise ValueError(
+            "Got a start whose quaternion is zero, but expected q0, q1, q2, q3 of an attitude."
+        )
+    return states
+
+
+def table_states(table: pd.DataFrame) -> Array:
+    """Return the states (n, 13) of a flight table, zero where a column is absent."""
+    n = (len(table),)
+    states = np.zeros((*n, len(STATE_NAMES)))
+    states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, n).T)
+    states[:, rigid_body.RATES] = stacked(table, RATES, n)
+    states[:, rigid_body.POSITION] = stacked(table, POSITION, n)
+    states[:, VELOCITY] = ned_to_body(states[:, ATTITUDE], stacked(table, EARTH_VELOCITY, n))
+    return states
+
+
+def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
+    """Return the states (n, 13) of starts by name."""
+    check_radians(table, (*EULER, *RATES, "alpha", "beta"))
+    states = table_states(table)
+    if "altitude" in table:
+        states[:, 2] = -table["altitude"].to_numpy(float)
+    lowest = -states[:, 2].max()
+    if lowest < LOWEST_LAND:
+        warn(
+            f"Got a start at an altitude of {lowest:g} m, below any land: down is positive downwards, "
+            "altitude = -down.",
+            stacklevel=4,
+        )
+    air = air_at(states)
+    wind = 0.0 if air is None else ned_to_body(states[:, ATTITUDE], air.wind)
+    if set(EARTH_VELOCITY) <= set(table):
+        if "airspeed" in table:
+            _warn_of_wind(table["airspeed"].to_numpy(float), states[:, VELOCITY] - wind)
+        return states
+    # u, v, w alone do not say the angles
+    needed = ["airspeed"] if set(BODY_VELOCITY).isdisjoint(table) else AIR_DATA
+    check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
+    for speed in table["airspeed"]:
+        check_number("airspeed of x0", speed, unit="m/s")
+    air_data = stacked(table, AIR_DATA, (len(table),))
+    states[:, VELOCITY] = air_velocity(*air_data.T) + wind
+    return states
+
+
+def _warn_of_wind(stated: Array, velocity: Array) -> None:
+    """Warn of an airspeed (n,) that is not that of the velocity (n, 3) through the air."""
+    airspeed = np.linalg.norm(velocity, axis=1)
+    off = np.nan_to_num(np.abs(airspeed / stated - 1.0))
+    worst = int(np.argmax(off))
+    if off[worst] > AIRSPEED_TOLERANCE:
+        warn(
+            f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, "
+            f"but x0 says {stated[worst]:.1f} m/s: give the wind of that flight (air=wind).",
+            stacklevel=5,
+        )
+
+
+def perturbed(
+    states: Array, std: Mapping[str, float] | None, n_paths: int, random_state: Any
+) -> Array:
+    """Return a start for each path, (n_paths, n, 13), drawn around the states (n, 13) with deviations by name."""
+    std = std or {}
+    check_names(std, DRAWN, "names of standard deviations of a start")
+    drawn = np.tile(states, (n_paths, 1, 1))
+    draw = check_random_state(random_state).standard_normal
+    errors = dict.fromkeys(DRAWN, np.zeros(drawn.shape[:2]))
+    for name, size in std.items():
+        check_number(f"standard deviation of {name}", size, is_open=False)
+        errors[name] = float(size) * draw(drawn.shape[:2])
+
+    def errors_of(names: Sequence[str]) -> Array:
+        return np.stack([errors[name] for name in names], axis=-1)
+
+    attitude = drawn[..., ATTITUDE]
+    drawn[..., rigid_body.POSITION] += errors_of(POSITION)
+    drawn[..., rigid_body.RATES] += errors_of(RATES)
+    drawn[..., VELOCITY] += errors_of(BODY_VELOCITY)
+    drawn[..., VELOCITY] += ned_to_body(attitude, errors_of(EARTH_VELOCITY))
+    if std.keys() & set(EULER):
+        ground = body_to_ned(attitude, drawn[..., VELOCITY])
+        angles = quaternion_to_euler(attitude) + errors_of(EULER)
+        drawn[..., ATTITUDE] = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
+        if not std.keys() & set(BODY_VELOCITY):
+            # the velocity over the ground was measured
+            drawn[..., VELOCITY] = ned_to_body(drawn[..., ATTITUDE], ground)
+    return drawn

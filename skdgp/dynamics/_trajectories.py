@@ -1,0 +1,180 @@
+"""Trajectories of a simulation: their table, warnings about them, and bands of an ensemble."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.messages import warn
+from skdgp._compute.statistics import path_quantiles
+from skdgp._compute.typing import Array
+from skdgp._flight.channels import (
+    AIR_DATA,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    RATES,
+    SPECIFIC_FORCE,
+    WIND,
+)
+from skdgp._flight.checks import check_columns
+from skdgp._flight.frames import unwrapped_paths
+from skdgp.dynamics import _rigid_body as rigid_body
+from skdgp.dynamics._integrate import REASONS, Record, by_name, channels
+from skdgp.dynamics._motion import Motion
+
+# Fraction of its training range by which a regressor may exceed it without a warning
+MARGIN = 0.02
+BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
+
+
+class SimulationWarning(UserWarning):
+    """A trajectory ended early, or left the range of the training data."""
+
+
+def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.DataFrame:
+    """Return the record as one flight table: path by path, start by start, row by row.
+
+    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times``
+    (n_starts,) is the time at each start.
+    """
+    shape = record.ended.shape
+    n_times = len(record.time)
+
+    def column(values: Array) -> Array:
+        """Return values (n_times, ...) of all trajectories, one after the other."""
+        return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
+
+    # without a start of its own a single trajectory has shape ()
+    starts = first_times if shape else first_times[0]
+    clock = np.add.outer(record.time, starts)
+    if len(shape) == 2:
+        clock = clock[:, None]
+    table: dict[str, Any] = {"time": column(clock), **_identity(shape, n_times)}
+    for name, values in _columns(record).items():
+        table[name] = column(values)
+    is_over = np.expand_dims(np.arange(n_times), tuple(range(1, 1 + len(shape)))) >= record.end
+    farthest = column(beyond(motion, record.regressors))
+    table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
+    table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, "")))
+    return pd.DataFrame(table)
+
+
+def _columns(record: Record) -> dict[str, Array]:
+    """Return the channels of a record by name, (n_times, ...) each."""
+    columns = channels(record.states, record.wind)
+    columns["density"] = record.density
+    columns |= by_name(("p_dot", "q_dot", "r_dot"), record.derivative[..., rigid_body.RATES])
+    columns |= by_name(SPECIFIC_FORCE, record.specific_force)
+    columns |= by_name(COEFFICIENTS, record.coefficients)
+    if record.wind is not None:
+        columns |= by_name(WIND, record.wind)
+    return columns | record.controls
+
+
+def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
+    """Return the columns that name the trajectories."""
+    if not shape:
+        return {"flight": pd.Categorical(["simulation"] * n_times)}
+    numbers = dict(zip(("path", "start")[-len(shape) :], np.indices(shape), strict=True))
+    parts = [[f"{label} {k}" for k in index.ravel()] for label, index in numbers.items()]
+    names = [", ".join(part) for part in zip(*parts, strict=True)]
+    columns: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
+    for label, index in numbers.items():
+        columns[label] = np.repeat(index.ravel(), n_times)
+    return columns
+
+
+def beyond(motion: Motion, regressors: Array) -> np.ndarray:
+    """Return the name of the regressor (..., d) farthest outside its training range, "" if none is outside."""
+    limits = motion.aerodynamics.limits
+    if limits is None:
+        return np.full(regressors.shape[:-1], "", dtype=object)
+    low, high = limits
+    width = np.maximum(high - low, np.finfo(float).tiny)
+    outside = np.maximum(low - regressors, regressors - high) / width
+    outside = np.where(np.isfinite(outside), outside, 0.0)
+    farthest = np.array(motion.regressors, dtype=object)[outside.argmax(axis=-1)]
+    return np.where(outside.max(axis=-1) > MARGIN, farthest, "")
+
+
+def warn_of(record: Record, motion: Motion) -> None:
+    """Warn of trajectories that ended early, and of trajectories that left the training ranges."""
+    for message in (_ended_message(record), _beyond_message(record, motion)):
+        if message:
+            warn(message, SimulationWarning, stacklevel=3)
+
+
+def _ended_message(record: Record) -> str:
+    """Return a sentence on trajectories that ended early, "" without any."""
+    ended = [reason for reason in record.ended.ravel().tolist() if reason]
+    if not ended:
+        return ""
+    counts = [f"{REASONS[reason]}: {ended.count(reason)}" for reason in dict.fromkeys(ended)]
+    first = record.time[record.end.min()]
+    return (
+        f"{len(ended)} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
+        f"its start ({', '.join(counts)}). Their rows are NaN from there on, and the column ended "
+        "says why. Look at start, controls, wind and thrust; try a smaller dt."
+    )
+
+
+def _beyond_message(record: Record, motion: Motion) -> str:
+    """Return a sentence on trajectories that left the training ranges, "" without any."""
+    farthest = beyond(motion, record.regressors).reshape(len(record.time), -1)
+    outside = farthest != ""
+    if not outside.any():
+        return ""
+    first = int(np.argmax(outside.any(axis=1)))
+    name = farthest[first][outside[first]][0]
+    k = motion.regressors.index(name)
+    low, high = motion.aerodynamics.limits[:, k]
+    values = record.regressors[..., k]
+    return (
+        f"{np.count_nonzero(outside.any(axis=0))} of {record.ended.size} trajectories left what the "
+        f"model was learned from, the first {record.time[first]:.2f} s after its start in "
+        f"{motion.aerodynamics.regressors[k]} (here {np.nanmin(values):.3g} to "
+        f"{np.nanmax(values):.3g}, learned from {low:.3g} to {high:.3g}): the column beyond says where."
+    )
+
+
+def trajectory_bands(
+    trajectories: pd.DataFrame, level: float = 0.95, columns: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """Return the bands of an ensemble that `simulate` returned with ``n_paths``, by ``start`` and ``time``.
+
+    ``level`` is the fraction of the flying paths inside: quantiles (1 - level) / 2
+    and (1 + level) / 2. ``columns`` are by default velocities, angles (heading unwrapped), rates,
+    airspeed, alpha, beta, altitude. The table has ``<column>`` (the median), ``<column>_low``,
+    ``<column>_high``, and ``flying``, the share that has not ended.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.dynamics import trajectory_bands
+    >>> paths = pd.DataFrame({"start": 0, "path": [0, 1, 2], "time": 0.0, "airspeed": [20.0, 21.0, 22.0], "ended": ""})
+    >>> trajectory_bands(paths, level=1.0)[["airspeed", "airspeed_low", "airspeed_high"]].iloc[0].tolist()
+    [21.0, 20.0, 22.0]
+    """
+    if not 0 < level <= 1:
+        raise ValueError(f"Got level={level!r}, but expected a fraction above 0, at most 1.")
+    what = "ensemble (simulate with n_paths=...)"
+    check_columns(trajectories, ["start", "path", "time", "ended"], what=what)
+    names = [name for name in columns or BAND_COLUMNS if name in trajectories]
+    bands = []
+    for start, part in trajectories.groupby("start", sort=False):
+        n_paths = part["path"].nunique()
+        is_flying = (part["ended"] == "").to_numpy().reshape(n_paths, -1)
+        time = part["time"].to_numpy()[: is_flying.shape[1]]
+        band = {"start": start, "time": time, "flying": is_flying.mean(axis=0)}
+        for name in names:
+            values = part[name].to_numpy(float).reshape(n_paths, -1)
+            if name in EULER:
+                values = unwrapped_paths(values)
+            low, middle, high = path_quantiles(values, level)
+            band |= {name: middle, f"{name}_low": low, f"{name}_high": high}
+        bands.append(pd.DataFrame(band))
+    return pd.concat(bands, ignore_index=True)

@@ -53,7 +53,7 @@ def read_model(options) -> Bunch:
     """
     model = load_model(options.model)
     check_identified(model.pipeline)
-    if getattr(model.pipeline, "control_units_", {}):
+    if model.pipeline.control_units_:
         warn(
             "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians "
             "are expected of them: "
@@ -76,7 +76,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             "model was learned from.",
             stacklevel=2,
         )
-    turbulence = getattr(model.pipeline, "turbulence_", None)
+    turbulence = model.pipeline.turbulence_
     if turbulence is not None and max(turbulence.intensity) > NOTABLE_GUSTS:
         warn(
             f"The model was learned in gusts of {max(turbulence.intensity):.1f} m/s, so its "

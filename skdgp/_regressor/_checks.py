@@ -10,8 +10,9 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
 from skdgp._compute.files import column_names
+from skdgp._compute.findings import Code, Finding
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.messages import warn
+from skdgp._compute.messages import report, warn
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference import KnownNoise
 from skdgp.kernels import MultiOutputKernel
@@ -246,15 +247,13 @@ def warn_of_samples(
     X: np.ndarray, Y: np.ndarray, regressors: list[str], outputs: list[str]
 ) -> None:
     """Warn of constant regressors and outputs, and of repeated samples."""
-    for what, Z, names, consequence in (
-        ("regressors", X, regressors, "their effect cannot be learned, and predictions at other "
-         "values are not reliable. Leave them out, or add samples in which they vary."),
-        ("outputs", Y, outputs, "nothing can be learned about them, and their stated uncertainty "
-         "is not reliable. Leave them out, or check the log."),
-    ):  # fmt: skip
+    for code, Z, names in (
+        (Code.CONSTANT_INPUTS, X, regressors),
+        (Code.CONSTANT_OUTPUTS, Y, outputs),
+    ):
         constant = [name for name, same in zip(names, constant_columns(Z), strict=True) if same]
         if constant:
-            _warn(f"The {what} {constant} are constant over the samples: {consequence}")
+            report(Finding(code, numbers={"names": constant}), stacklevel=5)
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
         _warn(

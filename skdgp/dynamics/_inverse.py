@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.typing import Array, Indices
 from skdgp._flight.channels import (
     COEFFICIENTS,
@@ -22,10 +23,8 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, check_flight, check_table
 from skdgp._flight.clock import true_runs
 from skdgp._flight.faults import (
-    NOT_MEASURED,
     POSSIBLE,
     FlightDataWarning,
-    faults_message,
     find_faults,
     without_faults,
 )
@@ -130,13 +129,10 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     """Return the flight with NaN where a needed channel was not measured, and warn."""
     check_columns(check_table(flight), ["time", *NEEDED])
     ignored = {*ignore, *(name for name in POSSIBLE if name not in NEEDED)}
-    faults = [fault for fault in find_faults(flight, ignored) if fault.kind in NOT_MEASURED]
+    faults = [fault for fault in find_faults(flight, ignored) if not fault.is_measured]
     if faults:
-        warn(
-            faults_message(faults, "The coefficients are not known there (NaN)."),
-            FlightDataWarning,
-            stacklevel=3,
-        )
+        numbers = {"faults": [fault.finding for fault in faults]}
+        report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning, stacklevel=3)
     return without_faults(flight, faults)
 
 

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
+from skdgp._compute.wording import text_of
 from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.checks import (
     WRAPPED,
@@ -24,9 +26,8 @@ from skdgp._flight.checks import (
 )
 from skdgp._flight.clock import check_clock, flight_segments
 from skdgp._flight.faults import (
-    Finding,
+    Fault,
     FlightDataWarning,
-    faults_message,
     find_faults,
     usual_spacing,
     without_faults,
@@ -81,10 +82,23 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
     check_columns(check_table(flight), ["time"])
-    rows = [
-        (*finding[:5], len(finding.rows), finding.message) for finding in _inspect(flight, ignore)
-    ]
-    return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
+    columns = ["flight", "channel", "kind", "start", "end", "n_samples", "message"]
+    return pd.DataFrame(
+        [_row(fault.finding) for fault in _inspect(flight, ignore)], columns=columns
+    )
+
+
+def _row(fault: Finding) -> dict[str, Any]:
+    """Return a fault as a row of the table of `inspect_flight`."""
+    return {
+        "flight": fault.flight,
+        "channel": fault.channel,
+        "kind": fault.code.value,
+        "start": fault.numbers["start"],
+        "end": fault.numbers["end"],
+        "n_samples": fault.numbers["samples"],
+        "message": text_of(fault),
+    }
 
 
 class FlightCheck(TableTransformer):
@@ -127,12 +141,14 @@ class FlightCheck(TableTransformer):
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
-        findings = _inspect(table, self.ignore)
-        faults = [finding for finding in findings if finding.kind != "gap"]  # no error
-        if faults:
-            done = f"Faulty values are NaN, gaps up to {LONGEST_BRIDGE:g} s are interpolated."
-            warn(faults_message(faults, done), FlightDataWarning, stacklevel=4)
-        table = without_faults(table, findings)
+        faults = _inspect(table, self.ignore)
+        # gaps in time are no error
+        findings = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
+        if findings:
+            numbers = {"faults": findings, "longest_bridge": LONGEST_BRIDGE}
+            finding = Finding(Code.FAULTS_BRIDGED, numbers=numbers)
+            report(finding, FlightDataWarning, stacklevel=4)
+        table = without_faults(table, faults)
         check_airspeed(table)
         names = [
             name
@@ -153,8 +169,8 @@ class FlightCheck(TableTransformer):
         return with_columns(table, new)
 
 
-def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Finding]:
-    """Return the findings of a table whose time increases within each flight."""
+def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Fault]:
+    """Return the faults of a table whose time increases within each flight."""
     check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
     return find_faults(table, ignore)
 

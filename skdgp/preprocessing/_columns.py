@@ -10,7 +10,8 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.channels import (
     CHANNELS,
@@ -282,12 +283,8 @@ class RegressorSelector(TableTransformer):
         pairs = zip(self.regressors_, values.T, strict=True) if len(values) else ()
         constant = [name for name, v in pairs if np.ptp(v) <= STILL * np.abs(v).max()]
         if targeted and constant:
-            warn(
-                f"In the training flights {constant} never change, so the model cannot learn their "
-                f"effects. Fly manoeuvres that move them, or leave them out of the regressors.",
-                FlightDataWarning,
-                stacklevel=2,
-            )
+            finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": constant})
+            report(finding, FlightDataWarning, stacklevel=2)
         channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
         self.ranges_ = {
             str(name): (float(kept.min()), float(kept.max()))
@@ -314,12 +311,7 @@ class RegressorSelector(TableTransformer):
         numeric(table, chosen)
         truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
         if truth:
-            warn(
-                f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: "
-                f"use them only to "
-                "score, or to measure the effect of sensor noise.",
-                stacklevel=3,
-            )
+            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}), stacklevel=3)
         self.regressors_ = chosen
 
     def _transform_table(self, table):

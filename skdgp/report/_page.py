@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.wording import text_of
 from skdgp._display.page import (
     DASH,
     THIN,
@@ -317,7 +318,7 @@ def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
 
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
-    parts = [_note(text(mechanics.note))]
+    parts = [_note(text(text_of(mechanics.note)) if mechanics.note else "")]
     if mechanics.trim is not None:
         names = ["airspeed", "alpha", "theta", "phi"]
         if "climb" not in mechanics.trim.solved:  # without a thrust it is the model's glide
@@ -404,8 +405,9 @@ def _modes(modes: pd.DataFrame) -> str:
 
 def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
     """Return how long a free simulation follows the test flights, and one flight with its bands."""
-    why = f"Not simulated: {text(mechanics.simulation_note)}." if mechanics.simulation_note else ""
-    parts = [_note(why)]
+    parts = []
+    if mechanics.simulation_note is not None:
+        parts.append(_note(f"Not simulated: {text(text_of(mechanics.simulation_note))}."))
     if mechanics.simulation is not None:
         rows = []
         is_gusty = mechanics.simulation.get("gusts", pd.Series(0.0)).max() > 0

@@ -17,7 +17,7 @@ from skdgp._cli import _shared, main
 from skdgp._cli._shared import CLEAR, Console
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _identification, _identify, load_model
+from skdgp.identification import _identification, _learn, load_model
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
@@ -219,7 +219,7 @@ class TestBadInput:
         self, refused, folder, tmp_path, monkeypatch
     ):
         monkeypatch.setattr(
-            _identify, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted")
+            _learn, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted")
         )
         pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(
             tmp_path / "bare.csv", index=False

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TypeAlias
+from string import Formatter
+from typing import Any, TypeAlias
 
 from skdgp._compute.findings import Code, Finding, Severity
 
-# A template of ``str.format`` over flight, channel and numbers, or a function of the finding
+# A template (see `_Formatter`) over flight, channel and numbers, or a function of the finding
 Text: TypeAlias = str | Callable[[Finding], str]
 
 MOST_FAULTS = 8  # lines on faults in one warning
 MOST_NAMES = 3  # names in a list that is shortened
+SHORT = "short"  # format spec of such a list
 
 FAULTS: dict[Code, str] = {
     Code.GAP: "jumps forward {times}, by {longest:.3g} s at most",
@@ -97,10 +99,30 @@ def grouped_faults(faults: Iterable[Finding]) -> list[str]:
     return lines
 
 
+class _Formatter(Formatter):
+    """Formats templates: items of a list are joined by its format spec, values of a mapping take it.
+
+    ``SHORT`` joins the first items by a comma, and counts the others.
+    """
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value as text."""
+        if isinstance(value, Mapping):
+            return ", ".join(
+                f"{name} {self.format_field(item, format_spec)}" for name, item in value.items()
+            )
+        if isinstance(value, float):
+            return format(value, format_spec).replace("%", " %")
+        if not isinstance(value, list):
+            return format(value, format_spec)
+        return shortened(value) if format_spec == SHORT else (format_spec or ", ").join(value)
+
+
 def _filled(text: Text, finding: Finding) -> str:
     if not isinstance(text, str):
         return text(finding)
-    return text.format(flight=finding.flight, channel=finding.channel, **finding.numbers)
+    names = {"flight": finding.flight, "channel": finding.channel, **finding.numbers}
+    return _Formatter().vformat(text, (), names)
 
 
 def _fault(fault: Finding) -> str:
@@ -147,23 +169,6 @@ def _large_surfaces(finding: Finding) -> str:
     )
 
 
-def _engine_unexplained(finding: Finding) -> str:
-    names = finding.numbers["names"]
-    return (
-        f"Got thrust=None for flights with {' and '.join(names)}: the coefficients include the "
-        f"thrust, and no regressor explains it. Name regressors with {names[0]!r} and 'airspeed', "
-        "or give the thrust."
-    )
-
-
-def _signs_turned(finding: Finding) -> str:
-    names = " and ".join(finding.numbers["names"])
-    return (
-        f"The flights show that {names} move the other way than the autopilot's parameters say, so "
-        f"their signs are turned: servos = {finding.numbers['servos']!r}."
-    )
-
-
 def _gusts_unknown(finding: Finding) -> str:
     text = f"Gusts are not known: {finding.numbers['reason']}"
     if finding.numbers.get("angles_lack_gusts"):
@@ -181,11 +186,6 @@ def _sizes_estimated(finding: Finding) -> str:
     return f"Of the aircraft: {sizes}; their part in errors of derivatives is std_aircraft."
 
 
-def _sizes_sources(finding: Finding) -> str:
-    sources = "; ".join(f"{name} {source}" for name, source in finding.numbers["sources"].items())
-    return f"Estimated by: {sources}."
-
-
 def _lags_corrected(finding: Finding) -> str:
     lags: Mapping[str, float] = finding.numbers["lags"]
     parts = [
@@ -197,68 +197,18 @@ def _lags_corrected(finding: Finding) -> str:
     return text
 
 
-def _paths_not_converged(finding: Finding) -> str:
-    flights = shortened(finding.numbers["flights"])
-    return (
-        f"The paths of these flights did not converge: {flights}. Their sensors contradict one "
-        "another."
-    )
-
-
-def _wrong_signs(finding: Finding) -> str:
-    values: Mapping[str, float] = finding.numbers["values"]
-    signs = ", ".join(f"{name} {value:+.2g}" for name, value in values.items())
-    return (
-        f"Signs are not as on a conventional stable aircraft: {signs}. Look at the signs of the "
-        "log's surfaces and rates, and at gusts without vanes."
-    )
-
-
-def _wrong_signs_reason(finding: Finding) -> str:
-    return f"wrong sign of {', '.join(finding.numbers['values'])}"
-
-
-def _constant_better_in_flights(finding: Finding) -> str:
-    flights = finding.numbers["flights"]
-    return (
-        f"In {len(flights)} of {finding.numbers['tested']} test flights a constant predicts better "
-        f"(error above 1): {shortened(flights)}."
-    )
-
-
-def _constant_better_in_moments(finding: Finding) -> str:
-    names = " ".join(finding.numbers["names"])
-    return f"a constant predicts {names} of the test flights better"
-
-
-def _least_squares_better(finding: Finding) -> str:
-    names = finding.numbers["names"]
-    return (
-        f"Least squares is better in {len(names)} of {finding.numbers['coefficients']} "
-        f"coefficients: {' '.join(names)}."
-    )
-
-
-def _bands_too_narrow(finding: Finding) -> str:
-    coverages: Mapping[str, float] = finding.numbers["coverages"]
-    held = ", ".join(f"{name} {100 * value:.0f} %" for name, value in coverages.items())
-    return f"95 % bands are too narrow: they hold {held} of the measured values."
-
-
 def _errors_too_large(finding: Finding) -> str:
     """Return the coefficients that are predicted well, then those that are not, and why."""
-    errors: Mapping[str, float] = finding.numbers["errors"]
-    coverages: Mapping[str, float] = finding.numbers["coverages"]
+    numbers = finding.numbers
     parts = []
-    for name in finding.numbers["poor"]:
+    for name in numbers["poor"]:
         lacks = []
-        if name in errors:
-            lacks.append(f"error {errors[name]:.2f} of its spread")
-        if name in coverages:
-            lacks.append(f"its 95 % band holds {100 * coverages[name]:.0f} %")
+        if name in numbers["errors"]:
+            lacks.append(f"error {numbers['errors'][name]:.2f} of its spread")
+        if name in numbers["coverages"]:
+            lacks.append(f"its 95 % band holds {100 * numbers['coverages'][name]:.0f} %")
         parts.append(f"{name}: {', '.join(lacks)}")
-    good = finding.numbers["good"]
-    only = f"only {' '.join(good)}. " if good else ""
+    only = f"only {' '.join(numbers['good'])}. " if numbers["good"] else ""
     return only + "; ".join(parts)
 
 
@@ -269,20 +219,6 @@ def _controls_too_uncertain(finding: Finding) -> str:
         for name, width in widths.items()
     ]
     return f"not known well enough, half of the 95 % interval: {', '.join(wide)}"
-
-
-def _controls_known(finding: Finding) -> str:
-    width, widest = finding.numbers["width"], finding.numbers["widest"]
-    return f"controls and fast modes are known to {100 * width:.0f} % or better ({widest})"
-
-
-def _trim_beyond(finding: Finding) -> str:
-    return f"the trim is outside the flown range in {', '.join(finding.numbers['names'])}"
-
-
-def _accelerations(finding: Finding) -> str:
-    names = ", ".join(finding.numbers["names"])
-    return f"the regressors {names} are known only after a flight"
 
 
 def _follows_shortly(finding: Finding) -> str:
@@ -314,12 +250,15 @@ TEXTS: dict[Code, Text] = {
     Code.ROWS_LEFT_OUT: "Flight {flight!r}: {left_out} of {rows} rows are left out, because "
     "regressors are missing there (by rows: {missing}). Bring slow sensors to the clock of the "
     "others if these are many.",
-    Code.SIGNS_TURNED: _signs_turned,
-    Code.ENGINE_UNEXPLAINED: _engine_unexplained,
+    Code.SIGNS_TURNED: "The flights show that {names: and } move the other way than the autopilot's "
+    "parameters say, so their signs are turned: servos = {servos!r}.",
+    Code.ENGINE_UNEXPLAINED: "Got thrust=None for flights with {names: and }: the coefficients "
+    "include the thrust, and no regressor explains it. Name regressors with {names[0]!r} and "
+    "'airspeed', or give the thrust.",
     Code.FULL_THROWS: "Surfaces are in parts of their full throw, as no servo file gives angles: "
     "effects are of a full throw.",
     Code.SIZES_ESTIMATED: _sizes_estimated,
-    Code.SIZES_SOURCES: _sizes_sources,
+    Code.SIZES_SOURCES: "Estimated by: {sources}.",
     Code.THRUST_IN_COEFFICIENTS: "Neither thrust_x, thrust_y, thrust_z nor a propeller and its "
     "speed give the thrust (a column thrust is for simulations), so it is part of the coefficients, "
     "with throttle and airspeed as regressors: CX is thrust less drag, which the model does not "
@@ -334,7 +273,7 @@ TEXTS: dict[Code, Text] = {
     "Compare a few, fit it again, or install those versions.",
     Code.TESTED_ON_TRAINING: "Flight {flight!r} is both learned from and tested on: its errors say "
     "nothing about other flights.",
-    Code.CONSTANT_REGRESSORS: "In the training flights {names} never change, so the model cannot "
+    Code.CONSTANT_REGRESSORS: "In the training flights {names!r} never change, so the model cannot "
     "learn their effects. Fly manoeuvres that move them, or leave them out of the regressors.",
     Code.GUSTS_UNKNOWN: _gusts_unknown,
     Code.LAGS_CORRECTED: _lags_corrected,
@@ -342,27 +281,32 @@ TEXTS: dict[Code, Text] = {
     "sensors contradict one another. Look for wrong signs, units or clocks.",
     Code.PATHS_RECONSTRUCTED: "reconstructed from all sensors: {reason}",
     Code.PATHS_SMOOTHED: "not reconstructed, only smoothed: {reason}",
-    Code.SENSORS_MISSING: "Got flights without {names}, which those of the fit had: they are "
+    Code.SENSORS_MISSING: "Got flights without {names!r}, which those of the fit had: they are "
     "smoothed channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
     "with those sensors.",
-    Code.TRUTH_AS_REGRESSORS: "Regressors {names} are noise-free truth of a simulation, which no "
+    Code.TRUTH_AS_REGRESSORS: "Regressors {names!r} are noise-free truth of a simulation, which no "
     "aircraft has: use them only to score, or to measure the effect of sensor noise.",
-    Code.CONSTANT_INPUTS: "The regressors {names} are constant over the samples: their effect "
+    Code.CONSTANT_INPUTS: "The regressors {names!r} are constant over the samples: their effect "
     "cannot be learned, and predictions at other values are not reliable. Leave them out, or add "
     "samples in which they vary.",
-    Code.CONSTANT_OUTPUTS: "The outputs {names} are constant over the samples: nothing can be "
+    Code.CONSTANT_OUTPUTS: "The outputs {names!r} are constant over the samples: nothing can be "
     "learned about them, and their stated uncertainty is not reliable. Leave them out, or check "
     "the log.",
     Code.FIT_NOT_CONVERGED: "The fit has not converged: raise max_iter.",
-    Code.PATHS_NOT_CONVERGED: _paths_not_converged,
-    Code.BANDS_TOO_NARROW: _bands_too_narrow,
-    Code.CONSTANT_BETTER_IN_FLIGHTS: _constant_better_in_flights,
-    Code.LEAST_SQUARES_BETTER: _least_squares_better,
+    Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
+    "sensors contradict one another.",
+    Code.BANDS_TOO_NARROW: "95 % bands are too narrow: they hold {coverages:.0%} of the measured "
+    "values.",
+    Code.CONSTANT_BETTER_IN_FLIGHTS: "In {worse} of {tested} test flights a constant predicts better "
+    "(error above 1): {flights:short}.",
+    Code.LEAST_SQUARES_BETTER: "Least squares is better in {worse} of {coefficients} coefficients: "
+    "{names: }.",
     Code.NO_DERIVATIVES: "No derivatives: {error}",
     Code.NO_TRIM: "No steady flight was found at {airspeed:.3g} m/s: derivatives are at the median "
     "state, without modes.",
     Code.NOT_SIMULATED: "{error}",
-    Code.WRONG_SIGNS: _wrong_signs,
+    Code.WRONG_SIGNS: "Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
+    "the signs of the log's surfaces and rates, and at gusts without vanes.",
 }  # fmt: skip
 
 REASONS: dict[Code, Text] = {
@@ -371,18 +315,18 @@ REASONS: dict[Code, Text] = {
     Code.HELD_OUT_QUARTER: "the last quarter of the only flight, {flight}",
     Code.GUSTS_UNKNOWN: "gusts without vanes are not known",
     Code.PATHS_NOT_CONVERGED: "a reconstruction did not converge",
-    Code.WRONG_SIGNS: _wrong_signs_reason,
-    Code.CONSTANT_BETTER_IN_MOMENTS: _constant_better_in_moments,
+    Code.WRONG_SIGNS: "wrong sign of {names}",
+    Code.CONSTANT_BETTER_IN_MOMENTS: "a constant predicts {names: } of the test flights better",
     Code.ERRORS_SMALL: "errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",
     Code.ERRORS_TOO_LARGE: _errors_too_large,
-    Code.CONTROLS_KNOWN: _controls_known,
+    Code.CONTROLS_KNOWN: "controls and fast modes are known to {width:.0%} or better ({widest})",
     Code.CONTROLS_MISSING: "the model has none of the controls elevator, aileron, rudder",
     Code.CONTROLS_TOO_UNCERTAIN: _controls_too_uncertain,
     Code.NO_BANDS: "the model has no bands of derivatives",
     Code.NO_DERIVATIVES: "no derivatives",
     Code.NO_TRIM: "no steady flight was found at {airspeed:.3g} m/s",
-    Code.TRIM_BEYOND: _trim_beyond,
-    Code.ACCELERATIONS_AS_REGRESSORS: _accelerations,
+    Code.TRIM_BEYOND: "the trim is outside the flown range in {names}",
+    Code.ACCELERATIONS_AS_REGRESSORS: "the regressors {names} are known only after a flight",
     Code.FOLLOWS: "it follows the test flights for the {horizon:.2g} s that were simulated",
     Code.FOLLOWS_SHORTLY: _follows_shortly,
     Code.GUSTS_HIDE_ERRORS: "not testable in this air: it follows the test flights for "

@@ -98,7 +98,9 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     wrong = values[values * pd.Series(SIGNS) < 0]
     if wrong.empty:
         return []
-    return [Finding(Code.WRONG_SIGNS, numbers={"values": wrong.to_dict()})]
+    return [
+        Finding(Code.WRONG_SIGNS, numbers={"values": wrong.to_dict(), "names": list(wrong.index)})
+    ]
 
 
 def _prediction(table: pd.DataFrame) -> Use:
@@ -204,14 +206,14 @@ def _scored(table: pd.DataFrame, evaluations: Sequence[Evaluation]) -> list[Find
     }
     bad = [name for name, error in means.items() if error > 1]
     if bad:
-        numbers = {"flights": bad, "tested": len(means)}
+        numbers = {"flights": bad, "worse": len(bad), "tested": len(means)}
         findings.append(Finding(Code.CONSTANT_BETTER_IN_FLIGHTS, numbers=numbers))
 
     error = table["normalized_rmse"]
     linear = (1 + THRESHOLDS.tie) * table.get("least_squares_normalized_rmse", np.inf * error)
     worse = list(table.index[error > linear])
     if len(worse) >= len(table) / 2 or error.mean() > linear.mean():
-        numbers = {"names": worse, "coefficients": len(table)}
+        numbers = {"names": worse, "worse": len(worse), "coefficients": len(table)}
         findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers))
 
     held = table["interval_coverage"]

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import FindingWarning
@@ -100,33 +101,27 @@ class _Rows(NamedTuple):
 
 def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Fault]:
     """Return the faults of each flight in a table whose time increases within each; some columns are ignored."""
-    ignored = set(ignore)
     time = table["time"].to_numpy(float)
     codes, names = flight_codes(
         table["flight"] if "flight" in table else np.full(len(table), "flight")
     )
-    channels = {
-        name: table[name].to_numpy(float, na_value=np.nan)
-        for name in POSSIBLE
-        if name in table and name not in ignored and pd.api.types.is_numeric_dtype(table[name])
-    }
+    ignored = {*ignore}
+    channels = {}
+    for name in POSSIBLE:
+        if name in table and name not in ignored and is_numeric_dtype(table[name]):
+            channels[name] = table[name].to_numpy(float, na_value=np.nan)
     # texts count times from the first row of a clock that counts from 1970
     origin = float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0
     faults = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
+        flight = names[codes[first]]
         flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
         for found in _faults_of_flight(flight_time, part):
-            numbers = {
-                "start": float(flight_time[found.rows[0]]),
-                "end": float(flight_time[found.rows[-1]]),
-                "samples": len(found.rows),
-                "origin": origin,
-            }
-            finding = Finding(
-                found.code, names[codes[first]], found.channel, numbers | found.numbers
-            )
+            begin, end = flight_time[found.rows[[0, -1]]].tolist()
+            place = {"start": begin, "end": end, "samples": len(found.rows), "origin": origin}
+            finding = Finding(found.code, flight, found.channel, place | found.numbers)
             faults.append(Fault(finding, first + found.rows))
     return faults
 
@@ -170,13 +165,14 @@ def _missing(name: str, values: np.ndarray, step: float) -> Iterator[_Rows]:
     if not sampled.size:
         yield _Rows(name, Code.MISSING, np.arange(len(values)), {})
         return
-    spacing = np.diff(np.r_[-1, sampled, len(values)])
-    wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
-    before = np.r_[-1, sampled][wide]
-    gaps = [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
-    if gaps:
-        rows = np.concatenate(gaps)
-        numbers = {"times": _n_runs(rows), "longest": max(map(len, gaps)) * step}
+    ends = np.r_[-1, sampled, len(values)]
+    spacing = np.diff(ends)
+    wide = spacing > MISSING * usual_spacing(values)
+    if wide.any():
+        lengths = spacing[wide] - 1
+        gaps = zip(ends[:-1][wide] + 1, lengths, strict=True)
+        rows = np.concatenate([np.arange(first, first + n) for first, n in gaps])
+        numbers = {"times": _n_runs(rows), "longest": float(lengths.max() * step)}
         yield _Rows(name, Code.MISSING, rows, numbers)
 
 

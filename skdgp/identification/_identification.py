@@ -300,18 +300,22 @@ def air_of(pipeline: Pipeline) -> str:
 
 def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
     """Return flights with their durations and rates."""
-    extents = {name: _extent(table) for name, table in flights.items()}
-    return ", ".join(
-        f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)"
-        for name, extent in extents.items()
-    )
+    parts = []
+    for name, table in flights.items():
+        extent = _extent(table)
+        parts.append(f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)")
+    return ", ".join(parts)
 
 
-def _extent(table) -> dict[str, float]:
+def _extent(table: pd.DataFrame) -> dict[str, float]:
     """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
     time = table["time"].to_numpy(float)
-    rate = 1 / np.median(np.diff(time)) if len(time) > 1 else np.nan
-    return {"samples": len(table), "duration": float(np.ptp(time)), "sample_rate": float(rate)}
+    step = np.median(np.diff(time)) if len(time) > 1 else np.nan
+    return {
+        "samples": len(table),
+        "duration": float(np.ptp(time)),
+        "sample_rate": float(1 / step),
+    }
 
 
 def _score_metrics(tables: Mapping[str, pd.DataFrame]) -> dict:

@@ -150,23 +150,24 @@ class FlightCheck(TableTransformer):
             report(finding, FlightDataWarning, stacklevel=4)
         table = without_faults(table, faults)
         check_airspeed(table)
-        names = [
-            name
-            for name in BRIDGED
-            if name in table
-            and name not in self.ignore
-            and pd.api.types.is_numeric_dtype(table[name])
-            and table[name].isna().any()
-        ]
-        time, flight, new = numeric(table, ["time"])[:, 0], table.get("flight"), {}
-        for name in names:
+        return with_columns(table, self._bridged(table))
+
+    def _bridged(self, table: pd.DataFrame) -> dict[str, Vector]:
+        """Return the columns that have missing values, with short gaps interpolated."""
+        time = numeric(table, ["time"])[:, 0]
+        new = {}
+        for name in _present(BRIDGED, table):
+            column = table[name]
+            is_numeric = pd.api.types.is_numeric_dtype(column)
+            if name in self.ignore or not is_numeric or not column.isna().any():
+                continue
             values = unwrapped(table, [name])[:, 0]
-            for run in flight_segments(time, flight):
-                values[run] = _interpolated(time[run], values[run])
-            new[name] = (
-                wrapped_near(values, table[name].ffill().bfill()) if name in WRAPPED else values
-            )
-        return with_columns(table, new)
+            for segment in flight_segments(time, table.get("flight")):
+                values[segment] = _interpolated(time[segment], values[segment])
+            if name in WRAPPED:
+                values = wrapped_near(values, column.ffill().bfill())
+            new[name] = values
+        return new
 
 
 def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Fault]:
@@ -289,16 +290,20 @@ class FlightSmoother(TableTransformer):
         return names + [f"{name}_dot" for name in self.derivatives_]
 
     def _apply(self, operation, names, table):
-        new: dict[str, Vector] = {}
         clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
-        # every name is in one group of columns that are filtered together, with their partners
-        apart = [name for name in names if name not in self._vanes]
-        groups = [(self._vanes, self.partners_)] * any(name in self._vanes for name in names)
-        for group, partners in groups + [(apart, [])] * bool(apart):
+        new: dict[str, Vector] = {}
+
+        def filter_together(group, partners):
             columns = unwrapped(table, group + partners)
             values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
-            # without the partners, which are in other groups
-            new |= dict(zip(group, values.T, strict=False))
+            new.update(zip(group, values.T, strict=False))  # without the partners
+
+        # every name is in one group of columns that are filtered together, with their partners
+        if any(name in self._vanes for name in names):
+            filter_together(self._vanes, self.partners_)
+        apart = [name for name in names if name not in self._vanes]
+        if apart:
+            filter_together(apart, [])
         return {name: new[name] for name in names}
 
 

@@ -275,25 +275,31 @@ class RegressorSelector(TableTransformer):
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
         X = as_pandas(X)
         super().fit(X, y)
-        values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
-        targeted = y is not None and len(y) == len(X)
-        if targeted:
-            observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
+        observed = np.ones(len(X), dtype=bool)
+        is_targeted = y is not None and len(y) == len(X)
+        if is_targeted:
+            targets = np.asarray(y, dtype=float).reshape(len(X), -1)
+            observed = np.isfinite(targets).any(axis=1)
+        values = numeric(X, self.regressors_)
         values = values[observed & np.isfinite(values).all(axis=1)]
-        pairs = zip(self.regressors_, values.T, strict=True) if len(values) else ()
-        constant = [name for name, v in pairs if np.ptp(v) <= STILL * np.abs(v).max()]
-        if targeted and constant:
-            finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": constant})
-            report(finding, FlightDataWarning, stacklevel=2)
-        channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
-        self.ranges_ = {
-            str(name): (float(kept.min()), float(kept.max()))
-            for name, column in channels
-            if len(kept := column[observed].dropna())
-        }
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None
+        self.ranges_ = {}
+        channels = [name for name in X if name in CHANNELS]
+        for name, column in X[channels].select_dtypes("number").items():
+            kept = column[observed].dropna()
+            if len(kept):
+                self.ranges_[str(name)] = float(kept.min()), float(kept.max())
+        if is_targeted and len(values):
+            is_still = np.ptp(values, axis=0) <= STILL * np.abs(values).max(axis=0)
+            self._warn_of_constant(np.flatnonzero(is_still))
         return self
+
+    def _warn_of_constant(self, columns):
+        names = [self.regressors_[k] for k in columns]
+        if names:
+            finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
+            report(finding, FlightDataWarning, stacklevel=3)
 
     def _fit_table(self, table):
         self.absent_ = []
@@ -352,13 +358,13 @@ class RegressorSelector(TableTransformer):
 def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     """Raise ValueError, with the step that adds it, if a column is missing that could be made."""
     lacking = [name for name in names if name not in table and name + HAT not in table]
-    made = [name for name in lacking if name in MAKERS and MAKERS[name][0] in table]
-    if made:
+    makers = {name: MAKERS[name] for name in lacking if name in MAKERS}
+    steps = {name: step for name, (origin, step) in makers.items() if origin in table}
+    if steps:
         raise ValueError(
-            f"The flight lacks {sorted(made)}, but these regressors need them: put "
-            f"{', '.join(dict.fromkeys(MAKERS[name][1] for name in made))} before RegressorSelector in the pipeline, "
-            f"or name other regressors."
+            f"The flight lacks {sorted(steps)}, but these regressors need them: put "
+            f"{', '.join(dict.fromkeys(steps.values()))} before RegressorSelector in the pipeline, "
+            "or name other regressors."
         )
-    check_columns(
-        table, [MAKERS[name][0] for name in lacking if name in MAKERS and name.endswith("_dot")]
-    )
+    rates = [name for name in makers if name.endswith("_dot")]
+    check_columns(table, [makers[name][0] for name in rates])

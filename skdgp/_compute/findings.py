@@ -38,7 +38,6 @@ class Code(Enum):
     LONE_ROWS = "lone_rows"
     NO_ELEVATOR = "no_elevator"
     ROWS_LEFT_OUT = "rows_left_out"
-    SIGNS_TURNED = "signs_turned"
 
     # assumptions
     ENGINE_UNEXPLAINED = "engine_unexplained"

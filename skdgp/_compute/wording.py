@@ -250,8 +250,6 @@ TEXTS: dict[Code, Text] = {
     Code.ROWS_LEFT_OUT: "Flight {flight!r}: {left_out} of {rows} rows are left out, because "
     "regressors are missing there (by rows: {missing}). Bring slow sensors to the clock of the "
     "others if these are many.",
-    Code.SIGNS_TURNED: "The flights show that {names: and } move the other way than the autopilot's "
-    "parameters say, so their signs are turned: servos = {servos!r}.",
     Code.ENGINE_UNEXPLAINED: "Got thrust=None for flights with {names: and }: the coefficients "
     "include the thrust, and no regressor explains it. Name regressors with {names[0]!r} and "
     "'airspeed', or give the thrust.",

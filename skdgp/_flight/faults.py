@@ -54,22 +54,41 @@ POSSIBLE = {
     "propeller_speed": (-1e4, 1e4),
     **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
-# impossible values more frequent than this are of another unit: the checks of units name it
+# impossible values more frequent than this fraction are of another unit: checks of units name it
 RARE = 0.05
-EPOCH = 1e8  # times [s] beyond this count from 1970, not from the start of a log
-ENOUGH = 50  # least number of samples to estimate the usual length of runs
-IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
-LEAST_HOLD = 0.3  # shorter holds [s] are no fault
-FEWEST_HELD = 6  # repeated values, at least, to estimate the resolution of a channel
-MOST_ON_STEP = 0.9  # fraction of such values that are multiples of the resolution
-OFF_STEP = 0.1  # tolerance of such multiples, as a fraction of the resolution
-# a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
-SPIKE = 8.0
-WIDEST_SPIKE = 3
-# steps that change by less than this share of themselves show no noise (with noise: 1.7)
-SMOOTH = 0.5
-MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
 
+
+@dataclass(frozen=True)
+class FaultSettings:
+    """Constants of the search for faults; without another source they are guesses."""
+
+    # Impossible values more frequent than this fraction are no fault.
+    rare: float = RARE
+    # Times [s] beyond this count from 1970, not from the start of a log.
+    epoch: float = 1e8
+    # Least number of samples to estimate the usual length of runs.
+    enough: int = 50
+    # Expected number of such runs in a flight below which chance is ruled out.
+    improbable: float = 1e-4
+    # Shorter holds [s] are no fault.
+    least_hold: float = 0.3
+    # Repeated values, at least, to estimate the resolution of a channel.
+    fewest_held: int = 6
+    # Fraction of such values that are multiples of the resolution.
+    most_on_step: float = 0.9
+    # Tolerance of such multiples, as a fraction of the resolution.
+    off_step: float = 0.1
+    # A spike stands out from its neighbours by so many times what all but 0.5 % of samples do.
+    spike: float = 8.0
+    # Most samples of a spike.
+    widest_spike: int = 3
+    # Steps that change by less than this fraction of themselves show no noise (with noise: 1.7).
+    smooth: float = 0.5
+    # A sample is missing where the next comes later than so many usual spacings.
+    missing: float = 1.5
+
+
+SETTINGS = FaultSettings()
 NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE)
 
 
@@ -99,7 +118,9 @@ class _Rows(NamedTuple):
     numbers: dict[str, Any]
 
 
-def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Fault]:
+def find_faults(
+    table: pd.DataFrame, ignore: Iterable[str] = (), settings: FaultSettings = SETTINGS
+) -> list[Fault]:
     """Return the faults of each flight in a table whose time increases within each; some columns are ignored."""
     time = table["time"].to_numpy(float)
     codes, names = flight_codes(
@@ -111,14 +132,14 @@ def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Fault]:
         if name in table and name not in ignored and is_numeric_dtype(table[name]):
             channels[name] = table[name].to_numpy(float, na_value=np.nan)
     # texts count times from the first row of a clock that counts from 1970
-    origin = float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0
+    origin = float(time[0]) if len(time) and abs(time[0]) > settings.epoch else 0.0
     faults = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
         flight = names[codes[first]]
         flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
-        for found in _faults_of_flight(flight_time, part):
+        for found in _faults_of_flight(flight_time, part, settings):
             begin, end = flight_time[found.rows[[0, -1]]].tolist()
             place = {"start": begin, "end": end, "samples": len(found.rows), "origin": origin}
             finding = Finding(found.code, flight, found.channel, place | found.numbers)
@@ -138,7 +159,9 @@ def without_faults(table: pd.DataFrame, faults: Iterable[Fault]) -> pd.DataFrame
     return table
 
 
-def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[_Rows]:
+def _faults_of_flight(
+    time: np.ndarray, channels: dict[str, np.ndarray], settings: FaultSettings
+) -> Iterator[_Rows]:
     """Yield each fault; faulty values in the channels become NaN."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     rows = np.flatnonzero(np.diff(time) > GAP * step)
@@ -146,20 +169,22 @@ def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iter
         numbers = {"times": len(rows), "longest": float(np.diff(time).max())}
         yield _Rows("time", Code.GAP, rows, numbers)
     for name, values in channels.items():
-        yield from _missing(name, values, step)
+        yield from _missing(name, values, step, settings)
         values[~np.isfinite(values)] = np.nan
-        yield from _impossible(name, values)
+        yield from _impossible(name, values, settings)
         if name in SENSORS:
-            for rows in stuck_rows(values, step):
+            for rows in stuck_rows(values, step, settings):
                 yield _Rows(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
                 values[rows] = np.nan
-            rows = spike_rows(values, angle=name in WRAPPED)
+            rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
             if rows.size:
                 yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
-    yield from _dead(channels, len(time))
+    yield from _dead(channels, len(time), settings)
 
 
-def _missing(name: str, values: np.ndarray, step: float) -> Iterator[_Rows]:
+def _missing(
+    name: str, values: np.ndarray, step: float, settings: FaultSettings
+) -> Iterator[_Rows]:
     """Yield the gaps, together, of a channel that usually has values there."""
     sampled = np.flatnonzero(np.isfinite(values))
     if not sampled.size:
@@ -167,7 +192,7 @@ def _missing(name: str, values: np.ndarray, step: float) -> Iterator[_Rows]:
         return
     ends = np.r_[-1, sampled, len(values)]
     spacing = np.diff(ends)
-    wide = spacing > MISSING * usual_spacing(values)
+    wide = spacing > settings.missing * usual_spacing(values)
     if wide.any():
         lengths = spacing[wide] - 1
         gaps = zip(ends[:-1][wide] + 1, lengths, strict=True)
@@ -176,21 +201,21 @@ def _missing(name: str, values: np.ndarray, step: float) -> Iterator[_Rows]:
         yield _Rows(name, Code.MISSING, rows, numbers)
 
 
-def _impossible(name: str, values: np.ndarray) -> Iterator[_Rows]:
+def _impossible(name: str, values: np.ndarray, settings: FaultSettings) -> Iterator[_Rows]:
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
-    if 0 < rows.size <= RARE * np.isfinite(values).sum():
+    if 0 < rows.size <= settings.rare * np.isfinite(values).sum():
         numbers = {"value": float(values[rows[0]])}
         values[rows] = np.nan
         yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
 
 
-def _dead(channels: dict[str, np.ndarray], n: int) -> Iterator[_Rows]:
+def _dead(channels: dict[str, np.ndarray], n: int, settings: FaultSettings) -> Iterator[_Rows]:
     """Yield sensors that have one value throughout while others of their kind move."""
     spread = {}
     for name, values in channels.items():
         sampled = values[np.isfinite(values)]
-        if len(sampled) >= ENOUGH:
+        if len(sampled) >= settings.enough:
             spread[name] = np.ptp(sampled)
     for names in SIBLINGS:
         moving = [name for name in names if spread.get(name, 0) > 0]
@@ -204,11 +229,13 @@ def _n_runs(rows: np.ndarray) -> int:
     return 1 + int(np.sum(np.diff(rows) > 1))
 
 
-def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
+def stuck_rows(
+    values: np.ndarray, step: float, settings: FaultSettings = SETTINGS
+) -> list[np.ndarray]:
     """Return the rows of each run where a sensor repeats its last value, improbably often."""
     rows = np.flatnonzero(np.isfinite(values))
     readings = values[rows]
-    if len(rows) < ENOUGH or np.ptp(readings) == 0:
+    if len(rows) < settings.enough or np.ptp(readings) == 0:
         return []
     start = np.flatnonzero(np.r_[True, np.diff(readings) != 0])
     length = np.diff(np.r_[start, len(readings)])
@@ -216,13 +243,13 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     k = np.floor(length / usual)
     share = (1 + np.sum(length >= 1.5 * usual)) / (1 + len(length))
     chance = len(length) * share ** (k - 1)  # expected number of runs at least so long
-    stuck = (chance < IMPROBABLE) & (length * step >= LEAST_HOLD)
+    stuck = (chance < settings.improbable) & (length * step >= settings.least_hold)
 
     # a channel that turns back repeats its value, and leaves it by one quantum
     leap = np.abs(np.diff(readings[start], append=np.nan))
     steps = leap[:-1]
     held = readings[start[length > 1]]
-    quantum = max(np.quantile(steps, 0.01), _resolution(held))
+    quantum = max(np.quantile(steps, 0.01), _resolution(held, settings))
     stuck &= ~(leap <= 3 * quantum)
 
     # a channel without noise has long runs: it is stuck only if it jumps after the run
@@ -230,7 +257,7 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     if len(steps) > 1:
         bend = np.median(np.abs(np.diff(readings[start], 2))) / np.median(steps)
     largest_usual = np.quantile(steps, 0.99)
-    if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
+    if bend < settings.smooth or np.median(steps) <= settings.missing * quantum:
         stuck &= leap > largest_usual
 
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
@@ -241,38 +268,40 @@ def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
     return [rows[first + 1 : first + n] for first, n in runs]
 
 
-def _resolution(held: np.ndarray) -> float:
+def _resolution(held: np.ndarray, settings: FaultSettings) -> float:
     """Return the common step of held values, from any origin; 0 if there is none."""
     levels = np.unique(held)
-    if len(levels) < FEWEST_HELD:
+    if len(levels) < settings.fewest_held:
         return 0.0
     step = np.diff(levels).min()
     multiples = (levels - levels[len(levels) // 2]) / step
-    on_step = np.abs(multiples - np.rint(multiples)) < OFF_STEP
-    return float(step) if on_step.mean() > MOST_ON_STEP else 0.0
+    on_step = np.abs(multiples - np.rint(multiples)) < settings.off_step
+    return float(step) if on_step.mean() > settings.most_on_step else 0.0
 
 
-def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
+def spike_rows(
+    values: np.ndarray, *, angle: bool, settings: FaultSettings = SETTINGS
+) -> np.ndarray:
     """Return the rows of a few samples that leap from their neighbours and back."""
     none = np.empty(0, int)
     sampled = np.flatnonzero(np.isfinite(values))
-    if len(sampled) < ENOUGH:
+    if len(sampled) < settings.enough:
         return none
     start = np.flatnonzero(np.r_[True, np.diff(values[sampled]) != 0])
     fresh = values[sampled[start]]
     readings = np.unwrap(fresh) if angle else fresh
-    if len(readings) < ENOUGH:
+    if len(readings) < settings.enough:
         return none
     padded = np.pad(readings, 2, mode="reflect")
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
     out = np.abs(readings - around)
     edges = np.r_[start, len(sampled)]
     spikes = [none]
-    for run in true_runs(out > SPIKE * np.quantile(out, 0.995)):
+    for run in true_runs(out > settings.spike * np.quantile(out, 0.995)):
         before = readings[max(run.start - 1, 0)]
         after = readings[min(run.stop, len(readings) - 1)]
         returns = abs(after - before) < out[run].max() / 2
-        if run.stop - run.start <= WIDEST_SPIKE and returns:
+        if run.stop - run.start <= settings.widest_spike and returns:
             spikes.append(sampled[edges[run.start] : edges[run.stop]])
     return np.concatenate(spikes)
 

@@ -94,31 +94,28 @@ def simulation_errors(
     measured = np.array([_at(elapsed, part.flown) for part in parts])
     simulated = _by_state(flown, len(parts), len(elapsed))
     # an infinite error where a simulation ended
-    squares = np.nan_to_num(simulated - measured, nan=np.inf) ** 2
+    squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
+    by_gusts = np.zeros(squares.shape)
     turbulence = _unknown_gusts(pipeline, aircraft, tables, parts)
-    gusts = np.zeros(simulated.shape[1:])
     if turbulence is not None:
         n_paths = max(1, constants.most_starts // len(parts))
+        model = _mean_alone(pipeline)
         drawn = _simulated(
-            _mean_alone(pipeline),
-            aircraft,
-            parts,
-            settings,
-            constants,
-            gusts=turbulence,
-            n_paths=n_paths,
+            model, aircraft, parts, settings, constants, gusts=turbulence, n_paths=n_paths
         )
         paths = _by_state(drawn, n_paths * len(parts), len(elapsed))
-        paths = paths.reshape(n_paths, *simulated.shape)
-        gusts = np.nan_to_num((paths - simulated) ** 2).mean(axis=(0, 1))
+        difference = paths.reshape(n_paths, *simulated.shape) - simulated
+        by_gusts = np.nan_to_num(difference**2).mean(axis=(0, 1))
 
+    # means over parts of the time
     edges = np.unique(np.arange(constants.parts) * len(elapsed) // constants.parts)
     counts = np.diff([*edges, len(elapsed)])
-    total = np.add.reduceat(squares.mean(axis=0), edges, axis=1) / counts
-    explained = np.add.reduceat(gusts, edges, axis=1) / counts
+    total = np.add.reduceat(squares, edges, axis=1) / counts
+    explained = np.add.reduceat(by_gusts, edges, axis=1) / counts
+    ends = np.append(elapsed[edges], elapsed[-1])
+
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
     limit = np.maximum(THRESHOLDS.error * spread, 3 * _noise(tables))
-    ends = np.append(elapsed[edges], elapsed[-1])
     columns = {
         "spread": spread,
         "limit": limit,

@@ -27,7 +27,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import flight_segments
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.physics import find_contradictions, reversed_surfaces
+from skdgp._flight.physics import find_contradictions
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -63,7 +63,7 @@ class PreparedFlights:
         Usable rows of the flights to learn from, and to be tested on.
     aircraft : Aircraft
     servos : object
-        What gave the surfaces, with the signs that the flights show.
+        What gave the surfaces.
     loads : dict
         ``thrust`` and ``external_forces`` of the inverse dynamics.
     lacks_thrust : bool
@@ -114,7 +114,6 @@ def prepare(
     check_controls(train, regressors)
     tested = {} if test is None else named_flights(test, default="test flight", **options)
     train, tested = train_and_test(train, tested)
-    servos, train, tested = with_signs_of_flights(servos, train, tested)
     columns = regressor_columns(train.values(), regressors)
     train = usable_flights(train, regressors, columns)
     tested = usable_flights(tested, regressors, columns)
@@ -207,27 +206,6 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights]:
     learned = table[:split].assign(flight=f"{last}, first three quarters")
     tested = table[split:].assign(flight=f"{last}, last quarter")
     return flights_of(learned), flights_of(tested)
-
-
-def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
-    """Return servos in parts of the full throw, and flights, with signs of surfaces that the first flights show."""
-    if reversed_of(servos) != ():
-        return servos, *parts
-    names = reversed_surfaces(pd.concat(parts[0].values(), ignore_index=True))
-    if not names:
-        return servos, *parts
-    servos = f"{FULL_THROW}, reversed {' '.join(names)}"
-    finding = Finding(Code.SIGNS_TURNED, numbers={"names": names, "servos": servos})
-    report(finding, FlightDataWarning, stacklevel=3)
-    turned = []
-    for part in parts:
-        turned.append({key: _turned(table, names) for key, table in part.items()})
-    return servos, *turned
-
-
-def _turned(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """Return a table with some columns of the other sign."""
-    return table.assign(**{name: -table[name] for name in names if name in table})
 
 
 def _names(regressors: str | Sequence[str]) -> Sequence[str]:

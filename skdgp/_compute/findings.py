@@ -64,10 +64,17 @@ class Code(Enum):
     TRUTH_AS_REGRESSORS = "truth_as_regressors"
 
     # fit
+    APPROXIMATION_POOR = "approximation_poor"
+    BOUNDS_REACHED = "bounds_reached"
     CONSTANT_INPUTS = "constant_inputs"
     CONSTANT_OUTPUTS = "constant_outputs"
+    FEW_ROWS = "few_rows"
+    FIT_INTERRUPTED = "fit_interrupted"
     FIT_NOT_CONVERGED = "fit_not_converged"
+    INDICES_DIFFER = "indices_differ"
     PATHS_NOT_CONVERGED = "paths_not_converged"
+    SAMPLES_REPEATED = "samples_repeated"
+    SEARCH_STOPPED = "search_stopped"
 
     # scores
     BANDS_TOO_NARROW = "bands_too_narrow"

@@ -197,6 +197,51 @@ def _lags_corrected(finding: Finding) -> str:
     return text
 
 
+def _approximation_poor(finding: Finding) -> str:
+    numbers = finding.numbers
+    exact = numbers["exact"]
+    text = (
+        f"{numbers['inducing']} inducing inputs leave {numbers['neglected']:.2g} of the noise "
+        "variance unexplained: "
+    )
+    if exact is None:
+        return text + (
+            "predictions are less accurate than those of exact inference. Raise n_inducing."
+        )
+    return text + (
+        f"the model is learned from {exact} of the values instead. Raise n_inducing to learn from "
+        "all."
+    )
+
+
+def _few_rows(finding: Finding) -> str:
+    numbers = finding.numbers
+    worth = ""
+    if numbers["lasting"] > 1:
+        worth = (
+            f", worth {numbers['independent']:.0f} independent ones as errors last "
+            f"{numbers['lasting']:.0f} rows,"
+        )
+    return (
+        f"Got {numbers['rows']} rows{worth} for {numbers['regressors']} regressors, "
+        f"{numbers['each']:.2g} for each, but expected at least {numbers['least']} for each: with "
+        "fewer, the model leans on the linear trend, and standard deviations may be too small. Give "
+        "more rows or minutes of manoeuvres, or name fewer regressors."
+    )
+
+
+def _search_stopped(finding: Finding) -> str:
+    numbers = finding.numbers
+    scale = ""
+    if numbers["unscaled"]:
+        scale = f", or scale the regressors {numbers['unscaled']} (StandardScaler)"
+    return (
+        f"The fit stopped at max_iter={numbers['max_iter']} before it converged: in as many "
+        f"iterations again the log likelihood is expected to rise by {numbers['remaining']:,.0f} "
+        f"nats. Raise max_iter{scale}."
+    )
+
+
 def _errors_too_large(finding: Finding) -> str:
     """Return the coefficients that are predicted well, then those that are not, and why."""
     numbers = finding.numbers
@@ -284,12 +329,24 @@ TEXTS: dict[Code, Text] = {
     "with those sensors.",
     Code.TRUTH_AS_REGRESSORS: "Regressors {names!r} are noise-free truth of a simulation, which no "
     "aircraft has: use them only to score, or to measure the effect of sensor noise.",
+    Code.APPROXIMATION_POOR: _approximation_poor,
+    Code.BOUNDS_REACHED: "Got hyperparameters that end at a bound of the kernel: {reached:short}. "
+    "Widen the bounds, unless they are known to hold.",
     Code.CONSTANT_INPUTS: "The regressors {names!r} are constant over the samples: their effect "
     "cannot be learned, and predictions at other values are not reliable. Leave them out, or add "
     "samples in which they vary.",
     Code.CONSTANT_OUTPUTS: "The outputs {names!r} are constant over the samples: nothing can be "
     "learned about them, and their stated uncertainty is not reliable. Leave them out, or check "
     "the log.",
+    Code.FEW_ROWS: _few_rows,
+    Code.FIT_INTERRUPTED: "The fit was interrupted; the best hyperparameters so far are kept. Fit "
+    "again to continue.",
+    Code.INDICES_DIFFER: "The indices of X and y differ; rows are matched by position. If rows of "
+    "one were dropped or sorted, do the same to the other (y.loc[X.index]).",
+    Code.SAMPLES_REPEATED: "{repeated} of {samples} samples repeat another sample with the same "
+    "regressors and targets. They count as independent, so the uncertainty is too small: drop "
+    "repeated rows (was a log read twice?).",
+    Code.SEARCH_STOPPED: _search_stopped,
     Code.FIT_NOT_CONVERGED: "The fit has not converged: raise max_iter.",
     Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
     "sensors contradict one another.",

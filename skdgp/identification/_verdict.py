@@ -45,33 +45,33 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table = scores(evaluations)["measured"]
-    learned = list(train)
+    errors = table["normalized_rmse"]
     doubts = _doubts(fit, findings)
     faults = [*doubts, *_wrong_signs(mechanics.derivatives)]
     uses = (
         _prediction(table),
         _simulation(mechanics, fit.regressors),
-        _control(mechanics, table["normalized_rmse"], faults),
+        _control(mechanics, errors, faults),
     )
+    warnings = [*faults, *_scored(table, evaluations)]
+    if not fit.converged:
+        warnings.append(Finding(Code.FIT_NOT_CONVERGED))
+    warnings += [finding for finding in findings if finding.severity is not Severity.DOUBT]
+    learned = list(train)
     linear = table.get("least_squares_normalized_rmse")
-    ratio = pd.Series(dtype=float) if linear is None else table["normalized_rmse"] / linear
+    ratio = pd.Series(dtype=float) if linear is None else errors / linear
     return Verdict(
         regressors=fit.regressors,
         tested=Extent.of([flight.table for flight in evaluations]),
         trained=Extent.of(learned) if learned else None,
         samples=fit.training.samples if fit.training else 0,
-        error=float(table["normalized_rmse"].mean()),
+        error=float(errors.mean()),
         coverage=float(table["interval_coverage"].mean()),
         least_squares_error=None if linear is None else float(linear.mean()),
         better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
         worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
         uses=tuple(_with_doubts(use, doubts) for use in uses),
-        findings=(
-            *faults,
-            *_scored(table, evaluations),
-            *([] if fit.converged else [Finding(Code.FIT_NOT_CONVERGED)]),
-            *(finding for finding in findings if finding.severity is not Severity.DOUBT),
-        ),
+        findings=tuple(warnings),
     )
 
 

@@ -188,7 +188,14 @@ def _interpolated(time: Vector, values: Vector) -> Vector:
 
 
 SMOOTHED = (
-    *(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),
+    *AIR_DATA,
+    "alpha_dot",
+    "beta_dot",
+    *RATES,
+    "p_dot",
+    "q_dot",
+    "r_dot",
+    *SPECIFIC_FORCE,
 )
 PARTNERS = ("airspeed", *RATES)  # of alpha and beta
 IN_RADIANS = (*VANES, *RATES)

@@ -202,10 +202,11 @@ class RateNondimensionalizer(TableTransformer):
         check_columns(table, ["airspeed", *self.rates_])
         airspeed = numeric(table, ["airspeed"])[:, 0]
         check_airspeed(table)
-        return {
-            name + HAT: rate_factor(name, getattr(self, LENGTHS[name]), airspeed) * rate
-            for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True)
-        }
+        lengths = {"span": self.span, "chord": self.chord}
+        rates = {}
+        for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True):
+            rates[name + HAT] = rate_factor(name, lengths[LENGTHS[name]], airspeed) * rate
+        return rates
 
 
 class RegressorSelector(TableTransformer):
@@ -303,9 +304,8 @@ class RegressorSelector(TableTransformer):
 
     def _fit_table(self, table):
         self.absent_ = []
-        chosen = (
-            self._from_set(table) if isinstance(self.regressors, str) else list(self.regressors)
-        )
+        is_set = isinstance(self.regressors, str)
+        chosen = self._from_set(table) if is_set else list(self.regressors)
         chosen += [name for name in self.extra if name not in chosen]
         twice = sorted({name for name in chosen if chosen.count(name) > 1})
         if twice or not chosen:

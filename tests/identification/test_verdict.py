@@ -321,6 +321,10 @@ def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     found = verdict(gusts_unknown="too short.") if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts are not known: too short.",)
+    for purpose in ("predict coefficients", "simulate"):
+        fit, reason = use(found, purpose)
+        assert fit == "partly"
+        assert reason.endswith("; but gusts without vanes are not known")
     assert "yes" not in {use.fit for use in found.uses}
     assert use(found, "design a controller") == ("no", "gusts without vanes are not known")
 

@@ -141,6 +141,23 @@ class Finding:
             return Severity.DOUBT
         return Severity.NOTE if self.code in NOTES else Severity.WARNING
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "code": self.code.value,
+            "severity": self.severity.value,
+            "flight": self.flight,
+            "channel": self.channel,
+            "numbers": {name: _plain(value) for name, value in self.numbers.items()},
+        }
+
+
+def _plain(value: Any) -> Any:
+    """Return a number of a finding; further findings as plain values."""
+    if isinstance(value, Finding):
+        return value.to_dict()
+    return [_plain(item) for item in value] if isinstance(value, list) else value
+
 
 def with_codes(findings: Iterable[Finding], *codes: Code) -> list[Finding]:
     """Return the findings that have one of the codes."""

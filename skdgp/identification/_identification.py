@@ -153,6 +153,7 @@ class Identification:
             "flight_mechanics": self.mechanics.to_dict(),
             **{part.name: part.to_dict() for part in self.supplements},
             "messages": self.messages,
+            "findings": [finding.to_dict() for finding in self.findings],
         }
         if self.assumptions:
             metrics["assumed"] = self.assumed

@@ -153,7 +153,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
         made_by = _closing(file, path)["versions"]
         installed = software_versions()
         if any(made_by.get(name) != installed.get(name) for name in MATTERS):
-            numbers = {"path": path, "differences": _differences(made_by, installed)}
+            numbers = {"path": str(path), "differences": _differences(made_by, installed)}
             report(Finding(Code.OTHER_VERSIONS, numbers=numbers), stacklevel=2)
         file.seek(0)
         try:

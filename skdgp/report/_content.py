@@ -73,9 +73,14 @@ class Use:
         """The findings as a sentence without its stop."""
         return reasons_of(self.findings)
 
-    def to_dict(self) -> dict[str, str]:
+    def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return {"purpose": self.purpose, "fit": self.fit, "reason": self.reason}
+        return {
+            "purpose": self.purpose,
+            "fit": self.fit,
+            "reason": self.reason,
+            "codes": [finding.code.value for finding in self.findings],
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,7 +51,11 @@ class TestIdentify:
         assert load_model(tmp_path / "out" / "model.joblib").aircraft == expected
 
     def test_is_silent_in_a_pipe(self, identified):
-        assert_only_stopped(identified[1].stderr.splitlines())
+        said = identified[1].stderr.splitlines()
+        assert_only_stopped(said)
+        codes = [finding["code"] for finding in identified[2]["findings"]]
+        assert {*codes} <= {"few_rows", "search_stopped"}
+        assert len(codes) == len(said)
         assert "\r" not in identified[1].stdout
         assert "\x1b" not in identified[1].stdout
 

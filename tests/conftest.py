@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _learn
+from skdgp._compute.findings import Code, Finding
 from skdgp._regressor import _estimator
 from skdgp.datasets import _example_flights
 from skdgp.design import _manoeuvres
@@ -237,8 +238,9 @@ def few_manoeuvres(monkeypatch):
 @pytest.fixture
 def no_mechanics(monkeypatch):
     """Leave trim, derivatives and simulations of identified models out: for tests of other numbers and of files."""
+    left_out = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
     monkeypatch.setattr(
-        _identification, "flight_mechanics", lambda *_: FlightMechanics(note="Left out.")
+        _identification, "flight_mechanics", lambda *_: FlightMechanics(note=left_out)
     )
 
 

@@ -60,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _folder(options: argparse.Namespace) -> Path | None:
     """Return the folder of the outputs, if any; raise OSError if it cannot be written to."""
-    if getattr(options, "output", None) is None:
+    if vars(options).get("output") is None:
         return None
     output = Path(options.output)
     folder = output.parent if options.command == "predict" else output
@@ -68,7 +68,7 @@ def _folder(options: argparse.Namespace) -> Path | None:
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise OSError(
             f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder "
-            f"that can be written to: name another one after -o."
+            "that can be written to: name another one after -o."
         )
     return folder
 

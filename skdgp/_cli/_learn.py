@@ -111,31 +111,27 @@ def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
     names = ("aircraft", *SIZES, "kind", *ENGINE)
-    sizes_and_engine = {
-        name: value for name in names if (value := getattr(options, name)) is not None
-    }
-    if [*sizes_and_engine] == ["aircraft"]:
+    given = _given({name: vars(options)[name] for name in names})
+    if [*given] == ["aircraft"]:
         return options.aircraft
-    if "aircraft" in sizes_and_engine or not {"mass", "span"} <= set(sizes_and_engine):
-        got = " ".join(f"--{name.replace('_', '-')}" for name in sizes_and_engine) or "no aircraft"
+    if "aircraft" in given or not {"mass", "span"} <= {*given}:
+        got = " ".join(f"--{name.replace('_', '-')}" for name in given) or "no aircraft"
         options.parser.error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
-            f"estimated"
+            "estimated"
         )
     if options.motor and not options.propeller:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    sizes: dict = {
-        name: value for name, value in sizes_and_engine.items() if name in (*SIZES, "kind")
-    }
+    sizes = {name: value for name, value in given.items() if name not in ENGINE}
     if options.propeller:
-        motor: dict = {}
+        motor = {}
         if options.motor:
             rpm_per_volt, voltage = options.motor
             motor = {"motor_constant": rpm_per_volt * np.pi / 30, "voltage": voltage}
-        diameter, pitch = (INCH * inches for inches in options.propeller)
-        sizes["propeller"] = Propeller.from_size(diameter, pitch, **motor)
+        diameter, pitch = options.propeller
+        sizes["propeller"] = Propeller.from_size(INCH * diameter, INCH * pitch, **motor)
     return Aircraft.estimate(**sizes, name=Path(options.train[0]).stem)
 
 
@@ -158,16 +154,18 @@ def demo(run: Run) -> None:
 
 def _learn(run, train, aircraft, test, title=None, **loads):
     options = run.options
-    parameters = {"n_latent": "latents", "max_iter": "max_iter", "n_inducing": "inducing"}
+    parameters = {
+        "n_latent": options.latents,
+        "max_iter": options.max_iter,
+        "n_inducing": options.inducing,
+    }
     regressor = DependentGPRegressor(
         structure=options.structure,
         trend=opt.none_of(options.trend),
         inference=options.inference,
         input_noise=opt.none_of(options.input_noise),
         random_state=options.seed,
-        **{
-            k: getattr(options, v) for k, v in parameters.items() if getattr(options, v) is not None
-        },
+        **_given(parameters),
     )
     steps = {
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
@@ -186,6 +184,11 @@ def _learn(run, train, aircraft, test, title=None, **loads):
             **loads,
         )
         _finish(run, replace(result, title=title or result.title))
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that are given."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _finish(run: Run, result: Identification) -> None:
@@ -216,10 +219,8 @@ def validate(run: Run) -> None:
       skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
-    names = ("thrust", "external_forces")
-    loads = {
-        name: opt.none_of(value) for name in names if (value := getattr(options, name)) is not None
-    }
+    loads = _given({"thrust": options.thrust, "external_forces": options.external_forces})
+    loads = {name: opt.none_of(value) for name, value in loads.items()}
     with listening(run.console.progress):
         model = read_model(options)
         result = judge(

@@ -53,14 +53,13 @@ def read_model(options) -> Bunch:
     """
     model = load_model(options.model)
     check_identified(model.pipeline)
-    if getattr(model.pipeline, "control_units_", {}):
+    if model.pipeline.control_units_:
         warn(
             "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians "
-            "are expected of them: "
-            "in controls, limits, plans and exports.",
+            "are expected of them: in controls, limits, plans and exports.",
             stacklevel=2,
         )
-    if getattr(options, "aircraft", None) is not None:
+    if vars(options).get("aircraft") is not None:  # predict has no such option
         model.aircraft = Aircraft.from_file(options.aircraft)
     return model
 
@@ -71,12 +70,11 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     learned = model.get("options", {})
     if learned.get("external_forces"):
         warn(
-            f"Motion is computed without the external forces {learned['external_forces']} of "
-            f"the flights that the "
-            "model was learned from.",
+            f"Motion is computed without the external forces {learned['external_forces']} of the "
+            "flights that the model was learned from.",
             stacklevel=2,
         )
-    turbulence = getattr(model.pipeline, "turbulence_", None)
+    turbulence = model.pipeline.turbulence_
     if turbulence is not None and max(turbulence.intensity) > NOTABLE_GUSTS:
         warn(
             f"The model was learned in gusts of {max(turbulence.intensity):.1f} m/s, so its "
@@ -108,14 +106,10 @@ def predict(run: Run) -> None:
         model.pipeline, named_flights(options.flight, **opt.reading(options, model))
     )
     run.console.stage("predicting")
-    table = pd.concat(
-        [
-            _predictions(model.pipeline, flight, options.include_noise)
-            for flight in flights.values()
-        ],
-        ignore_index=True,
-    )
-    run.write({output.name: csv_writer(table)})
+    parts = [
+        _predictions(model.pipeline, flight, options.include_noise) for flight in flights.values()
+    ]
+    run.write({output.name: csv_writer(pd.concat(parts, ignore_index=True))})
     rows = {name: len(flight) for name, flight in flights.items()}
     numbers = {
         "model": options.model,
@@ -180,11 +174,11 @@ def derivatives(run: Run) -> None:
 
 def _warn_beyond(trims: list[Trim]) -> None:
     """Warn of trims whose regressors are outside the range of the training data."""
-    beyond = [
-        f"{point.airspeed:g} m/s: {name} {value:.3g} ({low:.3g} to {high:.3g})"
-        for point in trims
-        for name, (value, low, high) in point.beyond.items()
-    ]
+    beyond = []
+    for point in trims:
+        for name, (value, low, high) in point.beyond.items():
+            limits = f"{low:.3g} to {high:.3g}"
+            beyond.append(f"{point.airspeed:g} m/s: {name} {value:.3g} ({limits})")
     if beyond:
         warn(f"Trims are beyond the training data: {', '.join(beyond)}.", stacklevel=3)
 
@@ -243,8 +237,9 @@ def plan(run: Run) -> None:
     full = dict(options.full)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
+    given = vars(options)
     ranges = {
-        name: getattr(options, option[2:].replace("-", "_"))
+        name: given[option.removeprefix("--").replace("-", "_")]
         for name, option in Envelope.command_options.items()
     }
     envelope = Envelope(

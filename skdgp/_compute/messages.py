@@ -1,4 +1,4 @@
-"""Messages to who runs a fit: warnings, its progress, for a listener, and packages that are not installed."""
+"""Warnings with their findings, and records of them; progress of a fit; packages that are not installed."""
 
 from __future__ import annotations
 
@@ -10,58 +10,81 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.wording import text_of
+
+
+class FindingWarning(UserWarning):
+    """A warning with its ``finding``, None of a warning by a text alone."""
+
+    def __init__(self, content: Finding | str = "") -> None:
+        self.finding = content if isinstance(content, Finding) else None
+        super().__init__(text_of(content) if isinstance(content, Finding) else content)
+
 
 @dataclass
-class Messages:
-    """Messages of warnings, each once, and the kinds that are ignored, by category and first words."""
+class Record:
+    """Findings of warnings, each once; findings of the ignored codes and category are neither shown nor kept."""
 
-    texts: list[str] = field(default_factory=list)
-    ignored: list[tuple[type[Warning], str | tuple[str, ...]]] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
+    ignored_codes: set[Code] = field(default_factory=set)
+    ignored_category: type[Warning] | None = None
 
-    def ignore(self, category: type[Warning], start: str | tuple[str, ...] = "") -> None:
-        """Ignore warnings of a category whose text begins so, until the end of the block."""
-        self.ignored.append((category, start))
+    def ignore(self, *codes: Code) -> None:
+        """Ignore findings of these codes until the end of the block."""
+        self.ignored_codes.update(codes)
 
-    def takes(self, text: str, category: type[Warning]) -> bool:
-        """Return whether a warning is ignored; record its text if it is not."""
-        if any(
-            issubclass(category, kind) and text.startswith(start) for kind, start in self.ignored
-        ):
+    def ignores(self, finding: Finding, category: type[Warning]) -> bool:
+        """Return whether a finding is ignored; record it if it is not."""
+        if finding.code in self.ignored_codes:
             return True
-        if text not in self.texts:
-            self.texts.append(text)
+        if self.ignored_category is not None and issubclass(category, self.ignored_category):
+            return True
+        if finding not in self.findings:
+            self.findings.append(finding)
         return False
 
 
-_active: ContextVar[tuple[Messages, ...]] = ContextVar("skdgp_messages", default=())
+_active: ContextVar[tuple[Record, ...]] = ContextVar("skdgp_findings", default=())
+
+
+def report(
+    finding: Finding, category: type[FindingWarning] = FindingWarning, stacklevel: int = 1
+) -> None:
+    """Warn of a finding, unless a block around it ignores it; the outer blocks may record it."""
+    if not _is_ignored(finding, category):
+        warnings.warn(category(finding), stacklevel=stacklevel + 1)
 
 
 def warn(message: str, category: type[Warning] = UserWarning, stacklevel: int = 1) -> None:
-    """Warn as ``warnings.warn``, unless a block around it ignores the message; the outer blocks may record it."""
-    text = " ".join(message.split())
-    if not any(messages.takes(text, category) for messages in reversed(_active.get())):
+    """Warn by a text, which is recorded as a finding of the code ``MESSAGE``."""
+    finding = Finding(Code.MESSAGE, numbers={"text": " ".join(message.split())})
+    if not _is_ignored(finding, category):
         warnings.warn(message, category, stacklevel=stacklevel + 1)
 
 
+def _is_ignored(finding: Finding, category: type[Warning]) -> bool:
+    """Return whether a block ignores a finding; the blocks inside that one record it."""
+    return any(record.ignores(finding, category) for record in reversed(_active.get()))
+
+
 @contextmanager
-def _within(messages: Messages) -> Iterator[Messages]:
-    token = _active.set((*_active.get(), messages))
+def _within(record: Record) -> Iterator[Record]:
+    token = _active.set((*_active.get(), record))
     try:
-        yield messages
+        yield record
     finally:
         _active.reset(token)
 
 
-def recorded_warnings() -> AbstractContextManager[Messages]:
-    """Record the package's warnings inside the ``with`` block; they are shown all the same."""
-    return _within(Messages())
+def recorded_warnings() -> AbstractContextManager[Record]:
+    """Record the findings of the package's warnings inside the ``with`` block; they are shown all the same."""
+    return _within(Record())
 
 
-def without_warnings(
-    category: type[Warning] = Warning,
-) -> AbstractContextManager[Messages]:
+def without_warnings(category: type[Warning] = Warning) -> AbstractContextManager[Record]:
     """Ignore the package's warnings of a category inside the ``with`` block, in this thread alone."""
-    return _within(Messages(ignored=[(category, "")]))
+    return _within(Record(ignored_category=category))
 
 
 Listener: TypeAlias = Callable[[str, int, float], Any]

@@ -9,7 +9,8 @@ from difflib import get_close_matches
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
@@ -412,14 +413,7 @@ def _warn_of_commands(flight: pd.DataFrame) -> None:
         if (top := _quantile(angles, 0.99)) > LARGEST_DEFLECTION or (angles == 1).sum() > 1
     }
     if large:
-        surfaces = ", ".join(
-            f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)" for name, top in large.items()
-        )
-        warn(
-            f"Got surfaces up to {surfaces}, more than most servos reach: if these are commands from "
-            f"-1 to 1, multiply each by its largest deflection [rad].",
-            stacklevel=4,
-        )
+        report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}), stacklevel=4)
 
 
 def _roll_rate(flight: pd.DataFrame) -> None:

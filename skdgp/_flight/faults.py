@@ -9,12 +9,16 @@ noise-free channel has long runs without a fault: it is stuck only if it jumps a
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import FindingWarning
 from skdgp._flight.channels import (
     ALL_SURFACES,
     BODY_VELOCITY,
@@ -50,264 +54,256 @@ POSSIBLE = {
     "propeller_speed": (-1e4, 1e4),
     **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
 }
-# impossible values more frequent than this are of another unit: the checks of units name it
+# impossible values more frequent than this fraction are of another unit: checks of units name it
 RARE = 0.05
-MOST_SHOWN = 8  # kinds of findings that a warning names
-EPOCH = 1e8  # times [s] beyond this count from 1970, not from the start of a log
-WARNING_START = "Faults in the log"  # first words of the warning, for filters
-AIR_UNKNOWN = "Gusts are not known"  # first words of warnings that forbid a verdict of yes
-ENOUGH = 50  # least number of samples to estimate the usual length of runs
-IMPROBABLE = 1e-4  # expected number of such runs in a flight below which chance is ruled out
-LEAST_HOLD = 0.3  # shorter holds [s] are no fault
-FEWEST_HELD = 6  # repeated values, at least, to estimate the resolution of a channel
-MOST_ON_STEP = 0.9  # fraction of such values that are multiples of the resolution
-OFF_STEP = 0.1  # tolerance of such multiples, as a fraction of the resolution
-# a spike stands out from its neighbours by so many times what all but 0.5 % of samples do
-SPIKE = 8.0
-WIDEST_SPIKE = 3
-# steps that change by less than this share of themselves show no noise (with noise: 1.7)
-SMOOTH = 0.5
-MISSING = 1.5  # a sample is missing where the next comes later than so many usual spacings
-
-NOT_MEASURED = ("stuck", "impossible", "spike")
-REMEDY = {
-    "gap": "nothing is filtered across it",
-    "missing": "leave out these rows where the gap is too long to interpolate",
-    "stuck": "not measured; if it was, name the column in ignore",
-    "impossible": "not measured; write missing values as empty cells",
-    "spike": "not measured",
-    "constant": "a dead sensor, or none: drop the column unless the flight was simulated so",
-}
 
 
-Fault = tuple[str, str, np.ndarray, str]  # channel, kind, rows, description
+@dataclass(frozen=True)
+class FaultSettings:
+    """Constants of the search for faults; without another source they are guesses."""
+
+    # Impossible values more frequent than this fraction are no fault.
+    rare: float = RARE
+    # Times [s] beyond this count from 1970, not from the start of a log.
+    epoch: float = 1e8
+    # Least number of samples to estimate the usual length of runs.
+    enough: int = 50
+    # Expected number of such runs in a flight below which chance is ruled out.
+    improbable: float = 1e-4
+    # Shorter holds [s] are no fault.
+    least_hold: float = 0.3
+    # Repeated values, at least, to estimate the resolution of a channel.
+    fewest_held: int = 6
+    # Fraction of such values that are multiples of the resolution.
+    most_on_step: float = 0.9
+    # Tolerance of such multiples, as a fraction of the resolution.
+    off_step: float = 0.1
+    # A spike stands out from its neighbours by so many times what all but 0.5 % of samples do.
+    spike: float = 8.0
+    # Most samples of a spike.
+    widest_spike: int = 3
+    # Steps that change by less than this fraction of themselves show no noise (with noise: 1.7).
+    smooth: float = 0.5
+    # A sample is missing where the next comes later than so many usual spacings.
+    missing: float = 1.5
 
 
-class FlightDataWarning(UserWarning):
+SETTINGS = FaultSettings()
+NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE)
+
+
+class FlightDataWarning(FindingWarning):
     """A log has faults."""
 
 
-class Finding(NamedTuple):
-    """One fault of one channel, and its rows by position in the table."""
+@dataclass(frozen=True)
+class Fault:
+    """A fault of one channel, and its rows by position in the table."""
 
-    flight: object
-    channel: str
-    kind: str
-    start: float
-    end: float
+    finding: Finding
     rows: np.ndarray
-    description: str
-    # Origin of the times in messages [s]: the first row where the clock counts from 1970
-    origin: float = 0.0
 
     @property
-    def message(self) -> str:
-        """Description of the fault, its place and its consequence."""
-        begin, end = self.start - self.origin, self.end - self.origin
-        where = f"{begin:.6g} to {end:.6g} s, {len(self.rows)} samples"
-        return f"{self.channel} {self.description} ({where}): {REMEDY[self.kind]}"
+    def is_measured(self) -> bool:
+        """Whether the values in these rows were measured."""
+        return self.finding.code not in NOT_MEASURED
 
 
-def find_faults(table: pd.DataFrame, ignore: Iterable[str] = ()) -> list[Finding]:
+class _Rows(NamedTuple):
+    """Rows of a flight with a fault of one channel, and the numbers that describe it."""
+
+    channel: str
+    code: Code
+    rows: np.ndarray
+    numbers: dict[str, Any]
+
+
+def find_faults(
+    table: pd.DataFrame, ignore: Iterable[str] = (), settings: FaultSettings = SETTINGS
+) -> list[Fault]:
     """Return the faults of each flight in a table whose time increases within each; some columns are ignored."""
-    ignored, time = set(ignore), table["time"].to_numpy(float)
+    time = table["time"].to_numpy(float)
     codes, names = flight_codes(
         table["flight"] if "flight" in table else np.full(len(table), "flight")
     )
-    channels = {
-        name: table[name].to_numpy(float, na_value=np.nan)
-        for name in POSSIBLE
-        if name in table and name not in ignored and pd.api.types.is_numeric_dtype(table[name])
-    }
-    findings = []
-    origin = float(time[0]) if len(time) and abs(time[0]) > EPOCH else 0.0  # counts from 1970
+    ignored = {*ignore}
+    channels = {}
+    for name in POSSIBLE:
+        if name in table and name not in ignored and is_numeric_dtype(table[name]):
+            channels[name] = table[name].to_numpy(float, na_value=np.nan)
+    # texts count times from the first row of a clock that counts from 1970
+    origin = float(time[0]) if len(time) and abs(time[0]) > settings.epoch else 0.0
+    faults = []
     edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
     for first, last in pairwise(edges):
+        flight = names[codes[first]]
         flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
-        for channel, kind, rows, description in _faults_of_flight(flight_time, part):
-            ends = map(float, flight_time[rows[[0, -1]]])
-            found = (names[codes[first]], channel, kind, *ends, first + rows, description, origin)
-            findings.append(Finding(*found))
-    return findings
+        for found in _faults_of_flight(flight_time, part, settings):
+            begin, end = flight_time[found.rows[[0, -1]]].tolist()
+            place = {"start": begin, "end": end, "samples": len(found.rows), "origin": origin}
+            finding = Finding(found.code, flight, found.channel, place | found.numbers)
+            faults.append(Fault(finding, first + found.rows))
+    return faults
 
 
-def without_faults(table: pd.DataFrame, findings: Iterable[Finding]) -> pd.DataFrame:
+def without_faults(table: pd.DataFrame, faults: Iterable[Fault]) -> pd.DataFrame:
     """Return the table with NaN for values that were not measured."""
     table = table.copy(deep=False)
-    for finding in findings:
-        if finding.kind in NOT_MEASURED:
-            values = table[finding.channel].to_numpy(float, na_value=np.nan).copy()
-            values[finding.rows] = np.nan
-            table[finding.channel] = values
+    for fault in faults:
+        if not fault.is_measured:
+            channel = fault.finding.channel
+            values = table[channel].to_numpy(float, na_value=np.nan).copy()
+            values[fault.rows] = np.nan
+            table[channel] = values
     return table
 
 
-def grouped_messages(findings: Iterable[Finding]) -> list[str]:
-    """Return one line for all findings of one kind in one channel: their number and the longest."""
-    groups: dict[tuple[str, str], list[Finding]] = {}
-    for finding in findings:
-        groups.setdefault((finding.channel, finding.kind), []).append(finding)
-    lines = []
-    for group in groups.values():
-        longest = max(group, key=lambda finding: len(finding.rows))
-        times = f"{len(group)} times, the longest: " if len(group) > 1 else ""
-        lines.append(f"flight {longest.flight}: {times}{longest.message}")
-    return lines
-
-
-def faults_message(findings: list[Finding], done: str) -> str:
-    """Return one message of many findings that ends with their treatment, ``done``."""
-    lines = grouped_messages(findings)
-    n_hidden = len(lines) - MOST_SHOWN
-    hidden = (
-        f"; and {n_hidden} more, see skdgp.preprocessing.inspect_flight" if n_hidden > 0 else ""
-    )
-    return f"{WARNING_START}: {'; '.join(lines[:MOST_SHOWN])}{hidden}. {done}"
-
-
-def _faults_of_flight(time: np.ndarray, channels: dict[str, np.ndarray]) -> Iterator[Fault]:
-    """Yield channel, kind, rows and description of each fault; faulty values in the channels become NaN."""
+def _faults_of_flight(
+    time: np.ndarray, channels: dict[str, np.ndarray], settings: FaultSettings
+) -> Iterator[_Rows]:
+    """Yield each fault; faulty values in the channels become NaN."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     rows = np.flatnonzero(np.diff(time) > GAP * step)
     if rows.size:
-        longest = float(np.diff(time).max())
-        yield "time", "gap", rows, f"jumps forward {_times(2 * rows)}, by {longest:.3g} s at most"
+        numbers = {"times": len(rows), "longest": float(np.diff(time).max())}
+        yield _Rows("time", Code.GAP, rows, numbers)
     for name, values in channels.items():
-        yield from _missing(name, values, step)
+        yield from _missing(name, values, step, settings)
         values[~np.isfinite(values)] = np.nan
-        yield from _impossible(name, values)
+        yield from _impossible(name, values, settings)
         if name in SENSORS:
-            for rows in stuck_rows(values, step):
-                yield name, "stuck", rows, f"is stuck at {values[rows[0]]:.4g}"
+            for rows in stuck_rows(values, step, settings):
+                yield _Rows(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
                 values[rows] = np.nan
-            rows = spike_rows(values, angle=name in WRAPPED)
+            rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
             if rows.size:
-                yield name, "spike", rows, f"leaps from its neighbours and back {_times(rows)}"
-    yield from _dead(channels, len(time))
+                yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
+    yield from _dead(channels, len(time), settings)
 
 
-def _missing(name: str, values: np.ndarray, step: float) -> Iterator[Fault]:
+def _missing(
+    name: str, values: np.ndarray, step: float, settings: FaultSettings
+) -> Iterator[_Rows]:
     """Yield the gaps, together, of a channel that usually has values there."""
     sampled = np.flatnonzero(np.isfinite(values))
     if not sampled.size:
-        yield name, "missing", np.arange(len(values)), "has no value"
+        yield _Rows(name, Code.MISSING, np.arange(len(values)), {})
         return
-    spacing = np.diff(np.r_[-1, sampled, len(values)])
-    wide = np.flatnonzero(spacing > MISSING * usual_spacing(values))
-    before = np.r_[-1, sampled][wide]
-    gaps = [np.arange(first + 1, first + n) for first, n in zip(before, spacing[wide], strict=True)]
-    if gaps:
-        longest = max(map(len, gaps)) * step
-        rows = np.concatenate(gaps)
-        yield name, "missing", rows, f"has no value {_times(rows)}, for {longest:.2g} s at most"
+    ends = np.r_[-1, sampled, len(values)]
+    spacing = np.diff(ends)
+    wide = spacing > settings.missing * usual_spacing(values)
+    if wide.any():
+        lengths = spacing[wide] - 1
+        gaps = zip(ends[:-1][wide] + 1, lengths, strict=True)
+        rows = np.concatenate([np.arange(first, first + n) for first, n in gaps])
+        numbers = {"times": _n_runs(rows), "longest": float(lengths.max() * step)}
+        yield _Rows(name, Code.MISSING, rows, numbers)
 
 
-def _impossible(name: str, values: np.ndarray) -> Iterator[Fault]:
+def _impossible(name: str, values: np.ndarray, settings: FaultSettings) -> Iterator[_Rows]:
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
-    if 0 < rows.size <= RARE * np.isfinite(values).sum():
-        text = f"has impossible values, such as {values[rows[0]]:.4g}"
+    if 0 < rows.size <= settings.rare * np.isfinite(values).sum():
+        numbers = {"value": float(values[rows[0]])}
         values[rows] = np.nan
-        yield name, "impossible", rows, text
+        yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
 
 
-def _dead(channels: dict[str, np.ndarray], n: int) -> Iterator[Fault]:
+def _dead(channels: dict[str, np.ndarray], n: int, settings: FaultSettings) -> Iterator[_Rows]:
     """Yield sensors that have one value throughout while others of their kind move."""
-    sampled = {name: values[np.isfinite(values)] for name, values in channels.items()}
-    spread = {name: np.ptp(values) for name, values in sampled.items() if len(values) >= ENOUGH}
+    spread = {}
+    for name, values in channels.items():
+        sampled = values[np.isfinite(values)]
+        if len(sampled) >= settings.enough:
+            spread[name] = np.ptp(sampled)
     for names in SIBLINGS:
         moving = [name for name in names if spread.get(name, 0) > 0]
         for name in names:
             if moving and spread.get(name) == 0:
-                move = "moves" if len(moving) == 1 else "move"
-                yield (
-                    name,
-                    "constant",
-                    np.arange(n),
-                    f"never changes, while {' and '.join(moving)} {move}",
-                )
+                yield _Rows(name, Code.CONSTANT, np.arange(n), {"moving": moving})
 
 
-def _times(rows: np.ndarray) -> str:
-    n = 1 + int(np.sum(np.diff(rows) > 1))
-    return "once" if n == 1 else f"{n} times"
+def _n_runs(rows: np.ndarray) -> int:
+    """Return the number of runs of consecutive rows."""
+    return 1 + int(np.sum(np.diff(rows) > 1))
 
 
-def stuck_rows(values: np.ndarray, step: float) -> list[np.ndarray]:
+def stuck_rows(
+    values: np.ndarray, step: float, settings: FaultSettings = SETTINGS
+) -> list[np.ndarray]:
     """Return the rows of each run where a sensor repeats its last value, improbably often."""
     rows = np.flatnonzero(np.isfinite(values))
     readings = values[rows]
-    if len(rows) < ENOUGH or np.ptp(readings) == 0:
+    if len(rows) < settings.enough or np.ptp(readings) == 0:
         return []
     start = np.flatnonzero(np.r_[True, np.diff(readings) != 0])
     length = np.diff(np.r_[start, len(readings)])
-    k = np.floor(length / np.median(length))
-    share = (1 + np.sum(length >= 1.5 * np.median(length))) / (1 + len(length))
+    usual = np.median(length)
+    k = np.floor(length / usual)
+    share = (1 + np.sum(length >= 1.5 * usual)) / (1 + len(length))
     chance = len(length) * share ** (k - 1)  # expected number of runs at least so long
+    stuck = (chance < settings.improbable) & (length * step >= settings.least_hold)
+
+    # a channel that turns back repeats its value, and leaves it by one quantum
     leap = np.abs(np.diff(readings[start], append=np.nan))
     steps = leap[:-1]
-    quantum = max(np.quantile(steps, 0.01), _resolution(readings[start[length > 1]]))
-    bend = (
-        np.median(np.abs(np.diff(readings[start], 2))) / np.median(steps)
-        if len(steps) > 1
-        else np.inf
-    )
-    stuck = (chance < IMPROBABLE) & (length * step >= LEAST_HOLD)
-    stuck &= ~(
-        leap <= 3 * quantum
-    )  # a channel that turns back repeats its value, and leaves it by one quantum
-    if bend < SMOOTH or np.median(steps) <= MISSING * quantum:
-        stuck &= leap > np.quantile(steps, 0.99)
-    levels, counts = np.unique(readings[start[stuck]], return_counts=True)
+    held = readings[start[length > 1]]
+    quantum = max(np.quantile(steps, 0.01), _resolution(held, settings))
+    stuck &= ~(leap <= 3 * quantum)
+
+    # a channel without noise has long runs: it is stuck only if it jumps after the run
+    bend = np.inf
+    if len(steps) > 1:
+        bend = np.median(np.abs(np.diff(readings[start], 2))) / np.median(steps)
+    largest_usual = np.quantile(steps, 0.99)
+    if bend < settings.smooth or np.median(steps) <= settings.missing * quantum:
+        stuck &= leap > largest_usual
+
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
+    levels, counts = np.unique(readings[start[stuck]], return_counts=True)
     again = np.isin(readings[start], levels[counts > 1])
-    stuck &= ~(again & (leap <= np.quantile(steps, 0.99)))
-    return [
-        rows[first + 1 : first + n] for first, n in zip(start[stuck], length[stuck], strict=True)
-    ]
+    stuck &= ~(again & (leap <= largest_usual))
+    runs = zip(start[stuck], length[stuck], strict=True)
+    return [rows[first + 1 : first + n] for first, n in runs]
 
 
-def _resolution(held: np.ndarray) -> float:
+def _resolution(held: np.ndarray, settings: FaultSettings) -> float:
     """Return the common step of held values, from any origin; 0 if there is none."""
     levels = np.unique(held)
-    if len(levels) < FEWEST_HELD:
+    if len(levels) < settings.fewest_held:
         return 0.0
     step = np.diff(levels).min()
     multiples = (levels - levels[len(levels) // 2]) / step
-    on_step = np.abs(multiples - np.rint(multiples)) < OFF_STEP
-    return float(step) if on_step.mean() > MOST_ON_STEP else 0.0
+    on_step = np.abs(multiples - np.rint(multiples)) < settings.off_step
+    return float(step) if on_step.mean() > settings.most_on_step else 0.0
 
 
-def spike_rows(values: np.ndarray, *, angle: bool) -> np.ndarray:
+def spike_rows(
+    values: np.ndarray, *, angle: bool, settings: FaultSettings = SETTINGS
+) -> np.ndarray:
     """Return the rows of a few samples that leap from their neighbours and back."""
+    none = np.empty(0, int)
     sampled = np.flatnonzero(np.isfinite(values))
-    if len(sampled) < ENOUGH:
-        return np.empty(0, int)
+    if len(sampled) < settings.enough:
+        return none
     start = np.flatnonzero(np.r_[True, np.diff(values[sampled]) != 0])
     fresh = values[sampled[start]]
     readings = np.unwrap(fresh) if angle else fresh
-    if len(readings) < ENOUGH:
-        return np.empty(0, int)
+    if len(readings) < settings.enough:
+        return none
     padded = np.pad(readings, 2, mode="reflect")
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
     out = np.abs(readings - around)
-    far = out > SPIKE * np.quantile(out, 0.995)
-    leaps = [
-        np.arange(run.start, run.stop)
-        for run in true_runs(far)
-        if run.stop - run.start <= WIDEST_SPIKE
-    ]
-    ends = [(max(part[0] - 1, 0), min(part[-1] + 1, len(readings) - 1)) for part in leaps]
-    back = [
-        k
-        for k, (a, b) in zip(leaps, ends, strict=True)
-        if abs(readings[b] - readings[a]) < out[k].max() / 2
-    ]
     edges = np.r_[start, len(sampled)]
-    return np.concatenate(
-        [sampled[edges[part[0]] : edges[part[-1] + 1]] for part in back] or [sampled[:0]]
-    )
+    spikes = [none]
+    for run in true_runs(out > settings.spike * np.quantile(out, 0.995)):
+        before = readings[max(run.start - 1, 0)]
+        after = readings[min(run.stop, len(readings) - 1)]
+        returns = abs(after - before) < out[run].max() / 2
+        if run.stop - run.start <= settings.widest_spike and returns:
+            spikes.append(sampled[edges[run.start] : edges[run.stop]])
+    return np.concatenate(spikes)
 
 
 def usual_spacing(values: np.ndarray) -> float:

@@ -10,8 +10,9 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
 from skdgp._compute.files import column_names
+from skdgp._compute.findings import Code, Finding
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.messages import warn
+from skdgp._compute.messages import FindingWarning, report
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference import KnownNoise
 from skdgp.kernels import MultiOutputKernel
@@ -26,11 +27,14 @@ LEAST_ROWS = 10
 # distance from a bound at which a value has reached it, over the width of the bounds or, of
 # logarithms, at most over one: guess
 BOUND_TOLERANCE = 1e-3
-MOST_TOLD = 5  # hyperparameters at bounds that a warning names
 WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
 
 
-class FewRowsWarning(UserWarning):
+class SearchWarning(FindingWarning, ConvergenceWarning):
+    """The search for hyperparameters ended early, or at a bound."""
+
+
+class FewRowsWarning(FindingWarning):
     """There are too few independent rows for the number of regressors: bands are too narrow."""
 
 
@@ -215,17 +219,8 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
 
     ``n_exact``: the number of values that the model is learned from instead, if any.
     """
-    remedy = (
-        "predictions are less accurate than those of exact inference. Raise n_inducing."
-        if n_exact is None
-        else f"the model is learned from {n_exact} of the values instead. Raise n_inducing to learn "
-        "from all."
-    )
-    _warn(
-        f"{n_inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained: "
-        f"{remedy}",
-        stacklevel=7,
-    )
+    numbers = {"inducing": n_inducing, "neglected": neglected, "exact": n_exact}
+    _warn(Finding(Code.APPROXIMATION_POOR, numbers=numbers), stacklevel=7)
 
 
 def warn_of_indices(index: Any, y: Any) -> None:
@@ -235,34 +230,23 @@ def warn_of_indices(index: Any, y: Any) -> None:
         and isinstance(y, (pd.DataFrame, pd.Series))
         and not index.equals(y.index)
     ):
-        _warn(
-            "The indices of X and y differ; rows are matched by position. If rows of one were "
-            "dropped or sorted, do "
-            "the same to the other (y.loc[X.index])."
-        )
+        _warn(Finding(Code.INDICES_DIFFER))
 
 
 def warn_of_samples(
     X: np.ndarray, Y: np.ndarray, regressors: list[str], outputs: list[str]
 ) -> None:
     """Warn of constant regressors and outputs, and of repeated samples."""
-    for what, Z, names, consequence in (
-        ("regressors", X, regressors, "their effect cannot be learned, and predictions at other "
-         "values are not reliable. Leave them out, or add samples in which they vary."),
-        ("outputs", Y, outputs, "nothing can be learned about them, and their stated uncertainty "
-         "is not reliable. Leave them out, or check the log."),
-    ):  # fmt: skip
+    for code, Z, names in (
+        (Code.CONSTANT_INPUTS, X, regressors),
+        (Code.CONSTANT_OUTPUTS, Y, outputs),
+    ):
         constant = [name for name, same in zip(names, constant_columns(Z), strict=True) if same]
         if constant:
-            _warn(f"The {what} {constant} are constant over the samples: {consequence}")
+            _warn(Finding(code, numbers={"names": constant}))
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
-        _warn(
-            f"{repeated} of {len(X)} samples repeat another sample with the same regressors and "
-            f"targets. They count as "
-            "independent, so the uncertainty is too small: drop repeated rows (was a log read "
-            "twice?)."
-        )
+        _warn(Finding(Code.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
 
 
 def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) -> None:
@@ -279,49 +263,34 @@ def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) 
     rows = float(np.median([len(column) for column in observed])) / lasting
     if rows >= LEAST_ROWS * n_regressors or (members == ["trend"] and lasting == 1.0):
         return
-    because = (
-        f", worth {rows:.0f} independent ones as errors last {lasting:.0f} rows,"
-        if lasting > 1.0
-        else ""
-    )
-    _warn(
-        f"Got {len(errors)} rows{because} for {n_regressors} regressors, "
-        f"{rows / n_regressors:.2g} for each, but "
-        f"expected at least {LEAST_ROWS} for each: with fewer, the model leans on the linear "
-        f"trend, and standard "
-        "deviations may be too small. Give more rows or minutes of manoeuvres, or name fewer "
-        "regressors.",
-        FewRowsWarning,
-    )
+    numbers = {
+        "rows": len(errors),
+        "independent": rows,
+        "lasting": lasting,
+        "regressors": n_regressors,
+        "each": rows / n_regressors,
+        "least": LEAST_ROWS,
+    }
+    _warn(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning)
 
 
 def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None:
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
-        _warn(
-            "The fit was interrupted; the best hyperparameters so far are kept. Fit again to "
-            "continue.",
-            ConvergenceWarning,
-        )
+        _warn(Finding(Code.FIT_INTERRUPTED), SearchWarning)
     elif not best.converged:
-        unscaled = [
-            name
-            for name, std in zip(names, X.std(axis=0), strict=True)
-            if std > SCALED or 0 < std < 1 / SCALED
-        ]
-        scale = f", or scale the regressors {unscaled} (StandardScaler)" if unscaled else ""
-        _warn(
-            f"The fit stopped at max_iter={max_iter} before it converged: in as many iterations "
-            f"again the log "
-            f"likelihood is expected to rise by {best.remaining:,.0f} nats. Raise max_iter{scale}.",
-            ConvergenceWarning,
-        )
+        deviations = zip(names, X.std(axis=0), strict=True)
+        unscaled = [name for name, std in deviations if std > SCALED or 0 < std < 1 / SCALED]
+        numbers = {"max_iter": max_iter, "remaining": best.remaining, "unscaled": unscaled}
+        _warn(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning)
 
 
-def _warn(message, category=UserWarning, stacklevel=6):
+def _warn(
+    finding: Finding, category: type[FindingWarning] = FindingWarning, stacklevel: int = 6
+) -> None:
     # stacklevel: this function, the check, _checked or _learn, fit, its wrapper, and the caller of
     # fit.
-    warn(message, category, stacklevel=stacklevel)
+    report(finding, category, stacklevel=stacklevel)
 
 
 def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
@@ -340,13 +309,7 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
             if name not in before and not term.bounds_from_data(name[0])
         ]
     if reached:
-        more = f" and {len(reached) - MOST_TOLD} more" if len(reached) > MOST_TOLD else ""
-        _warn(
-            f"Got hyperparameters that end at a bound of the kernel: "
-            f"{', '.join(reached[:MOST_TOLD])}{more}. Widen the bounds, unless they are known to "
-            "hold.",
-            ConvergenceWarning,
-        )
+        _warn(Finding(Code.BOUNDS_REACHED, numbers={"reached": reached}), SearchWarning)
 
 
 def _at_bounds(kernel):

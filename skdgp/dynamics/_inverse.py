@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     COEFFICIENTS,
     RATES,
@@ -16,10 +17,8 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns, check_flight, check_table
 from skdgp._flight.faults import (
-    NOT_MEASURED,
     POSSIBLE,
     FlightDataWarning,
-    faults_message,
     find_faults,
     without_faults,
 )
@@ -118,13 +117,10 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     """Return the flight with NaN where a needed channel was not measured, and warn."""
     check_columns(check_table(flight), ["time", *NEEDED])
     ignored = {*ignore, *(name for name in POSSIBLE if name not in NEEDED)}
-    faults = [fault for fault in find_faults(flight, ignored) if fault.kind in NOT_MEASURED]
+    faults = [fault for fault in find_faults(flight, ignored) if not fault.is_measured]
     if faults:
-        warn(
-            faults_message(faults, "The coefficients are not known there (NaN)."),
-            FlightDataWarning,
-            stacklevel=3,
-        )
+        numbers = {"faults": [fault.finding for fault in faults]}
+        report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning, stacklevel=3)
     return without_faults(flight, faults)
 
 

@@ -1,11 +1,8 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
+from skdgp.identification._evaluate import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
-from skdgp.identification._identification import (
-    Identification,
-    check_identified,
-    usable_flights_of_model,
-)
+from skdgp.identification._identification import Identification
 from skdgp.identification._identify import identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (

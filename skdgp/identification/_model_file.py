@@ -20,7 +20,8 @@ from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import sha256_of, software_versions, write_atomically
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft
 
@@ -152,11 +153,8 @@ def load_model(path: str | os.PathLike) -> Bunch:
         made_by = _closing(file, path)["versions"]
         installed = software_versions()
         if any(made_by.get(name) != installed.get(name) for name in MATTERS):
-            warn(
-                f"Got {path}, written with {_differences(made_by, installed)}: its predictions may "
-                f"differ. Compare a few, fit it again, or install those versions.",
-                stacklevel=2,
-            )
+            numbers = {"path": str(path), "differences": _differences(made_by, installed)}
+            report(Finding(Code.OTHER_VERSIONS, numbers=numbers), stacklevel=2)
         file.seek(0)
         try:
             model = pickle.load(file)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -112,9 +113,8 @@ def make_identification_pipeline(
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(optional=True, aircraft=aircraft)
-    derivatives = list(
-        DIFFERENTIATED
-    )  # all for a named set, so that a search may choose; of a list its own
+    # all for a named set, so that a search may choose; of a list its own
+    derivatives = list(DIFFERENTIATED)
     if not isinstance(regressors, str):
         named = {str(name).removesuffix(HAT) for name in regressors}
         derivatives = [name for name in DIFFERENTIATED if f"{name}_dot" in named]
@@ -164,10 +164,16 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
             continue
         flight = step.transform(flight)
         if isinstance(step, FlightPathReconstruction) and step.used_ and "gust" in flight:
-            ratio = (flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2) / (
-                step.gust_std_**2 + SENSOR_GUST**2
-            )
+            variance = flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2
+            ratio = variance / (step.gust_std_**2 + SENSOR_GUST**2)
     return np.asarray(flight), ratio
+
+
+def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
+    """Return the step that reconstructs flights; None where flights pass it unchanged."""
+    step = pipeline.named_steps.get("flightpathreconstruction")
+    is_used = isinstance(step, FlightPathReconstruction) and step.used_
+    return step if is_used else None
 
 
 class FlightPipeline(Pipeline):
@@ -188,13 +194,14 @@ class FlightPipeline(Pipeline):
         Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their
         table, which says why.
     control_units_ : dict of str to str
-        Set by :func:`identify`: units of controls that differ from docs/notation.md, such as
-        "full throw".
+        Units of controls that differ from docs/notation.md, such as "full throw"; set by
+        :func:`identify`.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
     """
 
     steps: list[tuple[str, Any]]
+    control_units_: Mapping[str, str] = MappingProxyType({})
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
@@ -226,25 +233,26 @@ class FlightPipeline(Pipeline):
 
         Where gusts are not known, least squares with the deviations of small aircraft in general.
         """
-        steps = self.named_steps
-        step = steps.get("flightpathreconstruction")
-        motion, doubt = getattr(step, "air_motion_", None), getattr(step, "doubt_", "")
-        if not (motion or doubt) or not isinstance(self[-1], DependentGPRegressor):
+        reconstruction = reconstruction_of(self)
+        if reconstruction is None or not isinstance(self[-1], DependentGPRegressor):
             return {}
-        names = list(getattr(y, "columns", COEFFICIENTS)), steps["regressorselector"].regressors_
-        scale = getattr(steps.get("standardscaler"), "scale_", None)
-        scale = np.ones(X.shape[1]) if scale is None else scale
-        if motion is None:
+        outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
+        names = outputs, self.named_steps["regressorselector"].regressors_
+        scaler = self.named_steps.get("standardscaler")
+        scale = scaler.scale_ if isinstance(scaler, StandardScaler) else np.ones(X.shape[1])
+        if reconstruction.air_motion_ is not None:
+            slopes = KnownSlopes(*reconstruction.air_motion_.slopes(*names))
+            return {"slopes": slopes.scaled(scale)}
+        if reconstruction.doubt_:
             return {"slopes": KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)}
-        return {"slopes": KnownSlopes(*motion.slopes(*names)).scaled(scale)}
+        return {}
 
     def _learn_turbulence(self, X):
         self.seconds_ = None
         if "time" in X:
             steps = np.diff(X["time"].to_numpy(float))
-            self.seconds_ = (
-                float(len(X) * np.median(steps[steps > 0])) if (steps > 0).any() else None
-            )
+            forward = steps[steps > 0]
+            self.seconds_ = float(len(X) * np.median(forward)) if forward.size else None
         self.turbulence_ = None
         rates = self.named_steps.get("ratenondimensionalizer")
         if rates is not None:
@@ -253,14 +261,13 @@ class FlightPipeline(Pipeline):
 
     def _clock(self, X):
         """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""
-        if (
-            get_config()["enable_metadata_routing"]
-            or not isinstance(self[-1], DependentGPRegressor)
-            or "time" not in X
-        ):
+        is_routed = get_config()["enable_metadata_routing"]
+        if is_routed or not isinstance(self[-1], DependentGPRegressor) or "time" not in X:
             return {}
-        flight = {"flight": np.asarray(X["flight"])} if "flight" in X else {}
-        return {"time": X["time"].to_numpy(float), **flight}
+        clock = {"time": X["time"].to_numpy(float)}
+        if "flight" in X:
+            clock["flight"] = np.asarray(X["flight"])
+        return clock
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.

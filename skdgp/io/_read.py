@@ -15,6 +15,7 @@ import pandas as pd
 
 from skdgp._compute.files import plain
 from skdgp._compute.messages import warn
+from skdgp._compute.wording import grouped_faults
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
@@ -24,7 +25,7 @@ from skdgp._flight.checks import (
     unknown_columns_message,
 )
 from skdgp._flight.clock import check_clock, flight_codes
-from skdgp._flight.faults import FlightDataWarning, find_faults, grouped_messages
+from skdgp._flight.faults import FlightDataWarning, find_faults
 from skdgp._flight.physics import find_contradictions
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
 from skdgp.io._tables import (
@@ -384,7 +385,7 @@ def _flights(table: pd.DataFrame) -> pd.DataFrame:
 
 def _faults(table: pd.DataFrame) -> list[str]:
     """Return faults and contradictions of flights; no contradiction if their clocks are too irregular to filter."""
-    faults = grouped_messages(find_faults(table))
+    faults = grouped_faults(fault.finding for fault in find_faults(table))
     try:
         return faults + [str(contradiction) for contradiction in find_contradictions(table)]
     except ValueError:

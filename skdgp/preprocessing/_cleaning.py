@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
+from skdgp._compute.wording import text_of
 from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.checks import (
     WRAPPED,
@@ -24,9 +26,8 @@ from skdgp._flight.checks import (
 )
 from skdgp._flight.clock import check_clock, flight_segments
 from skdgp._flight.faults import (
-    Finding,
+    Fault,
     FlightDataWarning,
-    faults_message,
     find_faults,
     usual_spacing,
     without_faults,
@@ -81,10 +82,23 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
     check_columns(check_table(flight), ["time"])
-    rows = [
-        (*finding[:5], len(finding.rows), finding.message) for finding in _inspect(flight, ignore)
-    ]
-    return pd.DataFrame(rows, columns=[*Finding._fields[:5], "n_samples", "message"])
+    columns = ["flight", "channel", "kind", "start", "end", "n_samples", "message"]
+    return pd.DataFrame(
+        [_row(fault.finding) for fault in _inspect(flight, ignore)], columns=columns
+    )
+
+
+def _row(fault: Finding) -> dict[str, Any]:
+    """Return a fault as a row of the table of `inspect_flight`."""
+    return {
+        "flight": fault.flight,
+        "channel": fault.channel,
+        "kind": fault.code.value,
+        "start": fault.numbers["start"],
+        "end": fault.numbers["end"],
+        "n_samples": fault.numbers["samples"],
+        "message": text_of(fault),
+    }
 
 
 class FlightCheck(TableTransformer):
@@ -127,34 +141,37 @@ class FlightCheck(TableTransformer):
 
     def _transform_table(self, table):
         check_columns(table, ["time"])
-        findings = _inspect(table, self.ignore)
-        faults = [finding for finding in findings if finding.kind != "gap"]  # no error
-        if faults:
-            done = f"Faulty values are NaN, gaps up to {LONGEST_BRIDGE:g} s are interpolated."
-            warn(faults_message(faults, done), FlightDataWarning, stacklevel=4)
-        table = without_faults(table, findings)
+        faults = _inspect(table, self.ignore)
+        # gaps in time are no error
+        findings = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
+        if findings:
+            numbers = {"faults": findings, "longest_bridge": LONGEST_BRIDGE}
+            finding = Finding(Code.FAULTS_BRIDGED, numbers=numbers)
+            report(finding, FlightDataWarning, stacklevel=4)
+        table = without_faults(table, faults)
         check_airspeed(table)
-        names = [
-            name
-            for name in BRIDGED
-            if name in table
-            and name not in self.ignore
-            and pd.api.types.is_numeric_dtype(table[name])
-            and table[name].isna().any()
-        ]
-        time, flight, new = numeric(table, ["time"])[:, 0], table.get("flight"), {}
-        for name in names:
+        return with_columns(table, self._bridged(table))
+
+    def _bridged(self, table: pd.DataFrame) -> dict[str, Vector]:
+        """Return the columns that have missing values, with short gaps interpolated."""
+        time = numeric(table, ["time"])[:, 0]
+        new = {}
+        for name in _present(BRIDGED, table):
+            column = table[name]
+            is_numeric = pd.api.types.is_numeric_dtype(column)
+            if name in self.ignore or not is_numeric or not column.isna().any():
+                continue
             values = unwrapped(table, [name])[:, 0]
-            for run in flight_segments(time, flight):
-                values[run] = _interpolated(time[run], values[run])
-            new[name] = (
-                wrapped_near(values, table[name].ffill().bfill()) if name in WRAPPED else values
-            )
-        return with_columns(table, new)
+            for segment in flight_segments(time, table.get("flight")):
+                values[segment] = _interpolated(time[segment], values[segment])
+            if name in WRAPPED:
+                values = wrapped_near(values, column.ffill().bfill())
+            new[name] = values
+        return new
 
 
-def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Finding]:
-    """Return the findings of a table whose time increases within each flight."""
+def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Fault]:
+    """Return the faults of a table whose time increases within each flight."""
     check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
     return find_faults(table, ignore)
 
@@ -171,7 +188,14 @@ def _interpolated(time: Vector, values: Vector) -> Vector:
 
 
 SMOOTHED = (
-    *(*AIR_DATA, "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE),
+    *AIR_DATA,
+    "alpha_dot",
+    "beta_dot",
+    *RATES,
+    "p_dot",
+    "q_dot",
+    "r_dot",
+    *SPECIFIC_FORCE,
 )
 PARTNERS = ("airspeed", *RATES)  # of alpha and beta
 IN_RADIANS = (*VANES, *RATES)
@@ -273,16 +297,20 @@ class FlightSmoother(TableTransformer):
         return names + [f"{name}_dot" for name in self.derivatives_]
 
     def _apply(self, operation, names, table):
-        new: dict[str, Vector] = {}
         clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
-        # every name is in one group of columns that are filtered together, with their partners
-        apart = [name for name in names if name not in self._vanes]
-        groups = [(self._vanes, self.partners_)] * any(name in self._vanes for name in names)
-        for group, partners in groups + [(apart, [])] * bool(apart):
+        new: dict[str, Vector] = {}
+
+        def filter_together(group, partners):
             columns = unwrapped(table, group + partners)
             values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
-            # without the partners, which are in other groups
-            new |= dict(zip(group, values.T, strict=False))
+            new.update(zip(group, values.T, strict=False))  # without the partners
+
+        # every name is in one group of columns that are filtered together, with their partners
+        if any(name in self._vanes for name in names):
+            filter_together(self._vanes, self.partners_)
+        apart = [name for name in names if name not in self._vanes]
+        if apart:
+            filter_together(apart, [])
         return {name: new[name] for name in names}
 
 

@@ -10,7 +10,8 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.channels import (
     CHANNELS,
@@ -201,10 +202,11 @@ class RateNondimensionalizer(TableTransformer):
         check_columns(table, ["airspeed", *self.rates_])
         airspeed = numeric(table, ["airspeed"])[:, 0]
         check_airspeed(table)
-        return {
-            name + HAT: rate_factor(name, getattr(self, LENGTHS[name]), airspeed) * rate
-            for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True)
-        }
+        lengths = {"span": self.span, "chord": self.chord}
+        rates = {}
+        for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True):
+            rates[name + HAT] = rate_factor(name, lengths[LENGTHS[name]], airspeed) * rate
+        return rates
 
 
 class RegressorSelector(TableTransformer):
@@ -274,35 +276,36 @@ class RegressorSelector(TableTransformer):
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
         X = as_pandas(X)
         super().fit(X, y)
-        values, observed = numeric(X, self.regressors_), np.ones(len(X), dtype=bool)
-        targeted = y is not None and len(y) == len(X)
-        if targeted:
-            observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(X), -1)).any(axis=1)
+        observed = np.ones(len(X), dtype=bool)
+        is_targeted = y is not None and len(y) == len(X)
+        if is_targeted:
+            targets = np.asarray(y, dtype=float).reshape(len(X), -1)
+            observed = np.isfinite(targets).any(axis=1)
+        values = numeric(X, self.regressors_)
         values = values[observed & np.isfinite(values).all(axis=1)]
-        pairs = zip(self.regressors_, values.T, strict=True) if len(values) else ()
-        constant = [name for name, v in pairs if np.ptp(v) <= STILL * np.abs(v).max()]
-        if targeted and constant:
-            warn(
-                f"In the training flights {constant} never change, so the model cannot learn their "
-                f"effects. Fly manoeuvres that move them, or leave them out of the regressors.",
-                FlightDataWarning,
-                stacklevel=2,
-            )
-        channels = X[[name for name in X if name in CHANNELS]].select_dtypes("number").items()
-        self.ranges_ = {
-            str(name): (float(kept.min()), float(kept.max()))
-            for name, column in channels
-            if len(kept := column[observed].dropna())
-        }
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None
+        self.ranges_ = {}
+        channels = [name for name in X if name in CHANNELS]
+        for name, column in X[channels].select_dtypes("number").items():
+            kept = column[observed].dropna()
+            if len(kept):
+                self.ranges_[str(name)] = float(kept.min()), float(kept.max())
+        if is_targeted and len(values):
+            is_still = np.ptp(values, axis=0) <= STILL * np.abs(values).max(axis=0)
+            self._warn_of_constant(np.flatnonzero(is_still))
         return self
+
+    def _warn_of_constant(self, columns):
+        names = [self.regressors_[k] for k in columns]
+        if names:
+            finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
+            report(finding, FlightDataWarning, stacklevel=3)
 
     def _fit_table(self, table):
         self.absent_ = []
-        chosen = (
-            self._from_set(table) if isinstance(self.regressors, str) else list(self.regressors)
-        )
+        is_set = isinstance(self.regressors, str)
+        chosen = self._from_set(table) if is_set else list(self.regressors)
         chosen += [name for name in self.extra if name not in chosen]
         twice = sorted({name for name in chosen if chosen.count(name) > 1})
         if twice or not chosen:
@@ -314,12 +317,7 @@ class RegressorSelector(TableTransformer):
         numeric(table, chosen)
         truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
         if truth:
-            warn(
-                f"Regressors {truth} are noise-free truth of a simulation, which no aircraft has: "
-                f"use them only to "
-                "score, or to measure the effect of sensor noise.",
-                stacklevel=3,
-            )
+            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}), stacklevel=3)
         self.regressors_ = chosen
 
     def _transform_table(self, table):
@@ -360,13 +358,13 @@ class RegressorSelector(TableTransformer):
 def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     """Raise ValueError, with the step that adds it, if a column is missing that could be made."""
     lacking = [name for name in names if name not in table and name + HAT not in table]
-    made = [name for name in lacking if name in MAKERS and MAKERS[name][0] in table]
-    if made:
+    makers = {name: MAKERS[name] for name in lacking if name in MAKERS}
+    steps = {name: step for name, (origin, step) in makers.items() if origin in table}
+    if steps:
         raise ValueError(
-            f"The flight lacks {sorted(made)}, but these regressors need them: put "
-            f"{', '.join(dict.fromkeys(MAKERS[name][1] for name in made))} before RegressorSelector in the pipeline, "
-            f"or name other regressors."
+            f"The flight lacks {sorted(steps)}, but these regressors need them: put "
+            f"{', '.join(dict.fromkeys(steps.values()))} before RegressorSelector in the pipeline, "
+            "or name other regressors."
         )
-    check_columns(
-        table, [MAKERS[name][0] for name in lacking if name in MAKERS and name.endswith("_dot")]
-    )
+    rates = [name for name in makers if name.endswith("_dot")]
+    check_columns(table, [makers[name][0] for name in rates])

@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import (
@@ -26,7 +27,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp._flight.checks import check_columns, check_radians, numeric
-from skdgp._flight.faults import AIR_UNKNOWN, FlightDataWarning
+from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import air_data
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
@@ -267,9 +268,12 @@ class FlightPathReconstruction(TableTransformer):
                 "look at the signs and units of their sensors."
             )
         if doubt:
-            fallback = "alpha and beta lack them. " if motion is None else ""
-            bands = "Bands of derivatives are those of small aircraft in general." * (known is None)
-            warn(f"{AIR_UNKNOWN}: {doubt} {fallback}{bands}".strip(), stacklevel=5)
+            numbers = {
+                "reason": doubt,
+                "angles_lack_gusts": motion is None,
+                "general_bands": known is None,
+            }
+            report(Finding(Code.GUSTS_UNKNOWN, numbers=numbers), stacklevel=5)
         return motion, doubt
 
     def _motion_of(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
@@ -296,13 +300,8 @@ class FlightPathReconstruction(TableTransformer):
         if not self.used_:
             return table
         if self.optional and (missing := missing_channels(table)):
-            warn(
-                f"Got flights without {missing}, which those of the fit had: they are smoothed "
-                f"channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
-                f"with those sensors.",
-                FlightDataWarning,
-                stacklevel=3,
-            )
+            finding = Finding(Code.SENSORS_MISSING, numbers={"names": missing})
+            report(finding, FlightDataWarning, stacklevel=3)
             return FlightSmoother().fit_transform(table)
         self._check(table)
         known = self.air_motion_
@@ -341,11 +340,7 @@ class FlightPathReconstruction(TableTransformer):
                 kept = rows[part][inner], log.part(inner.start, inner.stop)
                 estimates.append((name, *kept, each._replace(path=path)))
         for name in dict.fromkeys(name for name, *_, each in estimates if not each.converged):
-            warn(
-                f"The reconstruction of flight {name!r} did not converge: its sensors "
-                f"contradict one another. Look for wrong signs, units or clocks.",
-                stacklevel=4,
-            )
+            report(Finding(Code.PATH_NOT_CONVERGED, flight=name), stacklevel=4)
         return estimates
 
 

@@ -127,15 +127,14 @@ def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
     """Return angles shifted by multiples of 2 pi to less than pi from those of a column."""
     other = near.to_numpy(float, na_value=np.nan)
-    return angle - 2 * np.pi * np.round(
-        (angle - np.where(np.isfinite(other), other, angle)) / (2 * np.pi)
-    )
+    difference = np.where(np.isfinite(other), angle - other, 0.0)
+    return angle - 2 * np.pi * np.round(difference / (2 * np.pi))
 
 
 def with_columns(table: pd.DataFrame, new: dict[str, np.ndarray]) -> pd.DataFrame:
     """Return the table with columns replaced in their place or added at the end."""
-    replaced = table.assign(**{name: values for name, values in new.items() if name in table})
+    table = table.assign(**{name: values for name, values in new.items() if name in table})
     added = {name: values for name, values in new.items() if name not in table}
-    return (
-        pd.concat([replaced, pd.DataFrame(added, index=table.index)], axis=1) if added else replaced
-    )
+    if not added:
+        return table
+    return pd.concat([table, pd.DataFrame(added, index=table.index)], axis=1)

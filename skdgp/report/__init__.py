@@ -6,6 +6,7 @@
 from skdgp.report._content import (
     THRESHOLDS,
     Evaluation,
+    Extent,
     FlightMechanics,
     ReportContent,
     Use,
@@ -13,12 +14,16 @@ from skdgp.report._content import (
     scores,
 )
 from skdgp.report._page import render_report
+from skdgp.report._record import FitRecord, TrainingRecord
 
 __all__ = [
     "THRESHOLDS",
     "Evaluation",
+    "Extent",
+    "FitRecord",
     "FlightMechanics",
     "ReportContent",
+    "TrainingRecord",
     "Use",
     "Verdict",
     "render_report",

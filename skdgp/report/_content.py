@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.findings import Finding
 from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.wording import reasons_of, text_of, texts_of
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Trim
 from skdgp.metrics import (
@@ -42,12 +44,43 @@ class Thresholds(NamedTuple):
 THRESHOLDS = Thresholds()
 
 
-class Use(NamedTuple):
-    """A use of a model: ``fit`` is "yes", "partly", "no" or "unknown"; the reason is a sentence without its stop."""
+class Extent(NamedTuple):
+    """Number and duration of flights."""
+
+    flights: int
+    seconds: float
+
+    @classmethod
+    def of(cls, tables: Sequence[pd.DataFrame]) -> Extent:
+        """Return the extent of flight tables."""
+        return cls(len(tables), sum(float(np.ptp(table["time"])) for table in tables))
+
+    def __str__(self) -> str:
+        time = f"{self.seconds / 60:.1f} minutes" if self.seconds >= 60 else f"{self.seconds:.3g} s"
+        return f"{time} of {self.flights} flight{'' if self.flights == 1 else 's'}"
+
+
+@dataclass(frozen=True)
+class Use:
+    """A use of a model: ``fit`` is "yes", "partly", "no" or "unknown", by its ``findings``."""
 
     purpose: str
     fit: str
-    reason: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def reason(self) -> str:
+        """The findings as a sentence without its stop."""
+        return reasons_of(self.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "purpose": self.purpose,
+            "fit": self.fit,
+            "reason": self.reason,
+            "codes": [finding.code.value for finding in self.findings],
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,32 +89,68 @@ class Verdict:
 
     Parameters
     ----------
-    learned : str
-        Sizes of training and test.
+    regressors : sequence of str
+        Regressors of the model.
     error, coverage : float
         NRMSE and coverage of the 95 % band, means of the six coefficients, of all test flights
         together.
-    uses, warnings : tuples of Use and of str
-        The warning that costs most comes first.
+    uses : tuple of Use
+        Judgements by `THRESHOLDS`.
+    findings : tuple of Finding
+        Warnings; the one that costs most comes first.
+    tested : Extent
+        Test flights.
+    trained : Extent, optional
+        Training flights; None of a model that existed before.
+    samples : int
+        Rows learned from.
     least_squares_error : float, optional
         Error of a linear model fitted to the same rows.
     better, worse : tuples of str
         Coefficients whose error is smaller, or larger, than by least squares.
     """
 
-    learned: str
+    regressors: Sequence[str]
     error: float
     coverage: float
     uses: tuple[Use, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    tested: Extent
+    trained: Extent | None = None
+    samples: int = 0
     least_squares_error: float | None = None
     better: tuple[str, ...] = ()
     worse: tuple[str, ...] = ()
 
+    @property
+    def learned(self) -> str:
+        """A sentence on the model, its training and its test."""
+        source = "flights that are not part of this report"
+        if self.trained is not None:
+            source = f"{self.trained}, {self.samples:,} samples"
+        return (
+            f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
+            f"{', '.join(self.regressors)}, learned from {source}; tested on {self.tested}."
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return texts_of(self.findings)
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        uses = [use._asdict() for use in self.uses]
-        return asdict(self) | {"uses": uses, "thresholds": THRESHOLDS._asdict()}
+        return {
+            "learned": self.learned,
+            "error": self.error,
+            "coverage": self.coverage,
+            "uses": [use.to_dict() for use in self.uses],
+            "warnings": self.warnings,
+            "least_squares_error": self.least_squares_error,
+            "better": self.better,
+            "worse": self.worse,
+            "thresholds": THRESHOLDS._asdict(),
+        }
 
     def compared(self) -> str:
         """Return a sentence on least squares, empty where it is not known."""
@@ -112,7 +181,7 @@ class FlightMechanics:
         ``horizon`` [s].
     simulated : TimeHistoryDisplay, optional
         A part of a test flight, simulated with its bands, and as flown.
-    note, simulation_note : str
+    note, simulation_note : Finding, optional
         Why derivatives, or the simulation, are missing.
     """
 
@@ -122,29 +191,36 @@ class FlightMechanics:
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     simulated: TimeHistoryDisplay | None = None
-    note: str = ""
-    simulation_note: str = ""
+    note: Finding | None = None
+    simulation_note: Finding | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
-        found: dict[str, Any] = {"note": self.note, "simulation_note": self.simulation_note}
+        plain: dict[str, Any] = {
+            "note": text_of(self.note) if self.note else "",
+            "simulation_note": text_of(self.simulation_note) if self.simulation_note else "",
+        }
         if self.trim is not None:
-            names = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
-            found["trim"] = {name: getattr(self.trim, name) for name in names}
-            found["trim"]["beyond"] = {
-                name: list(values) for name, values in self.trim.beyond.items()
+            plain["trim"] = {
+                "airspeed": self.trim.airspeed,
+                "altitude": self.trim.altitude,
+                "climb": self.trim.climb,
+                "alpha": self.trim.alpha,
+                "beta": self.trim.beta,
+                "phi": self.trim.phi,
+                "theta": self.trim.theta,
+                "controls": self.trim.controls,
+                "beyond": {name: list(values) for name, values in self.trim.beyond.items()},
             }
         columns = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
-        found["derivatives"] = self.derivatives.filter(columns).to_dict("index")
-        modes = None if self.modes is None else self.modes.drop(columns="eigenvalue")
-        tables = {
-            "least_squares": self.least_squares,
-            "modes": modes,
-            "simulation": self.simulation,
-        }
-        return found | {
-            name: table.to_dict("index") for name, table in tables.items() if table is not None
-        }
+        plain["derivatives"] = self.derivatives.filter(columns).to_dict("index")
+        if self.least_squares is not None:
+            plain["least_squares"] = self.least_squares.to_dict("index")
+        if self.modes is not None:
+            plain["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")
+        if self.simulation is not None:
+            plain["simulation"] = self.simulation.to_dict("index")
+        return plain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,30 +274,38 @@ def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
 
     Metrics of bands are of the rows where standard deviations were computed.
     """
-    pairs = {"measured": ("measured", "measured_std"), "truth": ("truth", "std")}
-    if any(flight.truth is None for flight in flights):
-        del pairs["truth"]
-    return {against: _scores(flights, *names) for against, names in pairs.items()}
+    measured = [flight.measured for flight in flights]
+    against = {"measured": _scores(flights, measured, [flight.measured_std for flight in flights])}
+    truth = [flight.truth for flight in flights if flight.truth is not None]
+    if len(truth) == len(flights):
+        against["truth"] = _scores(flights, truth, [flight.std for flight in flights])
+    return against
 
 
-def _scores(flights: Sequence[Evaluation], reference: str, std: str) -> pd.DataFrame:
-    def all_rows(name: str) -> Matrix:
-        return np.concatenate([getattr(flight, name) for flight in flights])
-
-    means = all_rows(reference), all_rows("mean")
-    bands = [
-        np.concatenate([getattr(flight, name)[flight.rows] for flight in flights])
-        for name in (reference, "mean", std)
-    ]
+def _scores(
+    flights: Sequence[Evaluation], reference: list[Matrix], std: list[Matrix]
+) -> pd.DataFrame:
+    expected = np.concatenate(reference)
+    predicted = np.concatenate([flight.mean for flight in flights])
     columns: dict[str, Any] = {
-        metric.__name__: metric(*means, multioutput="raw_values")
-        for metric in (median_relative_error, normalized_rmse)
+        "median_relative_error": median_relative_error(
+            expected, predicted, multioutput="raw_values"
+        ),
+        "normalized_rmse": normalized_rmse(expected, predicted, multioutput="raw_values"),
     }
-    if all(flight.baseline is not None for flight in flights):
-        linear = normalized_rmse(means[0], all_rows("baseline"), multioutput="raw_values")
+    baselines = [flight.baseline for flight in flights if flight.baseline is not None]
+    if len(baselines) == len(flights):
+        linear = normalized_rmse(expected, np.concatenate(baselines), multioutput="raw_values")
         columns["least_squares_normalized_rmse"] = linear
-    for metric in (negative_log_predictive_density, interval_coverage):
-        columns[metric.__name__] = metric(*bands, multioutput="raw_values")
+
+    rows = [flight.rows for flight in flights]
+    bands = [
+        np.concatenate([values[k] for values, k in zip(arrays, rows, strict=True)])
+        for arrays in (reference, [flight.mean for flight in flights], std)
+    ]
+    density = negative_log_predictive_density(*bands, multioutput="raw_values")
+    columns["negative_log_predictive_density"] = density
+    columns["interval_coverage"] = interval_coverage(*bands, multioutput="raw_values")
     return pd.DataFrame(columns, index=list(COEFFICIENTS))
 
 

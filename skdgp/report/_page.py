@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.wording import text_of
 from skdgp._display.page import (
     DASH,
     THIN,
@@ -25,13 +26,16 @@ from skdgp._display.page import (
     units_shown,
 )
 from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
+from skdgp.dynamics import Trim
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import (
     HONEST,
     THRESHOLDS,
     Evaluation,
+    Extent,
     FlightMechanics,
     ReportContent,
+    Verdict,
 )
 
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
@@ -127,6 +131,11 @@ EFFECTS = (
     "others at their means. Without an interaction both lines are one. Bands are wide where "
     "regressors moved together in the flights: the sum is then known better than its terms."
 )
+SIMULATED = (
+    "One of these simulations, from a measured state with the recorded controls. The band holds 95 % "
+    "of the aircraft that the model allows, in the same air: gusts that no sensor shows are not in "
+    "it."
+)
 HOW_TO_READ = (
     '<div class="note"><p><b>NRMSE</b>: root mean squared error over the standard deviation of the '
     "values; 1 is no better than their mean. <b>95 % coverage</b>: share of the values inside the "
@@ -138,6 +147,7 @@ HOW_TO_READ = (
 )
 # Shown in print, too: the page to sign
 SIGN = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
+NO_FIGURES = 'No figures: they need matplotlib, pip install "skdgp[plot]".'
 N_WARNINGS = 3
 MOST_NAMED = 4  # weak derivatives that are named for each input
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
@@ -180,24 +190,25 @@ def render_report(content: ReportContent) -> str:
 def _sections(content: ReportContent) -> list[str]:
     """Return all sections in their order; those without content are empty."""
     draw = can_draw()
-    effects = content.effects.html(EFFECTS) if draw and content.effects is not None else ""
-    return [
-        _verdict(content),
-        _next_flight(content),
-        *content.sections,
-        _section("Further warnings", _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")),
-        _section("What was assumed", _list(content.assumed)),
-        _note("" if draw else 'No figures: they need matplotlib, pip install "skdgp[plot]".'),
-        _mechanics(content.mechanics),
-        _simulation(content.mechanics, draw),
-        *_flights(content, draw),
-        _section("Effects", effects),
-        _flown(content) if draw else "",
-        _section(
-            "What was done", facts([*content.facts.items(), ("Command", content.command)]), SIGN
-        ),
-        _section("How to read", HOW_TO_READ),
-    ]
+    further = _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
+    done = facts([*content.facts.items(), ("Command", content.command)])
+    effects = ""
+    if draw and content.effects is not None:
+        effects = content.effects.html(EFFECTS)
+    sections = [_verdict(content), _next_flight(content), *content.sections]
+    sections.append(_section("Further warnings", further))
+    sections.append(_section("What was assumed", _list(content.assumed)))
+    if not draw:
+        sections.append(_note(NO_FIGURES))
+    sections.append(_mechanics(content.mechanics))
+    sections.append(_simulation(content.mechanics, draw))
+    sections += _flights(content, draw)
+    sections.append(_section("Effects", effects))
+    if draw:
+        sections.append(_flown(content))
+    sections.append(_section("What was done", done, SIGN))
+    sections.append(_section("How to read", HOW_TO_READ))
+    return sections
 
 
 def _section(title: str, *parts: str, classes: str = "") -> str:
@@ -226,31 +237,46 @@ def _note(sentence: str) -> str:
 def _verdict(content: ReportContent) -> str:
     """Return the verdict on the model in the air that was flown, and its errors on each test flight."""
     verdict = content.verdict
-    air = f" Air: {text(content.air)}." if content.air else " The air was not estimated."
+    air = f"Air: {text(content.air)}." if content.air else "The air was not estimated."
     uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
     head = ["good enough to", "", "because"]
-    linear = verdict.least_squares_error
-    beside = "" if linear is None else f"<span>least squares {number(linear, '.3f')}</span>"
     parts = [
-        f"<p>{text(verdict.learned)}{air}</p>",
-        f'<div class="head"><div><b>{number(verdict.error, ".3f")}</b><span>error over spread '
-        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(verdict.coverage)}"
-        "<small>%</small></b><span>of measured values inside the 95 % band</span>"
-        "<span>95 is right</span></div></div>",
+        f"<p>{text(verdict.learned)} {air}</p>",
+        _error_and_coverage(verdict),
         table(head, uses, caption="What the model is good for.", classes="words"),
         f"<p>{text(verdict.compared())}</p>",
-        _list(verdict.warnings[:N_WARNINGS], "ol", "alerts") or _note("No warning arose."),
     ]
+    if verdict.findings:
+        parts.append(_list(verdict.warnings[:N_WARNINGS], "ol", "alerts"))
+    else:
+        parts.append(_note("No warning arose."))
     if len(content.test) > 1:
-        rows = []
-        for result in content.test:
-            means = result.scores["measured"].mean()
-            cells = [show(means.get(name)) for name, (_, show) in SCORES.items()]
-            rows.append([text(result.name), number(np.ptp(result.time), ".3g"), *cells])
-        head = ["", "length<br>[s]", *(title for title, _ in SCORES.values())]
-        caption = "Test flights, against measured values: means of the six coefficients."
-        parts.append(table(head, rows, caption=caption, classes="numbers"))
+        parts.append(_errors_by_flight(content.test))
     return _section("Verdict", *parts)
+
+
+def _error_and_coverage(verdict: Verdict) -> str:
+    """Return the error, beside that of least squares, and the coverage of 95 % bands."""
+    beside = ""
+    if verdict.least_squares_error is not None:
+        beside = f"<span>least squares {_thousandths(verdict.least_squares_error)}</span>"
+    return (
+        f'<div class="head"><div><b>{_thousandths(verdict.error)}</b><span>error over spread '
+        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(verdict.coverage)}"
+        "<small>%</small></b><span>of measured values inside the 95 % band</span>"
+        "<span>95 is right</span></div></div>"
+    )
+
+
+def _errors_by_flight(flights: Sequence[Evaluation]) -> str:
+    rows = []
+    for flight in flights:
+        means = flight.scores["measured"].mean()
+        cells = [show(means.get(name)) for name, (_, show) in SCORES.items()]
+        rows.append([text(flight.name), number(np.ptp(flight.time), ".3g"), *cells])
+    head = ["", "length<br>[s]", *(title for title, _ in SCORES.values())]
+    caption = "Test flights, against measured values: means of the six coefficients."
+    return table(head, rows, caption=caption, classes="numbers")
 
 
 def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
@@ -270,23 +296,17 @@ def _next_flight(content: ReportContent) -> str:
         return ""
     derivatives = pd.concat([_of_plane(mechanics.derivatives, plane) for plane in GROUPED])
     half = 1.96 * derivatives["std"] / derivatives["value"].abs()
-    weak = derivatives.assign(half=half)[(half > THRESHOLDS.band) & (half < 1.96 * KNOWN)]
-    weak = weak.sort_values("half", ascending=False)
+    is_weak = (half > THRESHOLDS.band) & (half < 1.96 * KNOWN)
+    weak = derivatives.assign(half=half)[is_weak].sort_values("half", ascending=False)
     rows = []
     for axis, regressors in EXCITED.items():
         excited = weak[weak["regressor"].isin(regressors)]
-        lines = [
-            f"{derivative(row['coefficient'], row['regressor'])} ±{THIN}"
-            f"{percent(row['half'], '.0f')}{THIN}%"
-            for row in excited.head(MOST_NAMED).to_dict("records")
-        ]
-        if lines:
-            rows.append(
-                [f"{axis}{_manoeuvre(axis, mechanics)}", ", ".join(lines), str(len(excited))]
-            )
+        if len(excited):
+            manoeuvre = axis + _manoeuvre(axis, mechanics)
+            rows.append([manoeuvre, _weak_names(excited.head(MOST_NAMED)), str(len(excited))])
     if not rows:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
-    flown = sum(float(np.ptp(table["time"])) for table in content.train.values())
+    flown = Extent.of(list(content.train.values())).seconds
     more = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
         "Inputs to excite, and the derivatives that they determine whose 95 % bands are wider than half "
@@ -296,6 +316,15 @@ def _next_flight(content: ReportContent) -> str:
     )
     head = ["excite", "weak derivatives", "in all"]
     return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
+
+
+def _weak_names(derivatives: pd.DataFrame) -> str:
+    """Return derivatives with half the widths of their bands."""
+    names = []
+    for row in derivatives.to_dict("records"):
+        name = derivative(row["coefficient"], row["regressor"])
+        names.append(f"{name} ±{THIN}{percent(row['half'], '.0f')}{THIN}%")
+    return ", ".join(names)
 
 
 def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
@@ -317,19 +346,12 @@ def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
 
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
-    parts = [_note(text(mechanics.note))]
+    parts = []
+    if mechanics.note is not None:
+        parts.append(_note(text(text_of(mechanics.note))))
     if mechanics.trim is not None:
-        names = ["airspeed", "alpha", "theta", "phi"]
-        if "climb" not in mechanics.trim.solved:  # without a thrust it is the model's glide
-            names.append("climb")
-        values = {name: getattr(mechanics.trim, name) for name in names} | mechanics.trim.controls
-        shown = []
-        for name, value in values.items():
-            factor, unit = display_unit("theta" if name == "climb" else name)
-            shown.append(
-                (name, f"{number(factor * value, '.2f' if unit == 'deg' else '.3g')} {unit}")
-            )
-        parts.append("<p>Steady flight in the middle of the training range:</p>" + facts(shown))
+        parts.append("<p>Steady flight in the middle of the training range:</p>")
+        parts.append(_trim(mechanics.trim))
     if len(mechanics.derivatives):
         tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
         parts.append(f'<div class="pair">{tables}</div>')
@@ -337,6 +359,24 @@ def _mechanics(mechanics: FlightMechanics) -> str:
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
     return _section("Trim, derivatives and modes", *parts)
+
+
+def _trim(trim: Trim) -> str:
+    """Return state and controls of a steady flight."""
+    values = {
+        "airspeed": trim.airspeed,
+        "alpha": trim.alpha,
+        "theta": trim.theta,
+        "phi": trim.phi,
+    }
+    if "climb" not in trim.solved:  # without a thrust it is the model's glide
+        values["climb"] = trim.climb
+    shown = []
+    for name, value in (values | trim.controls).items():
+        factor, unit = display_unit("theta" if name == "climb" else name)
+        form = ".2f" if unit == "deg" else ".3g"
+        shown.append((name, f"{number(factor * value, form)} {unit}"))
+    return facts(shown)
 
 
 def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
@@ -386,14 +426,15 @@ def _with_std(value: float, std: float | None) -> str:
 def _modes(modes: pd.DataFrame) -> str:
     rows = []
     for name, row in modes.drop(columns="eigenvalue").iterrows():
+        damping = DASH
+        if abs(row["damping"]) != 1:
+            damping = _with_std(row["damping"], row.get("damping_std"))
         time = number(row["time_constant"], ".3g")
         limits = row.get("time_constant_lower", 1.0) * row.get("time_constant_upper", 1.0)
-        rows.append([
-            text(name),
-            _with_std(row["frequency"], row.get("frequency_std")),
-            DASH if abs(row["damping"]) == 1 else _with_std(row["damping"], row.get("damping_std")),
-            time if 0 < limits < np.inf else f'<span class="off">▼ {time}</span>',
-        ])  # fmt: skip
+        if not 0 < limits < np.inf:
+            time = f'<span class="off">▼ {time}</span>'
+        frequency = _with_std(row["frequency"], row.get("frequency_std"))
+        rows.append([text(name), frequency, damping, time])
     caption = (
         "Modes: values ± standard deviations. The time constant is negative where a mode diverges. "
         "▼: its 95 % band holds decay and growth."
@@ -404,48 +445,44 @@ def _modes(modes: pd.DataFrame) -> str:
 
 def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
     """Return how long a free simulation follows the test flights, and one flight with its bands."""
-    why = f"Not simulated: {text(mechanics.simulation_note)}." if mechanics.simulation_note else ""
-    parts = [_note(why)]
+    parts = []
+    if mechanics.simulation_note is not None:
+        parts.append(_note(f"Not simulated: {text(text_of(mechanics.simulation_note))}."))
     if mechanics.simulation is not None:
-        rows = []
-        is_gusty = mechanics.simulation.get("gusts", pd.Series(0.0)).max() > 0
-        for name, row in mechanics.simulation.iterrows():
-            factor, unit = display_unit(str(name))
-            cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
-            lasts = number(row["lasts"], ".2g")
-            is_whole = row["lasts"] >= row["horizon"]
-            seconds = f"all {lasts}" if is_whole else f'<span class="off">{lasts}</span>'
-            apart = [number(row["lasts_without_gusts"], ".2g")] if is_gusty else []
-            rows.append([state(str(name)), unit, *cells, seconds, *apart])
-        caption = (
-            "Simulation of the test flights with the recorded controls, started again from measured "
-            "states, in the estimated wind and gusts, else in still air: root mean square error at "
-            "the end, and how long it stays below the limit."
-        )
-        head = [
-            "",
-            "unit",
-            "spread in<br>the flights",
-            "limit",
-            "error at<br>the end",
-            "follows<br>for [s]",
-        ]
-        if is_gusty:
-            head.append("less gusts<br>for [s]")
-            gusts = number(mechanics.simulation["gusts"].iloc[0], ".2g")
-            caption += (
-                f" Less gusts: without the part of the error that gusts of {gusts}{THIN}m/s explain, "
-                "which are not estimated."
-            )
-        parts.append(table(head, rows, caption=caption, classes="numbers narrow"))
+        parts.append(_simulation_errors(mechanics.simulation))
     if draw and mechanics.simulated is not None:
-        caption = (
-            "One of these simulations, from a measured state with the recorded controls. The band "
-            "holds 95 % of the aircraft that the model allows, in the same air: gusts that no sensor "
-            "shows are not in it."
-        )
-        parts.append(mechanics.simulated.html(caption))
+        parts.append(mechanics.simulated.html(SIMULATED))
     return _section("Simulation", *parts)
+
+
+def _simulation_errors(errors: pd.DataFrame) -> str:
+    """Return the table of the errors of each state, and how long they stay below their limits."""
+    head = ["", "unit", "spread in<br>the flights", "limit", "error at<br>the end"]
+    head.append("follows<br>for [s]")
+    caption = (
+        "Simulation of the test flights with the recorded controls, started again from measured "
+        "states, in the estimated wind and gusts, else in still air: root mean square error at "
+        "the end, and how long it stays below the limit."
+    )
+    is_gusty = errors.get("gusts", pd.Series(0.0)).max() > 0
+    if is_gusty:
+        head.append("less gusts<br>for [s]")
+        gusts = number(errors["gusts"].iloc[0], ".2g")
+        caption += (
+            f" Less gusts: without the part of the error that gusts of {gusts}{THIN}m/s explain, "
+            "which are not estimated."
+        )
+    rows = []
+    for name, row in errors.iterrows():
+        factor, unit = display_unit(str(name))
+        cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
+        lasts = number(row["lasts"], ".2g")
+        is_whole = row["lasts"] >= row["horizon"]
+        cells.append(f"all {lasts}" if is_whole else f'<span class="off">{lasts}</span>')
+        if is_gusty:
+            cells.append(number(row["lasts_without_gusts"], ".2g"))
+        rows.append([state(str(name)), unit, *cells])
+    return table(head, rows, caption=caption, classes="numbers narrow")
 
 
 def _flights(content: ReportContent, draw: bool) -> list[str]:
@@ -508,7 +545,8 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> sli
     if np.any(np.diff(time) <= 0) or time[-1] - time[0] < 1.5 * length:
         return slice(None)
     spread = np.nanstd(values, axis=0)
-    steps = np.diff(values, axis=0, prepend=values[:1]) / np.where(spread > 0, spread, 1.0)
+    spread[~(spread > 0)] = 1.0
+    steps = np.diff(values, axis=0, prepend=values[:1]) / spread
     moved = np.cumsum(np.nansum(steps**2, axis=1))
     begin = np.flatnonzero(time <= time[-1] - length)
     end = np.searchsorted(time, time[begin] + length, side="right")
@@ -518,12 +556,11 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> sli
 
 def _flown(content: ReportContent) -> str:
     """Return the inputs of the flights."""
-    flights = {
-        **{f"{name} (train)": table for name, table in content.train.items()},
-        **{f"{result.name} (test)": result.table for result in content.test},
-    }
-    parts = [
-        TimeHistoryDisplay.from_inputs(table, ax=False).html(f"Inputs of {text(name)}.")
-        for name, table in flights.items()
-    ]
+    flights = {f"{name} (train)": table for name, table in content.train.items()}
+    for result in content.test:
+        flights[f"{result.name} (test)"] = result.table
+    parts = []
+    for name, flight in flights.items():
+        inputs = TimeHistoryDisplay.from_inputs(flight, ax=False)
+        parts.append(inputs.html(f"Inputs of {text(name)}."))
     return _section("What was flown", *parts)

@@ -17,7 +17,7 @@ from skdgp._cli import _shared, main
 from skdgp._cli._shared import CLEAR, Console
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import _identification, _identify, load_model
+from skdgp.identification import _identification, _learn, load_model
 from skdgp.identification import identify as identify_flights
 from skdgp.metrics import interval_coverage, median_relative_error
 
@@ -51,7 +51,11 @@ class TestIdentify:
         assert load_model(tmp_path / "out" / "model.joblib").aircraft == expected
 
     def test_is_silent_in_a_pipe(self, identified):
-        assert_only_stopped(identified[1].stderr.splitlines())
+        said = identified[1].stderr.splitlines()
+        assert_only_stopped(said)
+        codes = [finding["code"] for finding in identified[2]["findings"]]
+        assert {*codes} <= {"few_rows", "search_stopped"}
+        assert len(codes) == len(said)
         assert "\r" not in identified[1].stdout
         assert "\x1b" not in identified[1].stdout
 
@@ -219,7 +223,7 @@ class TestBadInput:
         self, refused, folder, tmp_path, monkeypatch
     ):
         monkeypatch.setattr(
-            _identify, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted")
+            _learn, "make_identification_pipeline", lambda *a, **k: pytest.fail("fitted")
         )
         pd.read_csv(folder / "test.csv").drop(columns="alpha").to_csv(
             tmp_path / "bare.csv", index=False

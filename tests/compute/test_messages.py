@@ -7,7 +7,15 @@ import warnings
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.messages import recorded_warnings, warn, without_warnings
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import (
+    FindingWarning,
+    recorded_warnings,
+    report,
+    warn,
+    without_warnings,
+)
+from skdgp._compute.wording import REASONS, TEXTS, texts_of
 from skdgp.identification import identify
 
 KMEANS = "skdgp._compute.linalg"  # KMeans of scikit-learn has no other way to be silent
@@ -22,7 +30,7 @@ def test_recorded_warnings_are_shown_and_kept_once():
         for _ in range(2):
             with pytest.warns(Late, match="^a  gap$"):
                 warn("a  gap", Late)
-    assert inner.texts == outer.texts == ["a gap"]
+    assert texts_of(inner.findings) == texts_of(outer.findings) == ("a gap",)
 
 
 def test_ignored_warnings_are_neither_shown_nor_recorded():
@@ -30,13 +38,18 @@ def test_ignored_warnings_are_neither_shown_nor_recorded():
         warn("late", Late)
         with pytest.warns(UserWarning, match="other"):
             warn("other")
-    assert outer.texts == ["other"]
-    with recorded_warnings() as messages:
-        messages.ignore(UserWarning, "Faults")
-        warn("Faults of a log", Late)
-        with pytest.warns(Late, match="A log"):
-            warn("A log", Late)
-    assert messages.texts == ["A log"]
+    assert texts_of(outer.findings) == ("other",)
+    with recorded_warnings() as record:
+        record.ignore(Code.FULL_THROWS)
+        report(Finding(Code.FULL_THROWS))
+        with pytest.warns(FindingWarning, match="Give the column elevator") as shown:
+            report(Finding(Code.NO_ELEVATOR))
+    assert record.findings == [shown[0].message.finding] == [Finding(Code.NO_ELEVATOR)]
+
+
+@pytest.mark.parametrize("code", Code)
+def test_every_finding_has_a_text(code):
+    assert code in {**TEXTS, **REASONS}
 
 
 def test_another_thread_is_not_silenced():
@@ -48,12 +61,12 @@ def test_another_thread_is_not_silenced():
         except Late as error:
             raised.append(str(error))
 
-    with without_warnings(), recorded_warnings() as messages:
+    with without_warnings(), recorded_warnings() as record:
         thread = threading.Thread(target=warning)
         thread.start()
         thread.join()
     assert raised == ["from another thread"]
-    assert messages.texts == []
+    assert record.findings == []
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

@@ -15,7 +15,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     stability_derivatives,
 )
-from skdgp.identification._flights import assumptions, lacks_thrust, with_thrust_errors
+from skdgp.identification._prepare import assumptions, lacks_thrust, with_thrust_errors
 
 TRUE = Propeller(
     diameter=0.5,
@@ -297,5 +297,5 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
     change = 100 * aircraft.propeller.load_std * abs(others[4, 4] - weights[4, 4])
     assert_allclose(derivatives.loc["Cm_throttle", "std_aircraft"], change, rtol=1e-6)
     assert derivatives.loc["CZ_alpha", "std_aircraft"] == 0
-    (line,) = assumptions(aircraft, servos=None, thrust_unknown=False)[-1:]
-    assert "size of the propeller" in line
+    (source,) = assumptions(aircraft, has_full_throws=False, lacks_thrust=False)[-1:]
+    assert source.numbers["sources"]["thrust"] == "size of the propeller"

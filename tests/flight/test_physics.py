@@ -8,7 +8,7 @@ from scipy import signal
 from skdgp._flight.frames import gravity_in_body_axes
 from skdgp._flight.physics import G, find_contradictions
 from skdgp.datasets import load_example_flights
-from skdgp.identification._flights import usable_flights
+from skdgp.identification._prepare import usable_flights
 from skdgp.io import inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
 

@@ -1,4 +1,4 @@
-"""What identify assumes where nothing is said: thrust, sizes, surfaces that are missing, signs of surfaces."""
+"""What identify assumes where nothing is said: thrust, sizes, surfaces that are missing."""
 
 import warnings
 
@@ -7,23 +7,22 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.wording import text_of
 from skdgp.dynamics import (
     Aircraft,
     stability_derivatives,
     trim,
 )
 from skdgp.export import portable_model, write_c
-from skdgp.identification import _flights, identify, load_model, validate
-from skdgp.identification._flights import (
-    THRUST_IN_COEFFICIENTS,
+from skdgp.identification import _prepare, identify, load_model, validate
+from skdgp.identification._prepare import (
     assumptions,
     check_controls,
     lacks_thrust,
     servos_for,
-    with_signs_of_flights,
 )
 from skdgp.io import FULL_THROW
-from skdgp.preprocessing import FlightDataWarning
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
 # Of a stable aircraft, of its dampings, and of its controls
@@ -36,7 +35,7 @@ SIGNS = {
 class TestServos:
     @pytest.fixture(autouse=True)
     def parameters(self, monkeypatch):
-        monkeypatch.setattr(_flights, "names_servos", lambda path: path != "nameless.ulg")
+        monkeypatch.setattr(_prepare, "names_servos", lambda path: path != "nameless.ulg")
 
     def test_logs_of_autopilots_have_full_throws(self):
         assert servos_for(None, "a.ulg", None) == FULL_THROW
@@ -76,11 +75,12 @@ class TestWords:
         told = Aircraft.estimate(
             3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2])
         )
-        assert assumptions(told, servos=None, thrust_unknown=False) == []
+        assert assumptions(told, has_full_throws=False, lacks_thrust=False) == ()
 
     def test_sizes_are_said_with_all_their_errors(self):
         """Iyy follows the length by its square: 25 % of the radius and twice 15 % of the length."""
-        first, *_ = assumptions(Aircraft.estimate(3.0, 1.8), servos=None, thrust_unknown=False)
+        aircraft = Aircraft.estimate(3.0, 1.8)
+        first = text_of(assumptions(aircraft, has_full_throws=False, lacks_thrust=False)[0])
         assert "wing area 0.432 m^2 ± 35 %" in first
         assert "Iyy 0.208 kg m^2 ± 39 %" in first
         assert "mass" not in first
@@ -115,11 +115,12 @@ def test_a_table_without_thrust():
     )
     table = table.assign(time=t, airspeed=20 + np.sin(0.3 * t), density=1.2, az=table["az"] - 9.8)
     found = quietly(table, Aircraft.estimate(3.0, 1.8), samples=100, horizons=[1.0])
-    assert {"throttle", "airspeed"} <= set(found.fit["regressors"])
+    assert {"throttle", "airspeed"} <= set(found.fit.regressors)
     assert found.settings["thrust"] is None
     assert "servos" not in found.settings
-    assert THRUST_IN_COEFFICIENTS in found.assumed
-    assert THRUST_IN_COEFFICIENTS in found.messages
+    lacks_thrust = Finding(Code.THRUST_IN_COEFFICIENTS)
+    assert lacks_thrust in found.assumptions
+    assert lacks_thrust in found.findings
 
 
 @pytest.fixture(scope="module")
@@ -190,37 +191,3 @@ def test_what_needs_none(given):
         warnings.simplefilter("error")
         check_controls({"a": TABLE.assign(**{given: 0.0})}, "quasi-steady")
         check_controls({"a": TABLE.assign(de=0.0)}, ["alpha", "aileron"])
-
-
-@pytest.fixture(scope="module")
-def flights(first_minute):
-    """45 s with all controls moving, without elevons, and a second flight."""
-    train = first_minute().train
-    flight = train[(train["flight"] == "latlon") & (train["time"] < 45)].reset_index(drop=True)
-    left, right = flight.pop("elevon_left"), flight.pop("elevon_right")
-    flight = flight.assign(elevator=(left + right) / 2 / 0.4, aileron=(left - right) / 2 / 0.4)
-    return {"one": flight}, {"other": flight.iloc[:100]}
-
-
-def test_right_signs_stay(flights):
-    servos, *same = with_signs_of_flights(FULL_THROW, *flights)
-    assert servos == FULL_THROW
-    assert same[0]["one"] is flights[0]["one"]
-
-
-@pytest.mark.parametrize("names", [["aileron"], ["elevator", "rudder"]])
-def test_wrong_signs_are_turned_in_all_flights_and_kept(flights, names):
-    wrong = [
-        {k: t.assign(**{name: -t[name] for name in names}) for k, t in part.items()}
-        for part in flights
-    ]
-    with pytest.warns(
-        FlightDataWarning, match="move the other way than the autopilot's parameters say"
-    ):
-        servos, *turned = with_signs_of_flights(FULL_THROW, *wrong)
-    assert sorted(servos.removeprefix("full throw, reversed ").split()) == names
-    for part, right in zip(turned, flights, strict=True):
-        for key, table in part.items():
-            assert table.equals(right[key])
-    assert with_signs_of_flights(servos, *turned)[0] == servos  # what is told is believed
-    assert with_signs_of_flights("servo.toml", *wrong)[0] == "servo.toml"

@@ -1,9 +1,12 @@
 """The verdict: what it says follows from errors, bands, derivatives and simulations by its thresholds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from skdgp._compute.findings import Code, Finding
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import (
     Aerodynamics,
@@ -14,13 +17,40 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._verdict import flight_mechanics, judge, simulation_errors
-from skdgp.report import Evaluation, FlightMechanics
+from skdgp.identification._free_flight import simulation_errors
+from skdgp.identification._mechanics import flight_mechanics
+from skdgp.identification._verdict import judge
+from skdgp.report import Evaluation, FitRecord, FlightMechanics, TrainingRecord
 
 AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 SETTINGS = {"thrust": None, "external_forces": [], "horizons": [2.0, 4.0]}
-FIT = {"samples": 1000, "regressors": NAMES}
+FIT = FitRecord(
+    inference="exact",
+    weights={},
+    regressors=NAMES,
+    log_marginal_likelihood=0.0,
+    iterations=1,
+    limit_reached=False,
+    converged=True,
+    interrupted=False,
+    noise_std={},
+    input_noise_std={},
+    paths_reconstructed=True,
+    paths_not_converged=[],
+    gusts_unknown="",
+    reconstruction=None,
+    lags={},
+    training=TrainingRecord(
+        samples=1000,
+        samples_available=1000,
+        values=6000,
+        seconds=1.0,
+        thrust=["none"],
+        least_squares={},
+        flights={},
+    ),
+)
 
 
 def glider(elevator=-1.0):
@@ -89,6 +119,8 @@ def mechanics(**changes):
     return FlightMechanics(**found | changes)
 
 
+NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
+ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 
@@ -98,11 +130,10 @@ def simulated(lasts):
     return pd.DataFrame(columns, index=["theta", "p"])
 
 
-def verdict(evaluations=None, mechanics_=None, messages=(), **fit):
+def verdict(evaluations=None, mechanics_=None, findings=(), **fit):
     evaluations = [evaluation()] if evaluations is None else evaluations
-    return judge(
-        [evaluations[0].table] * 3, evaluations, FIT | fit, mechanics_ or mechanics(), messages
-    )
+    train = [evaluations[0].table] * 3
+    return judge(train, evaluations, replace(FIT, **fit), mechanics_ or mechanics(), findings)
 
 
 def use(found, purpose):
@@ -167,7 +198,7 @@ class TestSimulation:
         assert ("not testable in this air" in found[1]) == (fit == "unknown")
 
     def test_says_why_it_is_not_known(self):
-        lacking = mechanics(simulation=None, simulation_note="no alpha")
+        lacking = mechanics(simulation=None, simulation_note=NO_ALPHA)
         assert use(verdict(mechanics_=lacking), "simulate") == ("unknown", "no alpha")
         with_ax = verdict(regressors=["alpha", "ax"])
         assert use(with_ax, "simulate") == ("no", "the regressors ax are known only after a flight")
@@ -256,16 +287,16 @@ class TestControl:
 
     def test_no_steady_flight(self):
         found = verdict(
-            mechanics_=mechanics(trim=None, note="No steady flight was found at 20 m/s: more.")
+            mechanics_=mechanics(trim=None, note=Finding(Code.NO_TRIM, numbers={"airspeed": 20.0}))
         )
-        assert use(found, "design a controller") == ("no", "No steady flight was found at 20 m/s")
+        assert use(found, "design a controller") == ("no", "no steady flight was found at 20 m/s")
 
 
 def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
     table = mechanics().derivatives
     for name, value in (("Cm_q", 7.5), ("Cl_p", 0.1), ("Cn_beta", -0.1)):
         wrong = pd.concat([table, pd.DataFrame({"value": [value], "std": [0.01]}, index=[name])])
-        found = verdict(mechanics_=mechanics(derivatives=wrong), messages=["A gap."])
+        found = verdict(mechanics_=mechanics(derivatives=wrong), findings=[ALONE["a"]])
         assert "not as on a conventional stable aircraft" in found.warnings[0]
         assert f"{name} {value:+.2g}" in found.warnings[0]
         assert use(found, "design a controller") == ("no", f"wrong sign of {name}")
@@ -276,47 +307,51 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
 
 
 def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
-    found = verdict(messages=["A gap."], paths_not_converged=["a"])
+    found = verdict(findings=[ALONE["a"]], paths_not_converged=["a"])
     assert "The paths of these flights did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
     assert "yes" in {use.fit for use in verdict().uses}
-    assert found.warnings[1:] == ("A gap.",)
+    assert found.findings[1:] == (ALONE["a"],)
     assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
 
 
 @pytest.mark.parametrize("where", ["fit", "test"])
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
-    text = "Gusts are not known: too short."
-    words = {"gusts_unknown": "too short."} if where == "fit" else {"messages": [text]}
-    found = verdict(**words)
-    assert found.warnings == (text,)
+    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"reason": "too short."})
+    found = verdict(gusts_unknown="too short.") if where == "fit" else verdict(findings=[doubt])
+    assert found.findings == (doubt,)
+    assert found.warnings == ("Gusts are not known: too short.",)
+    for purpose in ("predict coefficients", "simulate"):
+        fit, reason = use(found, purpose)
+        assert fit == "partly"
+        assert reason.endswith("; but gusts without vanes are not known")
     assert "yes" not in {use.fit for use in found.uses}
     assert use(found, "design a controller") == ("no", "gusts without vanes are not known")
 
 
 def test_warnings_are_ranked():
-    messages = ["Flight 'a' lasts 1.5 s.", "A gap.", "Flight 'b' lasts 2 s."]
+    findings = [ALONE["a"], Finding(Code.NO_ELEVATOR), ALONE["b"]]
     bad = [
         evaluation(error=1.2, linear=0.5, inside=False),
         evaluation("b", error=0.1, inside=False),
     ]
-    found = verdict(bad, messages=messages, converged=False).warnings
+    found = verdict(bad, findings=findings, converged=False).warnings
     assert found[0].startswith(
         "In 1 of 2 test flights a constant predicts better (error above 1): a."
     )
     assert found[1].startswith("Least squares is better in 6 of 6 coefficients")
     assert found[2].startswith("95 % bands are too narrow: they hold CX 6")
-    assert found[3:] == (
-        "The fit has not converged: raise max_iter.",
-        "Flight 'a' lasts 1.5 s. (1 more of this kind)",
-        "A gap.",
-    )
+    assert found[3] == "The fit has not converged: raise max_iter."
+    assert found[4].startswith("Flight 'a': 2 rows")
+    assert found[4].endswith("(1 more of this kind)")
+    assert found[5].startswith("Got flights without an elevator")
+    assert len(found) == 6
     assert verdict().warnings == ()
 
 
 class TestMechanics:
     def test_is_at_the_median_of_what_was_flown(self, flight):
-        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS, FIT)
+        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS)
         airspeed = flight["airspeed"].median()
         point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, air=Air(density=1.225))
         assert found.trim.airspeed == pytest.approx(airspeed)
@@ -330,14 +365,14 @@ class TestMechanics:
 
     def test_without_a_trim_derivatives_are_at_the_median_state(self, flight):
         heavy = Aircraft(mass=500, inertia=AIRCRAFT.inertia, wing_area=1.3, span=2.6, chord=0.55)
-        found = flight_mechanics(glider(), heavy, [flight], [flight], SETTINGS, FIT)
+        found = flight_mechanics(glider(), heavy, [flight], [flight], SETTINGS)
         assert found.trim is None
         assert found.modes is None
-        assert "No steady flight was found" in found.note
+        assert found.note.code is Code.NO_TRIM
         assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
 
     def test_is_plain_for_json(self, flight):
-        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS, FIT).to_dict()
+        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS).to_dict()
         assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
         assert found["modes"]["short period"]["frequency"] > 1
         assert set(found["simulation"]) == {

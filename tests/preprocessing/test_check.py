@@ -11,7 +11,7 @@ from sklearn.pipeline import make_pipeline
 from skdgp._flight.faults import find_faults, without_faults
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification._flights import usable_flights
+from skdgp.identification._prepare import usable_flights
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import (
     FlightCheck,

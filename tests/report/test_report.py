@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from sklearn.exceptions import UndefinedMetricWarning
 
+from skdgp._compute.findings import Code, Finding
 from skdgp._display import page as page_module
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.metrics import interval_coverage, normalized_rmse
@@ -18,6 +19,7 @@ from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
 from skdgp.plotting._effects import Curve, Interaction
 from skdgp.report import (
     Evaluation,
+    Extent,
     FlightMechanics,
     ReportContent,
     Use,
@@ -119,19 +121,25 @@ def effects():
     )
 
 
+def said(text):
+    return Finding(Code.MESSAGE, numbers={"text": text})
+
+
 def verdict(**changes):
     given = {
-        "learned": "Six coefficients, learned from 6.0 minutes of 2 flights.",
+        "regressors": ["alpha"],
+        "trained": Extent(2, 360.0),
+        "tested": Extent(1, 20.0),
         "error": 0.131,
         "coverage": 0.972,
         "least_squares_error": 0.191,
         "better": ("CX", "CY"),
         "worse": ("Cn",),
         "uses": (
-            Use("predict coefficients", "yes", "errors are small"),
-            Use("simulate", "partly", "for 5 s"),
+            Use("predict coefficients", "yes", (said("errors are small"),)),
+            Use("simulate", "partly", (said("for 5 s"),)),
         ),
-        "warnings": ("one!", "two!", "three!", "four!"),
+        "findings": tuple(map(said, ("one!", "two!", "three!", "four!"))),
     }
     return Verdict(**{**given, **changes})
 
@@ -178,7 +186,7 @@ class TestPage:
         assert "://" not in re.sub(r'src="[^"]*"', "", html)
 
     def test_contents_lead_to_every_section_and_the_verdict_comes_first(self, numbers_only):
-        html = render_report(content(mechanics=FlightMechanics(note="none")))
+        html = render_report(content(mechanics=FlightMechanics(note=said("none"))))
         contents = re.search(r'<nav class="contents">(.*?)</nav>', html)[1]
         titles = re.findall(r'<h2 id="s\d+">(.*?)</h2>', html)
         assert re.findall(r">([^<]+)</a>", contents) == titles
@@ -352,7 +360,7 @@ class TestWords:
         given = content(
             title=evil, train={evil: table(100)}, test=[result(100, name=evil)],
             subtitle=evil, facts={evil: evil}, assumed=[evil], command=evil, air=evil,
-            verdict=verdict(warnings=(evil,)),
+            verdict=verdict(findings=(said(evil),)),
         )  # fmt: skip
         page = Page(render_report(given))
         assert "script" not in page.tags
@@ -365,7 +373,7 @@ class TestWords:
         assert "$title $$ ${body} $x^" in Page(page).words
 
     def test_says_when_nothing_went_wrong(self, numbers_only):
-        page = Page(render_report(content(verdict=verdict(warnings=()))))
+        page = Page(render_report(content(verdict=verdict(findings=()))))
         assert "No warning arose" in page.words
 
 

@@ -1,0 +1,242 @@
+"""Second stage of an identification: the model that the flights determine, and the record of its fit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import Pipeline
+
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import notify, report
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_FORCES
+from skdgp._regressor import DependentGPRegressor
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification._pipeline import (
+    FlightPipeline,
+    make_identification_pipeline,
+    reconstruction_of,
+)
+from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
+from skdgp.io import FULL_THROW
+from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
+from skdgp.report import FitRecord, TrainingRecord
+
+EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedModel:
+    """A fitted model of an aircraft.
+
+    Attributes
+    ----------
+    pipeline, aircraft : Pipeline, Aircraft
+        The aircraft with the deviations that the flights leave it.
+    fit : FitRecord
+    settings : dict
+        Options of the identification, given or chosen, and ``horizons`` of the evaluation.
+    """
+
+    pipeline: Pipeline
+    aircraft: Aircraft
+    fit: FitRecord
+    settings: dict[str, Any]
+
+
+def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
+    """Return the regressor, by default one of seed 0; raise TypeError if it is of another kind."""
+    if regressor is None:
+        return DependentGPRegressor(random_state=0)
+    if not isinstance(regressor, DependentGPRegressor):
+        raise TypeError(
+            f"Got {type(regressor).__name__} as the regressor, but expected a "
+            "DependentGPRegressor: fit other regressors with make_identification_pipeline."
+        )
+    return regressor
+
+
+def learn(
+    flights: PreparedFlights,
+    *,
+    regressors: str | Sequence[str],
+    regressor: DependentGPRegressor,
+    steps: Mapping[str, Any],
+    samples: int | str | None,
+    horizons: Sequence[float],
+) -> LearnedModel:
+    """Return the model of the training flights; parameters: see `identify`."""
+    notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
+    table = flights.table
+    Y = aerodynamic_coefficients(table, flights.aircraft, **flights.loads)
+    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))
+
+    notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
+    pipeline = _pipeline_for(flights, regressors, regressor, steps)
+    began = time.monotonic()
+    X = pipeline.fit_regressors(table, targets)
+    seconds = round(time.monotonic() - began, 3)
+    training = TrainingRecord(
+        samples=int(targets.notna().any(axis=1).sum()),
+        samples_available=int(Y.notna().any(axis=1).sum()),
+        values=int(targets.notna().sum().sum()),
+        seconds=seconds,
+        thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
+        least_squares=fit_least_squares(pipeline, X, targets),
+        flights={name: len(part) for name, part in flights.train.items()},
+    )
+    fit = fit_record(pipeline, training)
+    if fit.lags_corrected:
+        finding = Finding(Code.LAGS_CORRECTED, numbers={"lags": fit.lags_corrected})
+        report(finding, stacklevel=3)
+    aircraft = flights.aircraft
+    if "propeller" in training.thrust:
+        aircraft = with_thrust_errors(aircraft, table, named_regressors(pipeline, X))
+    settings = _settings(flights, pipeline, training.samples, horizons)
+    return LearnedModel(pipeline=pipeline, aircraft=aircraft, fit=fit, settings=settings)
+
+
+def _n_rows(samples: int | str | None, regressor: DependentGPRegressor, n: int) -> int:
+    """Return how many of n rows to learn from."""
+    if samples is None and regressor.inference == "exact":
+        return EXACT_SAMPLES
+    return n if samples in (None, "all") else samples  # type: ignore[return-value]
+
+
+def _pipeline_for(
+    flights: PreparedFlights,
+    regressors: str | Sequence[str],
+    regressor: DependentGPRegressor,
+    steps: Mapping[str, Any],
+) -> FlightPipeline:
+    """Return the pipeline that learns the coefficients of the flights."""
+    columns = {*flights.table}
+    is_whole = {*MIXED} <= columns or bool({*ELEVONS} & columns)
+    mixer = None if is_whole else "passthrough"
+    options = {"mixer": mixer, **steps}
+    pipeline = make_identification_pipeline(
+        flights.aircraft, regressors=regressors, regressor=regressor, **options
+    )
+    if isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction):
+        pipeline.set_params(flightpathreconstruction__thrust=flights.loads["thrust"])
+        if flights.loads["external_forces"]:  # which the motion of the air does not know
+            pipeline.set_params(flightpathreconstruction__aircraft=None)
+    if flights.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
+        pipeline.set_params(regressorselector__extra=["airspeed"])
+    if flights.has_full_throws:
+        pipeline.control_units_ = dict.fromkeys(ALL_SURFACES, FULL_THROW)
+    return pipeline
+
+
+def _settings(
+    flights: PreparedFlights, pipeline: Pipeline, samples: int, horizons: Sequence[float]
+) -> dict[str, Any]:
+    """Return the options of an identification, given or chosen."""
+    regressor = pipeline[-1]
+    reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
+    settings = {
+        "samples": samples,
+        **flights.loads,
+        "inference": regressor.inference,
+        "structure": regressor.structure,
+        "regressors": pipeline["regressorselector"].regressors,
+        "reconstruction": "auto" if reconstructs else "none",
+        "input_noise": "none" if regressor.input_noise is None else "learned",
+        "trend": "none" if regressor.trend is None else regressor.trend,
+        "seed": regressor.random_state,
+        "horizons": list(horizons),
+        "inducing": regressor.n_inducing,
+        "latents": regressor.n_latent,
+        "max_iter": regressor.max_iter,
+        "lags": pipeline["lagcorrector"].lags,
+    }
+    if flights.has_full_throws:
+        settings["servos"] = flights.servos
+    return settings
+
+
+def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
+    """Return what a fitted pipeline shows of its fit."""
+    regressor = pipeline[-1]
+    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
+    step = pipeline["flightpathreconstruction"]
+    converged: Mapping[Any, bool] = {}
+    gusts_unknown = ""
+    reconstruction = None
+    if isinstance(step, FlightPathReconstruction):
+        converged = step.converged_
+        gusts_unknown = step.doubt_
+        code = Code.PATHS_RECONSTRUCTED if step.used_ else Code.PATHS_SMOOTHED
+        reconstruction = Finding(code, numbers={"reason": step.reason_})
+    weights = {name: _by_coefficient(values) for name, values in regressor.weights_.items()}
+    return FitRecord(
+        inference=regressor.inference_,
+        weights=weights,
+        regressors=names,
+        log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
+        iterations=int(regressor.n_iter_),
+        limit_reached=bool(regressor.n_iter_ >= regressor.max_iter_),
+        converged=bool(regressor.converged_),
+        interrupted=bool(regressor.interrupted_),
+        noise_std=_by_coefficient(regressor.noise_variance_**0.5),
+        input_noise_std=dict(zip(names, map(float, input_std), strict=True)),
+        paths_reconstructed=reconstruction_of(pipeline) is not None,
+        paths_not_converged=[str(name) for name, is_found in converged.items() if not is_found],
+        gusts_unknown=gusts_unknown,
+        reconstruction=reconstruction,
+        lags=lags_of(pipeline),
+        training=training,
+    )
+
+
+def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
+    """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
+    step = pipeline.named_steps.get("lagcorrector")
+    if not isinstance(step, LagCorrector):
+        return {}
+    table = step.lags_.astype(object).where(step.lags_.notna(), None)
+    return {str(group): dict(row) for group, row in table.iterrows()}
+
+
+def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[str]:
+    """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
+    if thrust is None:
+        return ["none"]
+    has_columns = [bool({*THRUST_FORCES} & {*table.columns}) for table in tables]
+    return sorted({"columns" if has else "propeller" for has in has_columns})
+
+
+def _by_coefficient(values: Vector) -> dict[str, float]:
+    return dict(zip(COEFFICIENTS, map(float, values), strict=True))
+
+
+def fit_least_squares(
+    pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame
+) -> dict[str, dict[str, float]]:
+    """Return intercept and slopes of each coefficient (n, 6) by least squares, where it is observed.
+
+    ``regressors`` (n, d) are inputs of the last step; the slopes are in the units before the scaler
+    of the pipeline.
+    """
+    table = named_regressors(pipeline, regressors)
+    fitted = {}
+    for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
+        observed = np.isfinite(y)
+        linear = LinearRegression().fit(table[observed], y[observed])
+        slopes = dict(zip(map(str, table), map(float, linear.coef_), strict=True))
+        fitted[coefficient] = {"intercept": float(linear.intercept_), **slopes}
+    return fitted
+
+
+def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
+    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
+    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    return pd.DataFrame(pipeline["standardscaler"].inverse_transform(regressors), columns=names)

@@ -1,0 +1,127 @@
+"""Flight mechanics of an identified model: trim, derivatives, modes, and simulations of its test flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import without_warnings
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Aircraft,
+    Trim,
+    as_aerodynamics,
+    linearize,
+    stability_derivatives,
+    trim,
+)
+from skdgp.identification._free_flight import simulated_flight, simulation_errors
+from skdgp.identification._pipeline import reconstruction_of
+from skdgp.report import FlightMechanics
+
+# functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),
+# 5 %
+N_PATHS = 200
+
+
+def flight_mechanics(
+    pipeline: Pipeline | Aerodynamics,
+    aircraft: Aircraft,
+    train: Sequence[pd.DataFrame],
+    test: Sequence[pd.DataFrame],
+    settings: dict,
+    least_squares: Mapping[str, Mapping[str, float]] | None = None,
+) -> FlightMechanics:
+    """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
+
+    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of
+    the flights.
+    """
+    flown = pd.concat(train or test).median(numeric_only=True)
+    thrust = settings["thrust"]
+    conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
+    results: dict[str, Any] = {}
+    airspeed = float(flown["airspeed"])
+    state_and_inputs: tuple
+    try:
+        climb = None if thrust is None else 0.0
+        results["trim"] = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
+        state_and_inputs = (results["trim"],)
+    except ValueError:
+        results["note"] = Finding(Code.NO_TRIM, numbers={"airspeed": airspeed})
+        state_and_inputs = _median_state(flown)
+    try:
+        results |= _derivatives(pipeline, aircraft, state_and_inputs, conditions, least_squares)
+    except ValueError as error:
+        results["note"] = Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)})
+    try:
+        flown_states = [reconstructed(pipeline, table) for table in test]
+        results["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
+        results["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
+    except ValueError as error:
+        results["simulation_note"] = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
+    return FlightMechanics(**results)
+
+
+def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
+    """Return the median state with level wings, and the median inputs."""
+    alpha = float(flown.get("alpha", 0.0))
+    state = np.zeros(13)
+    state[3] = flown["airspeed"] * np.cos(alpha)
+    state[5] = flown["airspeed"] * np.sin(alpha)
+    state[6] = 1.0
+    return state, {str(name): float(value) for name, value in flown.items()}
+
+
+def _derivatives(
+    pipeline: Pipeline | Aerodynamics,
+    aircraft: Aircraft,
+    state_and_inputs: tuple,
+    conditions: dict[str, Any],
+    least_squares: Mapping[str, Mapping[str, float]] | None,
+) -> dict[str, Any]:
+    """Return derivatives of the model and of least squares, and modes at a trim."""
+    point = aircraft, *state_and_inputs
+    results: dict[str, Any] = {"derivatives": stability_derivatives(pipeline, *point, **conditions)}
+    if least_squares is not None:
+        linear = stability_derivatives(_linear(pipeline, least_squares), *point, **conditions)
+        results["least_squares"] = linear[["value"]]
+    if isinstance(state_and_inputs[0], Trim):
+        n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
+        results["modes"] = linearize(pipeline, *point, n_paths=n_paths, **conditions).modes()
+    return results
+
+
+def _linear(
+    pipeline: Pipeline | Aerodynamics, fitted: Mapping[str, Mapping[str, float]]
+) -> Aerodynamics:
+    """Return the linear model of the same rows."""
+    model = as_aerodynamics(pipeline)
+    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
+    intercept = table.loc["intercept"].to_numpy()
+    slopes = table.loc[[*model.regressors]].to_numpy()
+    unknown: dict[str, Any] = dict.fromkeys(("sampler", "drift", "narrowing", "function_errors"))
+    return replace(
+        model,
+        function=lambda X: intercept + X @ slopes,
+        slopes=lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
+        **unknown,
+    )
+
+
+def reconstructed(pipeline: Pipeline | Aerodynamics, table: pd.DataFrame) -> pd.DataFrame:
+    """Return a flight with its logged inputs, and reconstructed states and wind; unchanged without reconstruction."""
+    if not isinstance(pipeline, Pipeline) or reconstruction_of(pipeline) is None:
+        return table
+    n_steps = 1 + list(pipeline.named_steps).index("flightpathreconstruction")
+    with without_warnings():  # the evaluation has shown them
+        motion = pipeline[:n_steps].transform(table)
+    return table.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))

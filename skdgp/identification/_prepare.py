@@ -1,0 +1,366 @@
+"""First stage of an identification: flights to learn from and to test on, checked, and what is assumed of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.messages import report
+from skdgp._flight.channels import (
+    CHANNELS,
+    COEFFICIENTS,
+    ELEVONS,
+    HAT,
+    MIXED,
+    RATES,
+    REGRESSOR_SETS,
+    SPECIFIC_FORCE,
+    SURFACES,
+    THRUST_FORCES,
+)
+from skdgp._flight.checks import check_columns, suggestions
+from skdgp._flight.clock import flight_segments
+from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.physics import find_contradictions
+from skdgp.dynamics import (
+    MOMENTS,
+    QUANTITIES,
+    Aircraft,
+    ScaleFactor,
+    check_aircraft,
+    dynamic_pressure,
+    propeller_speed_of,
+    propulsive_loads,
+)
+from skdgp.identification._flights import Flights, flights_of, items_of, named_flights
+from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
+from skdgp.preprocessing import FlightCheck
+
+# columns that the coefficients follow from
+MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
+ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
+# elevons may stand for elevator and aileron, and the other way round
+INTERCHANGEABLE = (*MIXED, *ELEVONS)
+LEARNED_PART = 0.75  # of a single flight, whose rest is held out
+
+# warnings of later steps about the same faults, and about constant regressors, which they number
+REPEATED = (Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED, Code.CONSTANT_INPUTS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedFlights:
+    """Flights of an identification.
+
+    Attributes
+    ----------
+    train, test : dict of str to DataFrame
+        Usable rows of the flights to learn from, and to be tested on.
+    aircraft : Aircraft
+    servos : object
+        What gave the surfaces.
+    loads : dict
+        ``thrust`` and ``external_forces`` of the inverse dynamics.
+    lacks_thrust : bool
+        Whether the thrust is part of the coefficients, as nothing gives it.
+    """
+
+    train: Flights
+    test: Flights
+    aircraft: Aircraft
+    servos: Any
+    loads: dict[str, Any]
+    lacks_thrust: bool
+
+    @property
+    def has_full_throws(self) -> bool:
+        """Whether surfaces are in parts of their full throw."""
+        return reversed_of(self.servos) is not None
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The training flights in one table."""
+        return pd.concat(self.train.values(), ignore_index=True)
+
+    @property
+    def repeated(self) -> tuple[Code, ...]:
+        """Findings that this stage has reported, or that do not apply, when later steps meet them."""
+        return (*REPEATED, Code.LARGE_SURFACES) if self.has_full_throws else REPEATED
+
+
+def prepare(
+    flights: Any,
+    test: Any,
+    aircraft: Aircraft | str | os.PathLike,
+    *,
+    regressors: str | Sequence[str],
+    reading: Mapping[str, Any],
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+) -> PreparedFlights:
+    """Read and check flights; parameters and errors: see `identify`.
+
+    Warns of faults, contradictions and assumptions.
+    """
+    aircraft = as_aircraft(aircraft)
+    servos = servos_for(reading.get("servos"), flights, test)
+    options = {**reading, "servos": servos, "needed": MEASURED}
+    train = named_flights(flights, **options)
+    check_controls(train, regressors)
+    tested = {} if test is None else named_flights(test, default="test flight", **options)
+    train, tested = train_and_test(train, tested)
+    columns = regressor_columns(train.values(), regressors)
+    train = usable_flights(train, regressors, columns)
+    tested = usable_flights(tested, regressors, columns)
+    without_thrust = lacks_thrust(thrust, train.values(), aircraft)
+    if without_thrust:
+        report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
+        thrust = None
+    if thrust is None:
+        warn_of_engine(train, regressors)
+    if reversed_of(servos) is not None:
+        report(Finding(Code.FULL_THROWS), stacklevel=3)
+    return PreparedFlights(
+        train=train,
+        test=tested,
+        aircraft=aircraft,
+        servos=servos,
+        loads={"thrust": thrust, "external_forces": list(external_forces)},
+        lacks_thrust=without_thrust,
+    )
+
+
+def as_aircraft(aircraft: Any) -> Aircraft:
+    """Return the aircraft, read from a file where a path is given."""
+    is_path = isinstance(aircraft, str | os.PathLike)
+    return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
+
+
+def servos_for(servos: Any, *flights: Any) -> Any:
+    """Return ``servos``, or without them "full throw" for logs of autopilots whose parameters name servos.
+
+    Raises ValueError of logs without servos beside tables, whose surfaces are in radians.
+    """
+    items: list[Any] = []
+    for part in flights:
+        items += [] if part is None else items_of(part)
+    logs = [is_log(item) for item in items]
+    if servos is not None or not any(logs):
+        return servos
+    if not all(logs):
+        raise ValueError(
+            "Got logs of autopilots without servos beside tables, but expected surfaces in one "
+            "unit: give servos, a file of the angles of the surfaces."
+        )
+    return FULL_THROW if any(map(names_servos, items)) else None
+
+
+def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
+    """Raise ValueError if flights lack a surface and a column of another name seems to hold it.
+
+    Warn of a missing elevator, whose effect other regressors then take.
+    """
+    columns: dict[str, None] = {}
+    for table in flights.values():
+        columns |= dict.fromkeys(table.columns)
+    given = {*columns}
+    if given & {*ELEVONS}:
+        given |= {*MIXED}
+    names = _names(regressors)
+    lacking = [name for name in SURFACES if name in names and name not in given]
+    near = suggestions([name for name in columns if name not in CHANNELS], columns)
+    meant = {name: channel for name, channel in near.items() if channel in lacking}
+    if meant:
+        renaming = " ".join(f"{name}={channel}" for name, channel in meant.items())
+        raise ValueError(
+            f"Got flights without {' and '.join(meant.values())}: did you mean "
+            f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
+            f"{renaming} (reading={{'rename': {dict(meant)}}})."
+        )
+    if "elevator" in lacking:
+        report(Finding(Code.NO_ELEVATOR), stacklevel=2)
+
+
+def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights]:
+    """Return training and test flights.
+
+    Where no test flight is named, the last flight of several is held out, or the last quarter of a
+    single one.
+    """
+    if test:
+        for name in train.keys() & test.keys():
+            report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
+        return train, test
+    *earlier, last = train
+    if earlier:
+        report(Finding(Code.HELD_OUT_FLIGHT, flight=last), stacklevel=3)
+        return {name: train[name] for name in earlier}, {last: train[last]}
+    report(Finding(Code.HELD_OUT_QUARTER, flight=last), stacklevel=3)
+    table = train[last]
+    split = round(LEARNED_PART * len(table))
+    learned = table[:split].assign(flight=f"{last}, first three quarters")
+    tested = table[split:].assign(flight=f"{last}, last quarter")
+    return flights_of(learned), flights_of(tested)
+
+
+def _names(regressors: str | Sequence[str]) -> Sequence[str]:
+    return REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
+
+
+def regressor_columns(tables: Iterable[pd.DataFrame], regressors: str | Sequence[str]) -> list[str]:
+    """Return the measured columns of the tables that regressors are made from."""
+    names = _names(regressors)
+    mixed = {*ELEVONS} if {*MIXED} & {*names} else set()
+    columns: dict[str, None] = {}
+    for table in tables:
+        needed = {"airspeed"} | mixed
+        for name in names:
+            bare = str(name).removesuffix(HAT)
+            needed.add(bare if bare in table else bare.removesuffix("_dot"))
+        columns |= dict.fromkeys(name for name in table.columns if name in needed)
+    return list(columns)
+
+
+def usable_flights(
+    flights: Flights, regressors: str | Sequence[str], columns: Sequence[str]
+) -> Flights:
+    """Return flights without faults, and only rows that a model can learn from or predict.
+
+    Warns of faults, of contradictions of physics, and of the rows that are left out. Raises
+    ValueError if a flight lacks one of the columns, which the model's flights have, or none of
+    its rows is left.
+    """
+    for table in flights.values():
+        check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
+    checked = {name: FlightCheck().fit_transform(table) for name, table in flights.items()}
+    for contradiction in find_contradictions(pd.concat(checked.values(), ignore_index=True)):
+        numbers = {"contradiction": str(contradiction)}
+        finding = Finding(Code.CONTRADICTION, flight=contradiction.flight, numbers=numbers)
+        report(finding, FlightDataWarning, stacklevel=3)
+    return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
+
+
+def _complete_rows(
+    flight: str, table: pd.DataFrame, regressors: str | Sequence[str]
+) -> pd.DataFrame:
+    """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
+    columns = regressor_columns([table], regressors)
+    missing = ~np.isfinite(table[columns].to_numpy(dtype=float))
+    n_missing = zip(columns, missing.sum(axis=0).tolist(), strict=True)
+    counts = {name: count for name, count in n_missing if count}
+    complete = table[~missing.any(axis=1)]
+    if complete.empty:
+        raise ValueError(
+            f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "
+            f"rows: {counts}): bring slow sensors to the clock of the others, drop columns that "
+            "are empty, or name other regressors."
+        )
+    if counts:
+        numbers = {
+            "left_out": len(table) - len(complete),
+            "rows": len(table),
+            "missing": counts,
+        }
+        report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers), stacklevel=4)
+    segments = flight_segments(complete["time"].to_numpy(float))
+    rows = [np.arange(run.start, run.stop) for run in segments if run.stop - run.start > 1]
+    if not rows:
+        raise ValueError(
+            f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but expected "
+            "thousands: rates of change need neighbours. Is the log whole, and time in seconds?"
+        )
+    continuous = np.concatenate(rows)
+    n_alone = len(complete) - len(continuous)
+    if n_alone:
+        report(Finding(Code.LONE_ROWS, flight=flight, numbers={"rows": n_alone}), stacklevel=4)
+    return complete.iloc[continuous].reset_index(drop=True)
+
+
+def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
+    """Return whether nothing gives the thrust of any flight, but a throttle explains it."""
+    if thrust != "auto":
+        return False
+    for table in tables:
+        has_thrust = bool({*THRUST_FORCES} & {*table})
+        if has_thrust or "throttle" not in table:
+            return False
+        if propeller_speed_of(aircraft.propeller, table) is not None:
+            return False
+    return True
+
+
+def warn_of_engine(flights: Flights, regressors: str | Sequence[str]) -> None:
+    """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
+    table = pd.concat(flights.values(), ignore_index=True)
+    varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
+    if varied and not {*varied} & {*_names(regressors)}:
+        report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}), stacklevel=2)
+
+
+def with_thrust_errors(
+    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
+) -> Aircraft:
+    """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
+
+    If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as
+    the nearest linear function of its regressors.
+    """
+    propeller = aircraft.propeller
+    if propeller is None or not propeller.load_std:
+        return aircraft
+    scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
+    force, moment = propulsive_loads(table, aircraft)
+    missing = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
+    X = np.column_stack([np.ones(len(regressors)), regressors])
+    sampled = np.isfinite(missing).all(axis=1) & np.isfinite(X).all(axis=1)
+    X[:, 1:] -= X[sampled, 1:].mean(axis=0)  # the intercept is the mean
+    slopes = np.linalg.lstsq(X[sampled], missing[sampled], rcond=None)[0]
+    names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
+    added = {}
+    for coefficient, row in zip(COEFFICIENTS, slopes.T.tolist(), strict=True):
+        for name, slope in zip(names, row, strict=True):
+            added[coefficient + name] = slope
+    factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
+
+
+def assumptions(
+    aircraft: Aircraft, *, has_full_throws: bool, lacks_thrust: bool
+) -> tuple[Finding, ...]:
+    """Return the assumptions; sizes are uncertain by errors of all causes together."""
+    findings = []
+    factors = aircraft.deviations or {}
+    sizes = _uncertain_sizes(aircraft)
+    if sizes:
+        findings.append(Finding(Code.SIZES_ESTIMATED, numbers={"sizes": sizes}))
+    sources = {name: f.source for name, f in factors.items() if f.source != "given"}
+    if sources:
+        findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
+    if has_full_throws:
+        findings.append(Finding(Code.FULL_THROWS))
+    if lacks_thrust:
+        findings.append(Finding(Code.THRUST_IN_COEFFICIENTS))
+    return tuple(findings)
+
+
+def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, str, float]]:
+    """Return value, unit and relative standard deviation of each size that is uncertain."""
+    values = {
+        "mass": aircraft.mass,
+        "wing_area": aircraft.wing_area,
+        "span": aircraft.span,
+        "chord": aircraft.chord,
+        **dict(zip(MOMENTS, aircraft.inertia.diagonal().tolist(), strict=True)),
+    }
+    factors = (aircraft.deviations or {}).values()
+    sizes = {}
+    for name, value in values.items():
+        std = float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))
+        if std:
+            sizes[name] = value, QUANTITIES.get(name, "kg m^2"), std
+    return sizes

@@ -1,0 +1,123 @@
+"""The record of a fit: its numbers and findings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from skdgp._compute.findings import Code, Finding
+from skdgp._compute.wording import text_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingRecord:
+    """Data and duration of a fit.
+
+    Parameters
+    ----------
+    samples, samples_available, values : int
+        Rows learned from, rows with a coefficient, and coefficients learned from.
+    seconds : float
+        Duration of the fit.
+    thrust : sequence of str
+        Sources of the thrust: "columns", "propeller" or "none".
+    least_squares : mapping of str to mapping of str to float
+        By coefficient ``intercept`` and slopes of the linear model of the same rows.
+    flights : mapping of str to int
+        Rows of each training flight.
+    """
+
+    samples: int
+    samples_available: int
+    values: int
+    seconds: float
+    thrust: Sequence[str]
+    least_squares: Mapping[str, Mapping[str, float]]
+    flights: Mapping[str, int]
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> TrainingRecord | None:
+        """Return the record in plain values such as those of a model file; None if they lack it."""
+        names = [field.name for field in fields(cls)]
+        if not values.keys() >= {*names}:
+            return None
+        return cls(**{name: values[name] for name in names})
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitRecord:
+    """What a fitted pipeline shows of its fit.
+
+    Parameters
+    ----------
+    inference : str
+        "exact" or "sparse".
+    weights : mapping of str to mapping of str to float
+        Weight of each component of an average, by coefficient.
+    regressors : sequence of str
+        Regressors of the last step.
+    log_marginal_likelihood : float
+        At the end of the search.
+    iterations : int
+        Of the search.
+    limit_reached, converged, interrupted : bool
+        Whether the search took as many iterations as allowed, converged, or was ended by Ctrl-C.
+    noise_std, input_noise_std : mapping of str to float
+        Standard deviations of the noise of coefficients and of regressors.
+    paths_reconstructed : bool
+        Whether flight paths are reconstructed from all sensors.
+    paths_not_converged : sequence of str
+        Training flights whose reconstruction did not converge.
+    gusts_unknown : str
+        Why the gusts of flights without vanes are not known; empty if they are.
+    reconstruction : Finding, optional
+        Whether flight paths are reconstructed, and why; None without this step.
+    lags : mapping of str to mapping of str to object
+        By group the rows of `skdgp.preprocessing.LagCorrector.lags_`.
+    training : TrainingRecord, optional
+        None of a model that was not learned by `skdgp.identification.identify`.
+    """
+
+    inference: str
+    weights: Mapping[str, Mapping[str, float]]
+    regressors: Sequence[str]
+    log_marginal_likelihood: float
+    iterations: int
+    limit_reached: bool
+    converged: bool
+    interrupted: bool
+    noise_std: Mapping[str, float]
+    input_noise_std: Mapping[str, float]
+    paths_reconstructed: bool
+    paths_not_converged: Sequence[str]
+    gusts_unknown: str
+    reconstruction: Finding | None
+    lags: Mapping[str, Mapping[str, Any]]
+    training: TrainingRecord | None = None
+
+    @property
+    def lags_corrected(self) -> dict[str, float]:
+        """Lags [s] by group that the flights show, and that are removed."""
+        return {
+            group: lag["applied"]
+            for group, lag in self.lags.items()
+            if lag["applied"] and lag["std"] is not None
+        }
+
+    @property
+    def doubts(self) -> list[Finding]:
+        """Findings by which no use of the model is judged with "yes"."""
+        doubts = []
+        if self.gusts_unknown:
+            doubts.append(Finding(Code.GUSTS_UNKNOWN, numbers={"reason": self.gusts_unknown}))
+        if self.paths_not_converged:
+            numbers = {"flights": self.paths_not_converged}
+            doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
+        return doubts
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        values = asdict(self)
+        values["reconstruction"] = text_of(self.reconstruction) if self.reconstruction else None
+        return values | (values.pop("training") or {})

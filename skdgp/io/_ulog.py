@@ -137,8 +137,8 @@ def read_ulog(path: Path) -> Log:
             f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
         )
     remarks = damage(len(data) - file.end, file.cut)
-    if log.file_corruption and not remarks:
-        remarks = ("parts of the file could not be read and were skipped",)
+    if log.file_corruption:
+        remarks = ("parts of the file could not be read and were skipped", *remarks)
     parameters = _parameters(log)
     return Log(
         kind="PX4 ULog",

@@ -188,7 +188,7 @@ def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataF
             break
     if cut:
         remark = f"{file_name}: {cut}, so it was cut off and is left out."
-        warn(remark, FlightDataWarning, stacklevel=4)
+        warn(remark, FlightDataWarning, stacklevel=5)
         table = table.iloc[:-1]
     return to_si(table.copy(), units)  # one piece of memory instead of one for each column
 
@@ -251,8 +251,10 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
 INDEX = "__index_level_"  # begin of the name that pandas gives to an index without one
 
 
-def read_parquet(path: Path) -> pd.DataFrame:
+def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
     """Return the table of a Parquet file; an index that pandas wrote into it is a column if it has a name.
+
+    ``rename`` is not needed, as names have no units.
 
     Raise FlightReadError if it is damaged, too wide, has columns of lists, structs or bytes, or
     takes far more memory than its size, ImportError without pyarrow.

@@ -195,7 +195,7 @@ def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
     by_place = np.interp(places, attitude.index, attitude)
     time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
     fields = pd.DataFrame([message.to_dict() for message in messages.values()])
-    return Topic(time, places, numeric_fields(dict(fields.items())))
+    return Topic(time, places, numeric_fields({str(name): fields[name] for name in fields}))
 
 
 def _parameter(message: Any, is_px4: bool) -> float:

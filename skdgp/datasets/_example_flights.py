@@ -472,7 +472,7 @@ def _flights(
     return train.astype({"flight": "category"}), test.astype({"flight": "category"})
 
 
-def _columns(record: Record, truth: Instant) -> tuple[dict[str, Array], dict[str, Array]]:
+def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the channels logged without noise, and the truth of measured ones: (n_times, n_flights) by name."""
     motion = channels(record.states, record.wind)
     forces, moments = propeller_loads(
@@ -527,12 +527,10 @@ def fly_plans(
     duration: float,
     turbulence: float,
     rng: np.random.Generator,
-    controls_of: Callable = FlightControls,
 ) -> tuple[Record, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
-    ``controls_of`` makes the controls from the plans, the times and the step.
     """
     n_settling = round(SETTLING / LOG_STEP)
     n_times = round((SETTLING + duration) / LOG_STEP)
@@ -551,7 +549,7 @@ def fly_plans(
     wind = np.array([plan.wind for plan in plans])
     air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
     motion = brumby_motion()
-    controls = controls_of(plans, time, LOG_STEP)
+    controls = FlightControls(plans, time, LOG_STEP)
     states = _initial_states(controls, wind)
     record = fly_record(motion, controls, air, Clock(LOG_STEP, n_times - 1), states)
     record = record.rows(slice(n_settling, None))

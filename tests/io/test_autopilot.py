@@ -1,14 +1,15 @@
 """Logs of autopilots into flight tables: every channel comes back, in SI, on one clock, with the signs of a table."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from skdgp._flight.channels import CHANNELS
-from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight
-from skdgp.io import _dataflash as dataflash
-from skdgp.io import _ulog as ulog
+from skdgp.io import AUTOPILOTS, EQUIVALENT, QUATERNION, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
+NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 SURFACES = ("aileron", "elevator", "rudder")
 POINTS = [[1000, -0.5], [2000, 0.5]]
 PX4_SERVOS = {
@@ -322,13 +323,15 @@ class TestWithoutAnAccelerometer:
 
 
 class TestRules:
-    def test_columns_are_words_of_the_vocabulary(self):
-        for rule in (*ulog.RULES, *dataflash.RULES):
-            assert set(rule.columns) <= {*CHANNELS, *QUATERNION, EQUIVALENT}, rule.topic
-            assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (
-                3,
-                len(rule.columns),
-            ), rule.topic
+    @pytest.mark.parametrize("suffix", [".ulg", ".bin", ".tlog"])
+    def test_columns_are_words_of_the_vocabulary(self, suffix, px4, ardupilot, tlog, tmp_path):
+        path = tmp_path / f"log{suffix}"
+        path.write_bytes({".ulg": px4, ".bin": ardupilot, ".tlog": b"".join(tlog)}[suffix])
+        known = set(re.findall(r"`(\w+)`", NOTATION.read_text(encoding="utf-8")))
+        for rule in AUTOPILOTS[suffix](path).rules:
+            assert set(rule.columns) <= known | {*QUATERNION, EQUIVALENT}, rule.topic
+            converted = rule.convert(np.ones((3, len(rule.fields))))
+            assert np.shape(converted) == (3, len(rule.columns)), rule.topic
 
 
 @pytest.mark.shared

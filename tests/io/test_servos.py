@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from skdgp.design import Wavetrain, ardupilot_script, doublet
-from skdgp.io import FlightReadError, read_flight, read_servos
-from skdgp.io._autopilot import read_log
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight, read_servos
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
 
@@ -114,7 +113,7 @@ class TestFullThrow:
             "actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4)))
         )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
-        mixing = read_log(tmp_path / "log.ulg").controls
+        mixing = AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
         assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
 
@@ -123,7 +122,7 @@ class TestFullThrow:
         log.topic("actuator_servos", [0.1, 0.2], control=("float[2]", np.zeros((2, 2))))
         log.topic("actuator_controls_0", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
         (tmp_path / "log.ulg").write_bytes(bytes(log))
-        assert {*read_log(tmp_path / "log.ulg").controls} == {"aileron", "elevator"}
+        assert {*AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls} == {"aileron", "elevator"}
 
     def test_any_mixing_of_px4(self, tmp_path, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
@@ -189,7 +188,7 @@ def test_reversed_outputs(tmp_path, dataflash):
     log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0)
     log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
     (tmp_path / "log.bin").write_bytes(bytes(log))
-    controls = read_log(tmp_path / "log.bin").controls
+    controls = AUTOPILOTS[".bin"](tmp_path / "log.bin").controls
     ends = {name: servo.angles[-1] for name, ((_, servo),) in controls.items()}
     assert ends == {"elevon_left": 1.0, "elevon_right": -1.0}
 
@@ -208,7 +207,7 @@ def test_reversed_outputs(tmp_path, dataflash):
 def test_servos_of_px4(tmp_path, ulog, topic, parameters, channel):
     log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
     (tmp_path / "log.ulg").write_bytes(bytes(log))
-    assert read_log(tmp_path / "log.ulg").controls["elevator"][0][1].channel == channel
+    assert AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls["elevator"][0][1].channel == channel
 
 
 # Signs of the pulses of the log that every column comes from

@@ -41,7 +41,6 @@ MARK = b"\xa3\x95"  # a message begins with it
 HEAD = 3  # bytes before the content of a message: the mark and a type
 FMT = 0x80  # type of the messages that define types
 FILLING = b"\x00\xff"  # of unused pages of the memory chip
-TEXTS = ("Name", "Message", "UnitIds")
 TYPES = {
     "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",

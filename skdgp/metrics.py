@@ -66,7 +66,8 @@ def normalized_rmse(
     """
     target, predicted = check_scored(y_true, y_pred)
     error = np.sqrt(_by_output(np.mean, (target - predicted) ** 2, target))
-    mean = np.nansum(target, axis=0) / np.maximum((~np.isnan(target)).sum(axis=0), 1)
+    n_observed = (~np.isnan(target)).sum(axis=0)
+    mean = np.nansum(target, axis=0) / np.maximum(n_observed, 1)
     spread = np.sqrt(_by_output(np.mean, (target - mean) ** 2, target))
     if (spread == 0).any():
         _warn_undefined(spread == 0, "is constant", "its RMSE cannot be normalised")
@@ -101,7 +102,8 @@ def negative_log_predictive_density(
     1.1689
     """
     target, mean, std = check_scored(y_true, y_pred, y_std)
-    density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * ((target - mean) / std) ** 2
+    residual = (target - mean) / std
+    density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * residual**2
     return _aggregate(_by_output(np.mean, density, target), multioutput)
 
 
@@ -143,11 +145,11 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
             raise ValueError(
                 f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
             )
-        if not np.isfinite(values).all():
+        n_bad = int((~np.isfinite(values)).sum())
+        if n_bad:
             raise ValueError(
-                f"Got {int((~np.isfinite(values)).sum())} values of {name} that are not finite, "
-                f"but a prediction must "
-                "be: look for NaN among the regressors."
+                f"Got {n_bad} values of {name} that are not finite, but a "
+                "prediction must be: look for NaN among the regressors."
             )
     if target.ndim not in (1, 2) or not target.size:
         raise ValueError(
@@ -167,10 +169,13 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
 def _by_output(statistic: Callable, values: np.ndarray, y_true: Matrix) -> Vector:
     """Return a statistic of the observed values of each output; NaN, with a warning, where there are none."""
     observed = ~np.isnan(y_true)
-    if (never := np.all(~observed, axis=0)).any():
+    never: Mask = np.all(~observed, axis=0)
+    if never.any():
         _warn_undefined(never, "is never observed", "it cannot be scored")
-    columns = [column[rows] for column, rows in zip(values.T, observed.T, strict=True)]
-    return np.array([statistic(column) if column.size else np.nan for column in columns])
+    result = np.full(len(never), np.nan)
+    for k in np.flatnonzero(~never):
+        result[k] = statistic(values[observed[:, k], k])
+    return result
 
 
 def _aggregate(values: Vector, multioutput: str) -> Score:
@@ -183,9 +188,8 @@ def _aggregate(values: Vector, multioutput: str) -> Score:
 
 def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
     warn(
-        f"Output {np.flatnonzero(outputs).tolist()} {state} in y_true, so {consequence}: NaN, and "
-        f"left out of the "
-        "mean.",
+        f"Output {np.flatnonzero(outputs).tolist()} {state} in y_true, "
+        f"so {consequence}: NaN, and left out of the mean.",
         UndefinedMetricWarning,
         stacklevel=4,
     )
@@ -204,8 +208,9 @@ class _Scorer:
     needs_std: bool = True
 
     def __call__(self, estimator: Any, X: Any, y: Any) -> float:
-        observed = np.isfinite(np.asarray(y, dtype=float).reshape(len(y), -1)).any(axis=1)
-        rows = np.flatnonzero(observed) if observed.any() else np.arange(len(observed))
+        targets = np.asarray(y, dtype=float).reshape(len(y), -1)
+        observed = np.isfinite(targets).any(axis=1)
+        rows = np.flatnonzero(observed if observed.any() else ~observed)
         if not self.needs_std:
             predicted = (estimator.predict(X),)
         elif accepts(estimator, "return_std"):
@@ -216,9 +221,9 @@ class _Scorer:
                 predicted = unwrap(estimator).predict(X, return_std=True, **noise)
         else:
             raise TypeError(
-                f"Got {type(estimator).__name__}, whose predict takes no return_std, but this "
-                f"metric needs predictive standard deviations: use DependentGPRegressor, also "
-                f"inside a Pipeline, or a metric of means."
+                f"Got {type(estimator).__name__}, whose predict takes no return_std, but "
+                "this metric needs predictive standard deviations: use "
+                "DependentGPRegressor, also inside a Pipeline, or a metric of means."
             )
         of_rows = (np.asarray(part)[rows] for part in predicted)
         return self.sign * self.metric(safe_indexing(y, rows), *of_rows)

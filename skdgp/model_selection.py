@@ -44,16 +44,16 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
     observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
     if n_samples < len(observed):  # the middles of equal parts stay
-        chosen = observed[((np.arange(n_samples) + 0.5) * len(observed) / n_samples).astype(int)]
-        values[np.setdiff1d(np.arange(len(values)), chosen)] = np.nan
+        middles = (np.arange(n_samples) + 0.5) * len(observed) / n_samples
+        kept = np.zeros(len(values), dtype=bool)
+        kept[observed[middles.astype(int)]] = True
+        values[~kept] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):
         return pd.Series(values, index=Y.index, name=Y.name)
-    if column_names(Y):  # a table without an index, such as polars'
-        return (
-            type(Y)(dict(zip(Y.columns, values.T, strict=True)))
-            if values.ndim == 2
-            else type(Y)(Y.name, values)
-        )
-    return values
+    if not column_names(Y):
+        return values
+    if values.ndim == 1:  # a series or a table without an index, such as polars'
+        return type(Y)(Y.name, values)
+    return type(Y)(dict(zip(Y.columns, values.T, strict=True)))

@@ -1,13 +1,16 @@
-"""Docstrings are what numpydoc expects, of every public name and its public methods."""
+"""Every public name is in the reference; its docstring, and those of its methods, are what numpydoc expects."""
 
 import importlib
 import inspect
 import pkgutil
+import re
+from pathlib import Path
 
 import pytest
 
 import skdgp
 
+REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "api"
 validate = pytest.importorskip(
     "numpydoc.validate", reason='reads docstrings with numpydoc: pip install -e ".[docs]"'
 ).validate
@@ -83,3 +86,14 @@ def faults(name):
 
 def test_docstrings_are_numpydocs():
     assert {name: wrong for name in THINGS if (wrong := faults(name))} == {}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_modules_say_what_is_public_and_the_reference_has_it(name):
+    module = importlib.import_module(name)
+    assert module.__doc__
+    page = (REFERENCE / f"{name}.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^   (\w+)$", page, flags=re.MULTILINE)
+    data = re.findall(rf"^\.\. data:: {re.escape(name)}\.(\w+)$", page, flags=re.MULTILINE)
+    assert sorted(module.__all__) == sorted({*listed, *data})
+    assert not [own for own in module.__all__ if own.startswith("_") and own != "__version__"]

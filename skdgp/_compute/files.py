@@ -38,8 +38,7 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
         )
     if not target.parent.is_dir():
         raise FileNotFoundError(
-            f"Cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist. "
-            f"Create it first."
+            f"Cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist. Create it first."
         )
     # Not tempfile: its files are readable by their owner alone, and would stay so after the
     # replacement.

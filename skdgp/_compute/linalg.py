@@ -16,7 +16,8 @@ from sklearn.exceptions import ConvergenceWarning
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
 
-JITTER_FIRST, JITTER_LAST = 1e-10, 1e-4  # of the diagonal
+JITTER_FIRST = 1e-10  # of the diagonal
+JITTER_LAST = 1e-4
 # spread of a constant column over its largest value: sums of equal numbers are rounded
 CONSTANT = 1e-14
 
@@ -27,11 +28,12 @@ class JitterWarning(UserWarning):
 
 def check_memory(n_values: int, what: str, remedy: str, n_matrices: int = 2) -> None:
     """Raise ValueError if ``n_matrices`` of n_values x n_values doubles do not fit into the machine's memory."""
-    needed, available = 8 * n_matrices * n_values**2, _physical_memory()
+    needed = 8 * n_matrices * n_values**2
+    available = _physical_memory()
     if needed > 0.8 * available:
         raise ValueError(
-            f"{what} {n_values} values needs about {needed / 2**30:.0f} GiB, but this machine has "
-            f"{available / 2**30:.0f} GiB. {remedy}"
+            f"{what} {n_values} values needs about {needed / 2**30:.0f} GiB, but "
+            f"this machine has {available / 2**30:.0f} GiB. {remedy}"
         )
 
 
@@ -57,9 +59,8 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
         diagonal = np.einsum("ii->i", K)
         if not np.isfinite(diagonal.sum()):
             raise np.linalg.LinAlgError(
-                f"The covariance matrix of {len(K)} values is not finite: some hyperparameter or "
-                f"input overflowed. "
-                "Scale the regressors (StandardScaler) or narrow the bounds."
+                f"The covariance matrix of {len(K)} values is not finite: some hyperparameter or input "
+                "overflowed. Scale the regressors (StandardScaler) or narrow the bounds."
             )
         if jitter:
             diagonal *= 1.0 + jitter
@@ -70,18 +71,14 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
         if jitter > 1.01 * JITTER_LAST:
             raise np.linalg.LinAlgError(
                 f"The covariance matrix of {len(K)} values is not positive definite even with "
-                f"{JITTER_LAST:g} of its "
-                "diagonal added. Raise the noise (its lower bound), remove repeated samples, or "
-                "shorten the "
-                "length scales."
+                f"{JITTER_LAST:g} of its diagonal added. Raise the noise (its lower bound), "
+                "remove repeated samples, or shorten the length scales."
             )
     if jitter:
         warn(
-            f"The covariance matrix of {len(L)} values was not positive definite in double "
-            f"precision; {jitter:g} of "
-            "its diagonal was added. The results belong to a slightly noisier model: remove "
-            "repeated samples "
-            "or raise the lower bound of the noise if that matters.",
+            f"The covariance matrix of {len(L)} values was not positive definite in double precision; "
+            f"{jitter:g} of its diagonal was added. The results belong to a slightly noisier model: "
+            "remove repeated samples or raise the lower bound of the noise if that matters.",
             JitterWarning,
             stacklevel=3,
         )
@@ -104,11 +101,11 @@ def eigen_root(M: Matrix) -> Matrix:
 
 def covariance_root(M: Matrix) -> Matrix:
     """Return R with R R^T = M, (..., n, n), of covariances that may be singular: it changes continuously with M."""
-    scale = np.sqrt(np.maximum(np.diagonal(M, axis1=-2, axis2=-1), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(M / (scale[..., :, None] * scale[..., None, :]))
-    return scale[..., :, None] * (
-        (vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]) @ vectors.swapaxes(-1, -2)
-    )
+    variance = np.diagonal(M, axis1=-2, axis2=-1)
+    scale = np.sqrt(np.maximum(variance, np.finfo(float).tiny))[..., None]
+    values, vectors = np.linalg.eigh(M / (scale * scale.swapaxes(-1, -2)))
+    std = np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    return scale * ((vectors * std) @ vectors.swapaxes(-1, -2))
 
 
 def cholesky_solve(L: Matrix, b: Array) -> Array:
@@ -141,10 +138,12 @@ def log_determinant(L: Matrix) -> float:
 
 def constant_columns(Z: Matrix) -> Mask:
     """Return, (k,), which columns of (n, k) have at most one finite value up to rounding."""
-    finite = [z[np.isfinite(z)] for z in Z.T]
-    return np.array(
-        [not len(z) or np.ptp(z) <= CONSTANT * np.abs(z).max() for z in finite], dtype=bool
-    )
+    constant = np.empty(Z.shape[1], dtype=bool)
+    for k, z in enumerate(Z.T):
+        finite = z[np.isfinite(z)]
+        largest = np.abs(finite).max(initial=0.0)
+        constant[k] = not len(finite) or np.ptp(finite) <= CONSTANT * largest
+    return constant
 
 
 def column_scale(Z: Matrix) -> Vector:
@@ -152,9 +151,12 @@ def column_scale(Z: Matrix) -> Vector:
 
     For a constant column, whose deviation is rounding alone: its magnitude, at least one.
     """
-    finite = [z[np.isfinite(z)] for z in Z.T]
-    columns = zip(finite, constant_columns(Z), strict=True)
-    return np.array([np.abs(z).max(initial=1.0) if same else np.std(z) for z, same in columns])
+    constant = constant_columns(Z)
+    scale = np.empty(Z.shape[1])
+    for k, z in enumerate(Z.T):
+        finite = z[np.isfinite(z)]
+        scale[k] = np.abs(finite).max(initial=1.0) if constant[k] else np.std(finite)
+    return scale
 
 
 def output_scale(Y: Matrix) -> Vector:
@@ -163,7 +165,11 @@ def output_scale(Y: Matrix) -> Vector:
     Outputs are centred unless a process around zero is asked for.
     """
     scale = column_scale(Y)
-    mean = np.array([np.mean(y[np.isfinite(y)]) if np.isfinite(y).any() else 0.0 for y in Y.T])
+    mean = np.zeros(Y.shape[1])
+    for k, y in enumerate(Y.T):
+        finite = y[np.isfinite(y)]
+        if len(finite):
+            mean[k] = np.mean(finite)
     return np.where(np.abs(mean) > scale, np.hypot(mean, scale), scale)
 
 
@@ -177,7 +183,9 @@ class RowPairs:
 
     def __init__(self, X: Matrix) -> None:
         rows, columns = np.triu_indices(len(X))
-        self.X, self.place, self.own = X, rows * len(X) + columns, np.flatnonzero(rows == columns)
+        self.X = X
+        self.place = rows * len(X) + columns
+        self.own = np.flatnonzero(rows == columns)
         self.squares = np.array([(x[rows] - x[columns]) ** 2 for x in X.T])
 
 
@@ -186,16 +194,16 @@ def cluster_centres(
 ) -> Matrix:
     """Return n centres of the rows of X (m, d), in the metric of the scales (d,), by k-means."""
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", ConvergenceWarning
-        )  # of rows that are alike but for rounding; KMeans has no other way to be silent
+        # of rows that are alike but for rounding; KMeans has no other way to be silent
+        warnings.simplefilter("ignore", ConvergenceWarning)
         means = KMeans(n, n_init=1, max_iter=max_iter, random_state=random_state).fit(X / scale)
     return means.cluster_centers_ * scale
 
 
 def consecutive(parts: Sequence[Sized]) -> list[slice]:
     """Return the places of parts that stand one after another."""
-    return [slice(*ends) for ends in pairwise(np.cumsum([0, *map(len, parts)]).tolist())]
+    edges = np.cumsum([0, *map(len, parts)]).tolist()
+    return [slice(first, last) for first, last in pairwise(edges)]
 
 
 def unexplained_variance(prior: Array, explained: Array) -> Array:

@@ -31,22 +31,10 @@ __all__ = [
     "accepts",
     "check_feature_names_in",
     "fit_context",
-    "output_container",
     "safe_indexing",
-    "set_output_container",
     "unwrap",
     "validate_params",
 ]
-
-
-def output_container(estimator: Any, default: str) -> str:
-    """Return the container that ``set_output`` chose for ``transform``; since 1.2."""
-    return getattr(estimator, "_sklearn_output_config", {}).get("transform", default)
-
-
-def set_output_container(estimator: Any, container: str) -> None:
-    """Store the container of ``transform`` where scikit-learn's ``set_output`` does; since 1.2."""
-    estimator._sklearn_output_config = {"transform": container}
 
 
 def unwrap(estimator: Any) -> Any:

@@ -52,7 +52,8 @@ def autocorrelation_time(residuals: Vector) -> float:
         return 1.0
     tau = 2 * np.cumsum(covariance / covariance[0]) - 1
     enough = np.arange(n) >= WINDOW * tau
-    return float(max(1.0, tau[np.argmax(enough)] if enough.any() else tau[-1]))
+    last = np.argmax(enough) if enough.any() else -1
+    return float(max(1.0, tau[last]))
 
 
 def half_width(level: float) -> float:
@@ -68,7 +69,6 @@ def path_quantiles(values: Array, level: float) -> Array:
     """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
     quantiles = np.full((3, values.shape[1]), np.nan)
     flying = np.isfinite(values).any(axis=0)
-    quantiles[:, flying] = np.nanquantile(
-        values[:, flying], [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level], axis=0
-    )
+    levels = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
+    quantiles[:, flying] = np.nanquantile(values[:, flying], levels, axis=0)
     return quantiles

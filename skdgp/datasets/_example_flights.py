@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -53,18 +53,7 @@ from skdgp.dynamics import (
 )
 
 # Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)
-REGRESSORS = (
-    "alpha",
-    "beta",
-    "p",
-    "q",
-    "r",
-    "alpha_dot",
-    "beta_dot",
-    "elevator",
-    "aileron",
-    "rudder",
-)
+REGRESSORS = ("alpha", "beta", *RATES, "alpha_dot", "beta_dot", "elevator", "aileron", "rudder")
 
 PROPELLER = Propeller(
     diameter=0.6, thrust_coefficients=(0.10, -0.045, -0.065), torque_coefficients=(0.0070, 0.0010, -0.0060),
@@ -102,53 +91,52 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
     Analytic in every argument: complex steps give exact derivatives (`brumby_derivatives`).
     """
     regressors = np.asarray(regressors)
-    alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder = (
-        regressors[..., k] for k in range(len(REGRESSORS))
+    alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder = np.moveaxis(
+        regressors, -1, 0
     )
     s = np.sin(alpha)
     s2 = s * s
     beta2 = beta * beta
-    ordered = 1.0 / (1.0 + np.exp((alpha - 0.32) / 0.04))
+    ordered = 1.0 / (1.0 + np.exp((alpha - 0.32) / 0.04))  # fraction of the vortex not broken down
 
     head_on = 1.0 - beta2
     potential = 2.7 * s * np.cos(alpha) * head_on
     vortex = 3.0 * s * np.sqrt(s2 + 1e-4) * ordered * head_on
+    suction = 1.5 * s2 * ordered * head_on
     wing = potential + vortex
     heave = (1.9 * q + 0.6 * alpha_dot) * (0.5 + 0.5 * ordered)
 
-    left_elevon, right_elevon = elevator + aileron, elevator - aileron
     flow = 1.0 - 2.0 * s2
-    lift_left, lift_right = _soft(left_elevon, 0.28) * flow, _soft(right_elevon, 0.28) * flow
-    drag_left, drag_right = (
-        left_elevon * (0.16 * left_elevon + 0.30 * s),
-        right_elevon * (0.16 * right_elevon + 0.30 * s),
-    )
+    lift_left, drag_left = _elevon(elevator + aileron, s, flow)
+    lift_right, drag_right = _elevon(elevator - aileron, s, flow)
     elevons = 0.36 * (lift_left + lift_right)
 
     shade = 1.0 - 1.2 * s
     sidewash = beta + 0.14 * p - 0.68 * r + 0.15 * beta_dot
     fin = (0.13 * _soft(rudder, 0.30) - 0.26 * _soft(sidewash, 0.30)) * shade
 
-    return np.stack(
-        (
-            -0.026 + 1.5 * s2 * ordered * head_on - 0.5 * (drag_left + drag_right) - 0.07 * rudder * rudder
-            - 0.05 * beta2,
-            fin - (0.20 + 1.5 * beta2) * beta + 0.06 * p,
-            -(wing + heave + elevons),
-            0.07 * fin + 0.075 * (lift_left - lift_right) - (0.015 + 0.17 * wing) * beta
-            - (0.24 - 0.35 * s) * p + (0.02 + 0.20 * wing) * r,
-            0.0085 - 0.055 * potential - 0.10 * vortex - 0.50 * heave - 0.44 * elevons + 0.06 * beta2,
-            -0.34 * fin - 0.10 * (drag_left - drag_right) - (0.018 - 0.05 * s) * beta - (0.01 + 0.10 * wing) * p
-            - (0.02 + 0.08 * wing * wing) * r,
-        ),
-        axis=-1,
-    )  # fmt: skip
+    CX = -0.026 + suction - 0.5 * (drag_left + drag_right)
+    CX = CX - 0.07 * rudder * rudder - 0.05 * beta2
+    CY = fin - (0.20 + 1.5 * beta2) * beta + 0.06 * p
+    CZ = -(wing + heave + elevons)
+    Cl = 0.07 * fin + 0.075 * (lift_left - lift_right) - (0.015 + 0.17 * wing) * beta
+    Cl = Cl - (0.24 - 0.35 * s) * p + (0.02 + 0.20 * wing) * r
+    Cm = 0.0085 - 0.055 * potential - 0.10 * vortex - 0.50 * heave - 0.44 * elevons + 0.06 * beta2
+    Cn = -0.34 * fin - 0.10 * (drag_left - drag_right) - (0.018 - 0.05 * s) * beta
+    Cn = Cn - (0.01 + 0.10 * wing) * p - (0.02 + 0.08 * wing * wing) * r
+    return np.stack((CX, CY, CZ, Cl, Cm, Cn), axis=-1)
+
+
+def _elevon(deflection: Array, s: Array, flow: Array) -> tuple[Array, Array]:
+    """Return lift and drag of an elevon at the sine of alpha and the flow over it."""
+    return _soft(deflection, 0.28) * flow, deflection * (0.16 * deflection + 0.30 * s)
 
 
 def brumby_derivatives(regressors: ArrayLike) -> Array:
     """Return d coefficients / d regressors, (..., 6, 10), exact to rounding (complex steps, 1e-30)."""
     steps = np.asarray(regressors, dtype=float)[..., None, :] + 1e-30j * np.eye(len(REGRESSORS))
-    return np.swapaxes(brumby_coefficients(steps).imag / 1e-30, -1, -2)
+    derivatives = brumby_coefficients(steps).imag / 1e-30
+    return np.swapaxes(derivatives, -1, -2)
 
 
 def _soft(angle: Array, limit: float) -> Array:
@@ -156,17 +144,21 @@ def _soft(angle: Array, limit: float) -> Array:
     return angle / np.sqrt(1.0 + (angle / limit) ** 2)
 
 
-ALPHA = 0.085
+ALPHA = 0.085  # in straight level flight [rad]
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 TRIM = (-0.04, -0.007, 0.0, 0.63)  # of the commands in straight level flight [rad]
-BANK_LIMIT, ELEVON_LIMIT, RUDDER_LIMIT = 0.70, 0.42, 0.35
-TIME_CONSTANTS = np.array(
-    [0.04, 0.04, 0.04, 0.25]
-)  # of the lags of both elevons, rudder and propeller [s]
+BANK_LIMIT = 0.70  # [rad]
+ELEVON_LIMIT = 0.42
+RUDDER_LIMIT = 0.35
+TIME_CONSTANTS = np.array([0.04, 0.04, 0.04, 0.25])  # lags of elevons, rudder and propeller [s]
 # distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
 CAPTURE_DISTANCE = 170.0
-EVEN, ODD = range(12, 60, 2), range(13, 60, 2)
-FIRST, SECOND, THIRD = (range(k, 60, 3) for k in (10, 11, 12))
+# Harmonics of multisines that fly together
+EVEN = range(12, 60, 2)
+ODD = range(13, 60, 2)
+FIRST = range(10, 60, 3)
+SECOND = range(11, 60, 3)
+THIRD = range(12, 60, 3)
 TWO_ALTITUDES = Wavetrain({
     "elevator": {
         14: doublet(0.7, -0.06), 24: multisine(24, range(8, 42, 3), rms=0.035), 96: three_two_one_one(0.5, 0.05),
@@ -207,20 +199,9 @@ MEASURED = (
     "thrust_n", "propeller_speed",
 )  # fmt: skip
 TRUTH = (
-    *(
-        "airspeed",
-        "alpha",
-        "beta",
-        "alpha_dot",
-        "beta_dot",
-        *RATES,
-        "p_dot",
-        "q_dot",
-        "r_dot",
-        *SPECIFIC_FORCE,
-    ),
-    *("u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS),
-)
+    "airspeed", "alpha", "beta", "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE,
+    "u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS,
+)  # fmt: skip
 DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
 FACTOR = [Interval(Real, 0, None, closed="left")]
 
@@ -241,8 +222,9 @@ class FlightPlan:
 
 def scheduled(steps: ArrayLike, time: Array) -> Array:
     """Return the values, (n, ...), of the last of ``steps`` (from time, values...) at each time."""
-    starts, values = np.array(steps)[:, 0], np.array(steps)[:, 1:]
-    return values[np.maximum(np.searchsorted(starts, time, side="right") - 1, 0)]
+    steps = np.asarray(steps)
+    last = np.searchsorted(steps[:, 0], time, side="right") - 1
+    return steps[np.maximum(last, 0), 1:]
 
 
 def interrupted(amplitude: float) -> Steps:
@@ -309,9 +291,13 @@ class FlightControls:
         self.orbit = np.stack([scheduled(plan.orbits, time) for plan in plans], axis=1)
         self.altitude = np.column_stack([scheduled(plan.altitudes, time) for plan in plans])
         self.airspeed = np.column_stack([scheduled(plan.airspeeds, time) for plan in plans])
-        added = [[plan.manoeuvres(axis, time) for axis in COMMANDS] for plan in plans]
-        self.manoeuvres = np.moveaxis(np.array(added), -1, 0)  # (n_times, n_flights, 4)
-        self.autopilot, self.step, self.now = Autopilot(step, len(plans)), step, -1
+        self.manoeuvres = np.zeros((len(time), len(plans), len(COMMANDS)))
+        for k, plan in enumerate(plans):
+            for j, axis in enumerate(COMMANDS):
+                self.manoeuvres[:, k, j] = plan.manoeuvres(axis, time)
+        self.autopilot = Autopilot(step, len(plans))
+        self.step = step
+        self.now = -1
         self.end, _ = _targets(np.tile(TRIM, (len(plans), 1)))
 
     def __call__(
@@ -319,12 +305,14 @@ class FlightControls:
     ) -> dict[str, Array]:
         """Return the controls (n_flights,) by name at a stage, two to a step."""
         if k != self.now:
-            self.now, self.begin = k, self.end
+            self.now = k
+            self.begin = self.end
             command = self.autopilot.command(
                 observe(), self.orbit[k], self.altitude[k], self.airspeed[k]
             )
             self.target, self.throttle = _targets(self.manoeuvres[k] + command)
-        half_steps, positions = stage - 2 * k, self.begin
+        half_steps = stage - 2 * k
+        positions = self.begin
         if half_steps:
             lag = np.exp(-0.5 * half_steps * self.step / TIME_CONSTANTS)
             positions = self.target + lag * (self.begin - self.target)
@@ -341,9 +329,10 @@ def _targets(command: Array) -> tuple[Array, Array]:
     """Return where the actuators go (n, 4), elevons, rudder, propeller, and the throttle (n,), mixed and limited."""
     elevator, aileron, rudder, throttle = command.T
     throttle = np.clip(throttle, 0.0, 1.0)
-    elevons = np.clip([elevator + aileron, elevator - aileron], -ELEVON_LIMIT, ELEVON_LIMIT)
+    left = np.clip(elevator + aileron, -ELEVON_LIMIT, ELEVON_LIMIT)
+    right = np.clip(elevator - aileron, -ELEVON_LIMIT, ELEVON_LIMIT)
     rudder = np.clip(rudder, -RUDDER_LIMIT, RUDDER_LIMIT)
-    return np.stack([*elevons, rudder, PROPELLER.speed_at(throttle)], axis=-1), throttle
+    return np.stack([left, right, rudder, PROPELLER.speed_at(throttle)], axis=-1), throttle
 
 
 class Autopilot:
@@ -351,7 +340,9 @@ class Autopilot:
 
     def __init__(self, step: float, n_flights: int):
         self.step = step
-        self.climb_integral, self.speed_integral, self.roll_integral = np.zeros((3, n_flights))
+        self.climb_integral = np.zeros(n_flights)
+        self.speed_integral = np.zeros(n_flights)
+        self.roll_integral = np.zeros(n_flights)
 
     def command(
         self, sensed: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array
@@ -361,55 +352,50 @@ class Autopilot:
         ``orbit`` (n_flights, 3) holds the centre's north, east and the radius [m], negative to turn
         left.
         """
-        phi, theta, speed = sensed["phi"], sensed["theta"], sensed["airspeed"]
+        speed = sensed["airspeed"]
         climb = np.clip(0.35 * (altitude - sensed["altitude"]), -3.0, 4.0)
-        elevator = self._elevator(
-            climb + sensed["v_down"], climb / speed, phi, theta, sensed["q"], speed
-        )
-        bank_error = self._bank(sensed, orbit) - phi
-        self.roll_integral = np.clip(
-            self.roll_integral + 0.01 * bank_error * self.step, -0.05, 0.05
-        )
-        aileron = np.clip(
-            0.085 * bank_error - 0.022 * sensed["p"] + self.roll_integral, -0.12, 0.12
-        )
-        turning = STANDARD_GRAVITY * np.sin(phi) * np.cos(theta) / speed
-        rudder = 0.22 * (sensed["r"] - turning) - 0.10 * sensed["beta"]
-        self.speed_integral = np.clip(
-            self.speed_integral + 0.02 * (airspeed - speed) * self.step, -0.3, 0.3
-        )
-        throttle = 0.08 * (airspeed - speed) + 0.06 * climb + self.speed_integral
+        elevator = self._elevator(sensed, climb)
+        aileron = self._aileron(sensed, orbit)
+        turn_rate = STANDARD_GRAVITY * np.sin(sensed["phi"]) * np.cos(sensed["theta"]) / speed
+        rudder = 0.22 * (sensed["r"] - turn_rate) - 0.10 * sensed["beta"]
+        error = airspeed - speed
+        self.speed_integral = np.clip(self.speed_integral + 0.02 * error * self.step, -0.3, 0.3)
+        throttle = 0.08 * error + 0.06 * climb + self.speed_integral
         return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
-    def _bank(self, sensed: Mapping[str, Array], orbit: Array) -> Array:
-        """Return the bank that follows the vector field around the orbit (Beard & McLain 2012, section 10.2)."""
-        north, east, radius = (
-            sensed["north"] - orbit[:, 0],
-            sensed["east"] - orbit[:, 1],
-            np.abs(orbit[:, 2]),
-        )
-        turn = np.sign(orbit[:, 2])
-        off = (np.hypot(north, east) - radius) / CAPTURE_DISTANCE
-        course = np.arctan2(sensed["v_east"], sensed["v_north"])
-        error = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off)) - course
-        error = (error + np.pi) % (2.0 * np.pi) - np.pi
-        ground_speed2 = sensed["v_north"] ** 2 + sensed["v_east"] ** 2
-        ahead = (
-            turn * np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius)) * np.exp(-0.5 * off**2)
-        )
-        return np.clip(ahead + 1.2 * error, -BANK_LIMIT, BANK_LIMIT)
+    def _elevator(self, sensed: Mapping[str, Array], climb: Array) -> Array:
+        """Return the addition to the elevator for a rate of climb [m/s]: > 0 pitches down."""
+        speed = sensed["airspeed"]
+        error = climb + sensed["v_down"]
+        self.climb_integral = np.clip(self.climb_integral + 0.010 * error * self.step, -0.10, 0.10)
+        level = np.cos(sensed["phi"])
+        pitch = ALPHA / level + climb / speed + 0.012 * error + self.climb_integral
+        pitch_rate = STANDARD_GRAVITY * np.sin(sensed["phi"]) ** 2 / (level * speed)
+        damping = 0.12 * (sensed["q"] - pitch_rate)
+        return -0.30 * (pitch - sensed["theta"]) + damping - 0.03 * (1.0 / level - 1.0)
 
-    def _elevator(
-        self, climb_error: Array, path: Array, phi: Array, theta: Array, q: Array, speed: Array
-    ) -> Array:
-        """Return the addition to the elevator: > 0 pitches down."""
-        self.climb_integral = np.clip(
-            self.climb_integral + 0.010 * climb_error * self.step, -0.10, 0.10
-        )
-        level = np.cos(phi)
-        pitch = ALPHA / level + path + 0.012 * climb_error + self.climb_integral
-        turning = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
-        return -0.30 * (pitch - theta) + 0.12 * (q - turning) - 0.03 * (1.0 / level - 1.0)
+    def _aileron(self, sensed: Mapping[str, Array], orbit: Array) -> Array:
+        """Return the addition to the aileron that follows the orbit."""
+        error = _bank(sensed, orbit) - sensed["phi"]
+        self.roll_integral = np.clip(self.roll_integral + 0.01 * error * self.step, -0.05, 0.05)
+        return np.clip(0.085 * error - 0.022 * sensed["p"] + self.roll_integral, -0.12, 0.12)
+
+
+def _bank(sensed: Mapping[str, Array], orbit: Array) -> Array:
+    """Return the bank that follows the vector field around the orbit (Beard & McLain 2012, section 10.2)."""
+    center_north, center_east, signed_radius = orbit.T
+    north = sensed["north"] - center_north
+    east = sensed["east"] - center_east
+    radius = np.abs(signed_radius)
+    turn = np.sign(signed_radius)
+    off = (np.hypot(north, east) - radius) / CAPTURE_DISTANCE
+    course = np.arctan2(sensed["v_east"], sensed["v_north"])
+    error = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off)) - course
+    error = (error + np.pi) % (2.0 * np.pi) - np.pi
+    ground_speed2 = sensed["v_north"] ** 2 + sensed["v_east"] ** 2
+    steady = np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius))
+    ahead = turn * steady * np.exp(-0.5 * off**2)
+    return np.clip(ahead + 1.2 * error, -BANK_LIMIT, BANK_LIMIT)
 
 
 @validate_params(
@@ -471,17 +457,16 @@ def _flights(
     seed: int, turbulence: float, sensor_noise: float, duration: float = DURATION
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     gust_seed, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(FLIGHT_PLANS))
-    logged_exactly, true = _columns(
-        *fly_plans(FLIGHT_PLANS, duration, turbulence, np.random.default_rng(gust_seed))
-    )
+    rng = np.random.default_rng(gust_seed)
+    record, instant = fly_plans(FLIGHT_PLANS, duration, turbulence, rng)
+    logged, true = _columns(record, instant)
     tables = {}
-    for k, plan in enumerate(FLIGHT_PLANS):
+    for k, (plan, sensor_seed) in enumerate(zip(FLIGHT_PLANS, sensor_seeds, strict=True)):
         truth = pd.DataFrame({name + TRUTH_SUFFIX: true[name][:, k] for name in TRUTH})
-        logged = measure(truth, sensor_noise, np.random.default_rng(sensor_seeds[k]))
-        logged = logged.assign(
-            flight=plan.name, **{name: values[:, k] for name, values in logged_exactly.items()}
-        )
-        tables[plan.name] = pd.concat([logged[list(MEASURED)], truth], axis=1)
+        table = measure(truth, sensor_noise, np.random.default_rng(sensor_seed))
+        table = table.assign(flight=plan.name)
+        table = table.assign(**{name: values[:, k] for name, values in logged.items()})
+        tables[plan.name] = pd.concat([table[list(MEASURED)], truth], axis=1)
     test = tables.pop(TEST_FLIGHT)
     train = pd.concat([*tables.values()], ignore_index=True)
     return train.astype({"flight": "category"}), test.astype({"flight": "category"})
@@ -490,7 +475,7 @@ def _flights(
 def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the channels logged without noise, and the truth of measured ones: (n_times, n_flights) by name."""
     motion = channels(record.states, record.wind)
-    thrust = propeller_loads(
+    forces, moments = propeller_loads(
         BRUMBY, record.controls["propeller_speed"], motion["airspeed"], truth.density
     )
     logged = {
@@ -498,22 +483,25 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
         "altitude": motion["altitude"],
         "density": truth.density,
         **record.controls,
+        **_named(THRUST_FORCES, forces),
+        **_named(THRUST_MOMENTS, moments),
     }
-    true = motion | {
+    true = {
+        **motion,
         "gravity": np.full(truth.density.shape, STANDARD_GRAVITY),
         "psi": motion["psi"] % (2.0 * np.pi),
+        **_named(("alpha_dot", "beta_dot"), truth.implicit),
+        **_named(("p_dot", "q_dot", "r_dot"), truth.derivative[..., -len(RATES) :]),
+        **_named(SPECIFIC_FORCE, truth.force / BRUMBY.mass),
+        **_named(WIND, record.wind),
+        **_named(COEFFICIENTS, truth.coefficients),
     }
-    for columns, names, values in (
-        (logged, THRUST_FORCES, thrust[0]),
-        (logged, THRUST_MOMENTS, thrust[1]),
-        (true, ("alpha_dot", "beta_dot"), truth.implicit),
-        (true, [f"{name}_dot" for name in RATES], truth.derivative[..., -len(RATES) :]),
-        (true, SPECIFIC_FORCE, truth.force / BRUMBY.mass),
-        (true, WIND, record.wind),
-        (true, COEFFICIENTS, truth.coefficients),
-    ):
-        columns |= {name: values[..., k] for k, name in enumerate(names)}
     return logged, true
+
+
+def _named(names: Sequence[str], values: Array) -> dict[str, Array]:
+    """Return the last axis of an array by name."""
+    return {name: values[..., k] for k, name in enumerate(names)}
 
 
 def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.DataFrame:
@@ -522,12 +510,10 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
     Noise is white and independent from channel to channel, with ``scale`` times the stated standard
     deviations.
     """
-    measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]].set_axis(
-        [*SENSOR_NOISE], axis=1
-    )
-    return measured + scale * np.array([*SENSOR_NOISE.values()]) * rng.standard_normal(
-        measured.shape
-    )
+    measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]]
+    measured = measured.set_axis(list(SENSOR_NOISE), axis=1)
+    std = scale * np.array(list(SENSOR_NOISE.values()))
+    return measured + std * rng.standard_normal(measured.shape)
 
 
 def brumby_motion() -> Motion:
@@ -541,43 +527,38 @@ def fly_plans(
     duration: float,
     turbulence: float,
     rng: np.random.Generator,
-    controls_of: Callable = FlightControls,
 ) -> tuple[Record, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
-    ``controls_of`` makes the controls from the plans, the times and the step.
     """
-    time: np.ndarray = np.arange(round((SETTLING + duration) / LOG_STEP)) * LOG_STEP - SETTLING
-    heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
-    scales = [
-        Turbulence.low_altitude(h, plan.wind_at_6m)[:2]
-        for h, plan in zip(heights, plans, strict=True)
-    ]
-    intensities, lengths = (np.array(part) for part in zip(*scales, strict=True))
+    n_settling = round(SETTLING / LOG_STEP)
+    n_times = round((SETTLING + duration) / LOG_STEP)
+    time = np.arange(n_times) * LOG_STEP - SETTLING
+    intensities = []
+    lengths = []
+    for plan in plans:
+        height = plan.altitudes[0][1] - FIELD_ELEVATION
+        intensity, length = Turbulence.low_altitude(height, plan.wind_at_6m)[:2]
+        intensities.append(intensity)
+        lengths.append(length)
     gusts = dryden_gusts(
-        2 * len(time) + 1,
-        0.5 * LOG_STEP,
-        AIRSPEED,
-        lengths,
-        turbulence * intensities,
-        BRUMBY.span,
-        rng,
-    )
+        2 * n_times + 1, 0.5 * LOG_STEP, AIRSPEED, np.array(lengths), turbulence * np.array(intensities),
+        BRUMBY.span, rng,
+    )  # fmt: skip
     wind = np.array([plan.wind for plan in plans])
     air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
-    motion, controls = brumby_motion(), controls_of(plans, time, LOG_STEP)
-    record = fly_record(
-        motion, controls, air, Clock(LOG_STEP, len(time) - 1), _initial_states(controls, wind)
-    )
-    log = slice(round(SETTLING / LOG_STEP), None)
-    record = record.rows(log)
-    local_air = air(slice(2 * log.start, 2 * len(time), 2), record.states)
+    motion = brumby_motion()
+    controls = FlightControls(plans, time, LOG_STEP)
+    states = _initial_states(controls, wind)
+    record = fly_record(motion, controls, air, Clock(LOG_STEP, n_times - 1), states)
+    record = record.rows(slice(n_settling, None))
+    local_air = air(slice(2 * n_settling, 2 * n_times, 2), record.states)
     implicit = None
     for _ in range(PASSES):
         truth = motion.at(record.states, record.controls, local_air, implicit)
         implicit = truth.implicit
-    return record._replace(time=time[log]), truth
+    return record._replace(time=time[n_settling:]), truth
 
 
 def _initial_states(controls: FlightControls, wind: Array) -> Array:

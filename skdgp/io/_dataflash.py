@@ -10,15 +10,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from skdgp._compute.typing import Matrix
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
+    NOTHING,
     QUATERNION,
     UP,
     Control,
@@ -26,6 +27,7 @@ from skdgp.io._log import (
     Rule,
     Servo,
     Topic,
+    centi,
     damage,
     density_at,
     from_rpm,
@@ -35,10 +37,10 @@ from skdgp.io._log import (
 )
 from skdgp.io._tables import FlightReadError
 
-MARK, HEAD = b"\xa3\x95", 3
+MARK = b"\xa3\x95"  # a message begins with it
+HEAD = 3  # bytes before the content of a message: the mark and a type
 FMT = 0x80  # type of the messages that define types
 FILLING = b"\x00\xff"  # of unused pages of the memory chip
-TEXTS = ("Name", "Message", "UnitIds")
 TYPES = {
     "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
@@ -55,18 +57,19 @@ VEHICLES = {
 }  # fmt: skip
 
 
-def _ground_course(values):
+def _ground_course(values: Matrix) -> Matrix:
     """Return velocity north, east, down of ground speed, course [deg], velocity down."""
-    speed, course, down = values[:, 0], np.deg2rad(values[:, 1]), values[:, 2]
+    speed, course, down = values.T
+    course = np.deg2rad(course)
     return np.column_stack([speed * np.cos(course), speed * np.sin(course), down])
 
 
-def _attitude(degrees):
+def _attitude(degrees: Matrix) -> Matrix:
     return euler_to_quaternion(*np.deg2rad(degrees).T)
 
 
-_percent = partial(np.multiply, 0.01)
 MODELLED = "estimated on board, not measured by a vane"
+STANDARD = "standard atmosphere at the measured pressure"
 RULES = (
     Rule(("p", "q", "r"), "IMU", ("GyrX", "GyrY", "GyrZ")),
     Rule(("ax", "ay", "az"), "IMU", ("AccX", "AccY", "AccZ")),
@@ -82,18 +85,12 @@ RULES = (
     Rule(("north", "east", "down"), "NKF1", ("PN", "PE", "PD")),
     Rule(("altitude",), "POS", ("Alt",)),
     Rule(("altitude",), "GPS", ("Alt",)),
-    Rule(
-        ("density",),
-        "BARO",
-        ("Press",),
-        density_at,
-        note="standard atmosphere at the measured pressure",
-    ),
+    Rule(("density",), "BARO", ("Press",), density_at, note=STANDARD),
     Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE")),
     Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE")),
-    Rule(("throttle",), "CTUN", ("ThO",), _percent),
-    Rule(("throttle",), "CTUN", ("ThrOut",), _percent),
-    Rule(("throttle",), "AETR", ("Thr",), _percent),
+    Rule(("throttle",), "CTUN", ("ThO",), centi),
+    Rule(("throttle",), "CTUN", ("ThrOut",), centi),
+    Rule(("throttle",), "AETR", ("Thr",), centi),
     Rule(("propeller_speed",), "RPM", ("rpm1",), from_rpm),
     Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm),
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
@@ -107,10 +104,9 @@ SERVOS = {
 MOST_SERVOS = 16
 # Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of
 # commands that go up and right (ArduPlane/servos.cpp)
-MIXES = {
-    "elevator": {79: -0.5, 80: -0.5},
-    "rudder": {79: -0.5, 80: 0.5},
-}
+MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
+# Pulses [us] at the ends and at trim of a servo that has no parameters
+USUAL_PULSES = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0}
 
 
 def read_dataflash(path: Path) -> Log:
@@ -118,20 +114,24 @@ def read_dataflash(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(MARK):
         raise FlightReadError(
-            "Got a file that does not begin as a DataFlash log does, but expected a binary log of "
-            "ArduPilot: is it empty, or of another kind?"
+            "Got a file that does not begin as a DataFlash log does, but expected a "
+            "binary log of ArduPilot: is it empty, or of another kind?"
         )
     file = _File(data)
     topics = file.topics()
     if not topics:
         raise FlightReadError(
-            f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, but "
-            f"expected messages: was it cut off, or written before 2015?"
+            f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, "
+            "but expected messages: was it cut off, or written before 2015?"
         )
-    names, values = file.column("PARM", "Name"), file.column("PARM", "Value")
-    parameters = {str(name): float(x) for name, x in zip(names, values, strict=False)}
-    texts = map(str, file.column("MSG", "Message"))
-    firmware = next((text for text in texts if text.split(" ")[0] in VEHICLES), "ArduPilot")
+    names = file.texts("PARM", "Name")
+    values = file.numbers("PARM", "Value")
+    parameters = {name: float(value) for name, value in zip(names, values, strict=False)}
+    firmware = "ArduPilot"
+    for text in file.texts("MSG", "Message"):
+        if text.split(" ")[0] in VEHICLES:
+            firmware = text
+            break
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
@@ -145,7 +145,7 @@ def read_dataflash(path: Path) -> Log:
         remarks=damage(file.skipped, file.cut),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        controls=controls_of(topics.get("RCOU", {}), parameters),
+        controls=controls_of(topics.get("RCOU", NOTHING), parameters),
     )
 
 
@@ -163,9 +163,28 @@ class _Messages:
         size = self.dtype.itemsize
         return np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
 
-    def is_whole_number(self, column: str) -> bool:
-        """Return whether there is a column of integers of this name."""
-        return column in self.codes and self.dtype[column].kind in "iu"
+    def is_kind(self, column: str, kinds: str) -> bool:
+        """Return whether there is a column of this name of one of NumPy's kinds of types."""
+        return column in self.codes and self.dtype[column].kind in kinds
+
+    def instance_field(self, units: str) -> str | None:
+        """Return the field that numbers instances: by the unit "#", or in logs without units by its name."""
+        if not units:
+            for column, code in self.codes.items():
+                if column in INSTANCES and code in "BM":
+                    return column
+        for column, unit in zip(self.codes, units, strict=False):
+            if unit == "#" and self.is_kind(column, "iu"):
+                return column
+        return None
+
+    def topic(self, records: np.ndarray) -> Topic:
+        """Return all instances as one topic, integers with a scale as numbers."""
+        fields = numeric_fields({column: records[column] for column in self.codes})
+        for column, code in self.codes.items():
+            if code in SCALE:
+                fields[column] = SCALE[code] * records[column]
+        return Topic(records["TimeUS"] * 1e-6, np.array(self.starts), fields)
 
 
 class _File:
@@ -175,113 +194,96 @@ class _File:
         self.data = data
         columns = ["Type", "Length", "Name", "Format", "Columns"]
         self.types = {FMT: _Messages("FMT", "BBnNZ", columns)}
-        self.skipped, self.cut = 0, False
-        position, n = 0, len(data)
-        while position + HEAD <= n:
-            messages = (
-                self.types.get(data[position + 2]) if data.startswith(MARK, position) else None
-            )
-            start = position + HEAD
-            if messages is not None and (end := start + messages.dtype.itemsize) <= n:
+        self.skipped = 0
+        self.cut = False
+        position = 0
+        while position + HEAD <= len(data):
+            position = self._step(position)
+
+    def _step(self, position: int) -> int:
+        """Note what begins at a position, a message or damage; return where it ends."""
+        start = position + HEAD
+        is_message = self.data.startswith(MARK, position) and self.data[start - 1] in self.types
+        if is_message:
+            messages = self.types[self.data[start - 1]]
+            end = start + messages.dtype.itemsize
+            if end <= len(self.data):
                 messages.starts.append(start)
                 if messages is self.types[FMT]:
-                    self._define(data[start:end])
-                position = end
-                continue
-            following = data.find(MARK, position + 1) % (n + 1)  # -1, for none, becomes n
-            if messages is not None and following == n:
-                self.cut = True
-            elif data[position:following].strip(FILLING):
-                self.skipped += following - position
-            position = following
+                    self._define(self.data[start:end])
+                return end
+        following = self.data.find(MARK, position + 1)
+        if following < 0:
+            following = len(self.data)
+        if is_message and following == len(self.data):
+            self.cut = True
+        elif self.data[position:following].strip(FILLING):
+            self.skipped += following - position
+        return following
 
     def _define(self, message: bytes) -> None:
         """Add a type, unless its definition makes no sense: its messages are then skipped."""
-        number, length, *texts = np.frombuffer(message, self.types[FMT].dtype)[0].tolist()
+        (definition,) = np.frombuffer(message, self.types[FMT].dtype)
+        number, length, *texts = definition.tolist()
         with suppress(KeyError, ValueError, TypeError):
             name, codes, columns = (text.decode("ascii") for text in texts)
             new = _Messages(name, codes, columns.split(",") if columns else [])
             if re.fullmatch(r"\w+", name) and new.dtype.itemsize == length - HEAD:
                 self.types.setdefault(number, new)
 
-    def column(self, name: str, column: str) -> list:
-        """Return a column of the messages of a name, texts as str; empty where there is none such."""
-        kinds = "S" if column in TEXTS else "iuf"
-        kind = next(
-            (
-                kind
-                for kind in self.types.values()
-                if kind.name == name and column in kind.codes and kind.dtype[column].kind in kinds
-            ),
-            None,
-        )
-        values = [] if kind is None else kind.read(self.data)[column].tolist()
-        return [
-            value.decode("utf-8", "replace").strip("\x00 ") if kinds == "S" else value
-            for value in values
-        ]
+    def numbers(self, name: str, column: str, kinds: str = "iuf") -> list:
+        """Return a column of the messages of a name; empty where there is none of these kinds of types."""
+        for messages in self.types.values():
+            if messages.name == name and messages.is_kind(column, kinds):
+                return messages.read(self.data)[column].tolist()
+        return []
+
+    def texts(self, name: str, column: str) -> list[str]:
+        """Return a column of texts of the messages of a name; empty where there is none such."""
+        texts = self.numbers(name, column, "S")
+        return [text.decode("utf-8", "replace").strip("\x00 ") for text in texts]
 
     def topics(self) -> dict[str, Topic]:
         """Return the messages that have a time, by name and instance."""
-        units = dict(
-            zip(self.column("FMTU", "FmtType"), self.column("FMTU", "UnitIds"), strict=False)
-        )
+        numbers = self.numbers("FMTU", "FmtType")
+        units = dict(zip(numbers, self.texts("FMTU", "UnitIds"), strict=False))
         topics: dict[str, Topic] = {}
-        for number, kind in self.types.items():
-            if kind.name in DEFINITIONS or not kind.starts or not kind.is_whole_number("TimeUS"):
+        for number, messages in self.types.items():
+            is_timed = messages.starts and messages.is_kind("TimeUS", "iu")
+            if messages.name in DEFINITIONS or not is_timed:
                 continue
-            records = kind.read(self.data)
-            fields = numeric_fields({name: records[name] for name in kind.codes}) | {
-                name: SCALE[code] * records[name]
-                for name, code in kind.codes.items()
-                if code in SCALE
-            }
-            topic = Topic(records["TimeUS"] * 1e-6, np.array(kind.starts), fields)
-            instance = _instance_field(kind, units.get(number))
-            instances = np.zeros(len(records), int) if instance is None else records[instance]
-            for k in np.unique(instances).tolist():
-                topics.setdefault(instance_name(kind.name, k), topic.select(instances == k))
+            records = messages.read(self.data)
+            topic = messages.topic(records)
+            field = messages.instance_field(units.get(number, ""))
+            if field is None:
+                topics.setdefault(messages.name, topic)
+                continue
+            for k in np.unique(records[field]).tolist():
+                name = instance_name(messages.name, k)
+                topics.setdefault(name, topic.select(records[field] == k))
         return dict(sorted(topics.items()))
 
 
-def _instance_field(kind: _Messages, units: str | None) -> str | None:
-    """Return the field that numbers instances: by the log's unit "#", or in older logs by its name."""
-    if units is None:
-        return next(
-            (name for name in kind.codes if name in INSTANCES and kind.codes[name] in "BM"), None
-        )
-    marked = [name for name, unit in zip(kind.codes, units, strict=False) if unit == "#"]
-    return next(filter(kind.is_whole_number, marked), None)
-
-
 def controls_of(
-    outputs: Topic | Mapping, parameters: Mapping[str, float], name: str = "RCOU.C{}"
+    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, Control]:
     """Return surfaces by SERVOn_FUNCTION, and controls of a V-tail; ``name`` is the channel of output n."""
-    field = name.partition(".")[2]
-    first = {  # the first logged output of each function
-        whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0)): n
-        for n in range(MOST_SERVOS, 0, -1)
-        if field.format(n) in outputs
-    }
-
-    def servo(function: int, turned: bool = False) -> Servo:
-        keys = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}
-        *ends, back = (
-            parameters.get(f"SERVO{first[function]}_{key}", usual) for key, usual in keys.items()
-        )
-        return Servo(
-            name.format(first[function]), tuple(ends), DOWN if turned != bool(back) else UP
-        )
-
-    mixed = {
-        control: tuple((weight, servo(function)) for function, weight in weights.items())
-        for control, weights in MIXES.items()
-        if set(weights) <= set(first)
-    }
-    single = {
-        SERVOS[function][0]: ((1.0, servo(function, SERVOS[function][1])),)
-        for function in reversed(first)
-        if function in SERVOS
-    }
-    return single | mixed
+    _, _, field = name.partition(".")
+    servos: dict[int, Servo] = {}  # the first logged output of each function
+    for n in range(1, MOST_SERVOS + 1):
+        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+        if field.format(n) in outputs and function not in servos:
+            ends = [parameters.get(f"SERVO{n}_{key}", pulse) for key, pulse in USUAL_PULSES.items()]
+            is_reversed = bool(parameters.get(f"SERVO{n}_REVERSED", 0.0))
+            _, is_turned = SERVOS.get(function, ("", False))
+            throws = DOWN if is_turned != is_reversed else UP
+            servos[function] = Servo(name.format(n), tuple(ends), throws)
+    controls: dict[str, Control] = {}
+    for function, servo in servos.items():
+        if function in SERVOS:
+            surface, _ = SERVOS[function]
+            controls[surface] = ((1.0, servo),)
+    for control, weights in MIXES.items():
+        if weights.keys() <= servos.keys():
+            controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
+    return controls

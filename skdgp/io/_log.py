@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -20,8 +21,6 @@ from skdgp.io._tables import FlightReadError
 
 QUATERNION = ("qw", "qx", "qy", "qz")  # of a rule for attitude: body to north-east-down, any length
 EQUIVALENT = "equivalent_airspeed"  # of a rule for equivalent airspeed; the table gets the true one
-
-
 NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
 
 
@@ -82,11 +81,15 @@ def numeric_fields(fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
         values = np.asarray(values)
         if values.dtype.kind not in "iufb":
             continue
-        columns = {name: values}
-        if values.ndim > 1:
-            columns = {f"{name}[{i}]": column for i, column in enumerate(values.T)}
-        numeric.update(columns)
+        if values.ndim == 1:
+            numeric[name] = values
+        else:
+            for i, column in enumerate(values.T):
+                numeric[f"{name}[{i}]"] = column
     return numeric
+
+
+NOTHING = Topic(np.empty(0), np.empty(0), {})  # in place of a topic that is not logged
 
 
 class Rule(NamedTuple):
@@ -180,15 +183,25 @@ class Log:
 
     def find(self, name: str) -> str | None:
         """Return the name of the first instance of a topic that has messages, or None."""
-        instances = [
-            key for key in self.topics if key.split("#")[0] == name and len(self.topics[key]) > 1
-        ]
-        return min(instances, key=lambda key: int(key.partition("#")[2] or 0), default=None)
+        first = None
+        lowest = np.inf
+        for key, topic in self.topics.items():
+            base, _, instance = key.partition("#")
+            number = int(instance or 0)
+            if base == name and len(topic) > 1 and number < lowest:
+                first = key
+                lowest = number
+        return first
 
 
-def from_rpm(values: Array) -> Array:
-    """Return rad/s of revolutions per minute."""
-    return values * (np.pi / 30)
+def scaling(factor: float) -> Callable[[Array], Array]:
+    """Return the conversion of a rule that multiplies fields by a factor."""
+    return partial(np.multiply, factor)
+
+
+from_rpm = scaling(np.pi / 30)  # revolutions per minute to rad/s
+milli = scaling(1e-3)
+centi = scaling(0.01)
 
 
 def density_at(pressure: Array) -> Array:
@@ -201,14 +214,14 @@ def whole(value: float) -> int:
     return round(value) if np.isfinite(value) else 0
 
 
-def damage(skipped: int = 0, cut: bool = False, lost: int = 0) -> tuple[str, ...]:
-    """Return remarks on skipped bytes, lost messages, and a file that ends within a message."""
-    remarks = {
-        f"{skipped} bytes could not be read and were skipped": skipped,
-        f"{lost} messages do not fit the definition of their topic and were skipped": lost,
-        "the file ends within a message: it was cut off": cut,
-    }
-    return tuple(remark for remark, applies in remarks.items() if applies)
+def damage(skipped: int = 0, cut: bool = False) -> tuple[str, ...]:
+    """Return remarks on skipped bytes, and on a file that ends within a message."""
+    remarks = []
+    if skipped:
+        remarks.append(f"{skipped} bytes could not be read and were skipped")
+    if cut:
+        remarks.append("the file ends within a message: it was cut off")
+    return tuple(remarks)
 
 
 def instance_name(name: str, instance: int) -> str:
@@ -217,7 +230,6 @@ def instance_name(name: str, instance: int) -> str:
 
 
 # -- servo files (TOML): pulse widths to surface angles; mixing by the parameters of the autopilot
-# -------------------------------------------------------------------------------------
 
 MOVED = (*ALL_SURFACES, "throttle")
 KEYS = {"channel", "points"}
@@ -250,9 +262,8 @@ def read_servos(
         try:
             servos = read_toml(servos)
         except ValueError as error:
-            raise FlightReadError(
-                f"Got {servos} as the servo file, but expected TOML: {error}"
-            ) from error
+            message = f"Got {servos} as the servo file, but expected TOML: {error}"
+            raise FlightReadError(message) from error
     return {name: _servo(name, entry) for name, entry in servos.items()}
 
 
@@ -284,47 +295,57 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     none.
     """
     if not log.controls:
+        logged = [name for name in log.outputs if name in log.topics]
         raise FlightReadError(
-            f"Got outputs {[name for name in log.outputs if name in log.topics]} without "
-            f"parameters that name their surfaces, but expected some of {list(log.outputs)}, and "
-            f"SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls before a fixed "
-            f"mixer (actuator_controls_0): log them, or write the servo file by hand."
+            f"Got outputs {logged} without parameters that name their surfaces, but expected some of "
+            f"{list(log.outputs)}, and SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls "
+            "before a fixed mixer (actuator_controls_0): log them, or write the servo file by hand."
         )
-    disordered = [
-        f"{name} on {servo.channel} {servo.inputs}"
-        for name, parts in log.controls.items()
-        for _, servo in parts
-        if list(servo.inputs) != sorted({*servo.inputs})
-    ]
+    throws = {}
+    disordered = []
+    for name, control in log.controls.items():
+        for _, servo in control:
+            if list(servo.inputs) != sorted(set(servo.inputs)):
+                disordered.append(f"{name} on {servo.channel} {servo.inputs}")
+        throws[name] = _scaled(control, -1.0) if name in turned else control
     if disordered:
         raise FlightReadError(
-            f"Got min, trim, max of {', '.join(disordered)}, but expected them in this order: "
-            f"write the servo file by hand."
+            f"Got min, trim, max of {', '.join(disordered)}, but expected "
+            "them in this order: write the servo file by hand."
         )
-    return {
-        name: tuple((-weight if name in turned else weight, servo) for weight, servo in parts)
-        for name, parts in log.controls.items()
-    }
+    return throws
 
 
 def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Control]:
     """Return the servos, throws by the parameters of the autopilot; FlightReadError if these lack a servo."""
-    throws = {name: entry for name, entry in servos.items() if isinstance(entry, float)}
-    named = full_throws(log) if throws else {}
-    if lacking := sorted(set(throws) - set(named)):
+    controls: dict[str, Control] = {}
+    throws = {}
+    for name, entry in servos.items():
+        if isinstance(entry, Servo):
+            controls[name] = ((1.0, entry),)
+        else:
+            throws[name] = entry
+    if not throws:
+        return controls
+    named = full_throws(log)
+    lacking = sorted(set(throws) - set(named))
+    if lacking:
         raise FlightReadError(
-            f"Got the full throw of {lacking}, but expected surfaces that the parameters of the "
-            f"log name, "
-            f"{sorted(named)}: give the channel of the others."
+            f"Got the full throw of {lacking}, but expected surfaces that the parameters of "
+            f"the log name, {sorted(named)}: give the channel of the others."
         )
-    measured = {name: ((1.0, entry),) for name, entry in servos.items() if isinstance(entry, Servo)}
-    return measured | {
-        name: tuple((angle * weight, servo) for weight, servo in named[name])
-        for name, angle in throws.items()
-    }
+    for name, angle in throws.items():
+        controls[name] = _scaled(named[name], angle)
+    return controls
 
 
-def _servo(name, entry) -> Servo | float:
+def _scaled(control: Control, factor: float) -> Control:
+    """Return a control with weights times a factor."""
+    return tuple((factor * weight, servo) for weight, servo in control)
+
+
+def _servo(name: str, entry: Any) -> Servo | float:
+    """Return the entry of a surface: its servo, or the angle at full throw [rad]."""
     if name not in MOVED:
         raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if isinstance(entry, str):
@@ -343,28 +364,32 @@ def _servo(name, entry) -> Servo | float:
         pairs = np.empty((0, 2))
     if len(pairs) < 2:
         raise FlightReadError(
-            f"Got {entry} for {name}, but expected points, pairs of numbers (channel, angle) as in "
-            f"[[1100, -0.35], [1900, 0.35]]."
+            f"Got {entry} for {name}, but expected points, pairs of numbers "
+            "(channel, angle) as in [[1100, -0.35], [1900, 0.35]]."
         )
-    if not np.isfinite(pairs).all() or (np.diff(pairs[:, 0]) <= 0).any():
+    inputs, angles = pairs.T
+    if not np.isfinite(pairs).all() or (np.diff(inputs) <= 0).any():
         raise FlightReadError(
-            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each "
-            f"value of the channel once: measure the angle of the surface at these values, in rad."
+            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each value "
+            "of the channel once: measure the angle of the surface at these values, in rad."
         )
-    if (most := np.abs(pairs[:, 1]).max()) > np.pi / 2:
+    largest = np.abs(angles).max()
+    if largest > np.pi / 2:
         raise FlightReadError(
-            f"Got angles up to {most:g} for {name}, but expected radians, at most pi/2: convert "
-            f"degrees."
+            f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
-    return Servo(entry["channel"], tuple(pairs[:, 0].tolist()), tuple(pairs[:, 1].tolist()))
+    return Servo(entry["channel"], tuple(inputs.tolist()), tuple(angles.tolist()))
 
 
-def _throw(name, text) -> float:
+def _throw(name: str, text: str) -> float:
+    """Return the angle at full throw [rad], of a text such as "25 deg"."""
     match = THROW.fullmatch(text.strip())
-    angle = float(match[1]) * {"deg": np.pi / 180, "rad": 1.0}[match[2]] if match else np.nan
+    angle = 0.0
+    if match:
+        number, unit = match.groups()
+        angle = np.deg2rad(float(number)) if unit == "deg" else float(number)
     if not 0 < angle <= np.pi / 2:
         raise FlightReadError(
-            f"Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as "
-            f'in {name} = "25 deg".'
+            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg".'
         )
     return float(angle)

@@ -31,6 +31,7 @@ from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, 
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
+    is_number,
     read_csv,
     read_parquet,
     reading,
@@ -38,11 +39,11 @@ from skdgp.io._tables import (
 )
 
 UNKNOWN = "unknown_columns"
-# Readers of tables by suffix; another format is one more entry
+# Readers of tables by suffix, functions of path and new names; another format is one more entry
 TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet,
 }  # fmt: skip
-DEFAULTS = {"servos": None, "airborne": True}
+WIDTH = 110  # of the printed summary of a log [characters]
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
@@ -111,7 +112,6 @@ def read_flight(
     0  0.00  sortie_7  1.571  0.1
     1  0.02  sortie_7  0.785  0.2
     """
-    options = {"servos": servos, "airborne": airborne}
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
@@ -119,33 +119,26 @@ def read_flight(
         if is_log(path):
             if rename:
                 raise FlightReadError(
-                    f"Got rename={dict(rename)} for a log of an autopilot, but expected it only "
-                    f"with tables: its columns follow from its messages."
+                    f"Got rename={dict(rename)} for a log of an autopilot, but expected it "
+                    "only with tables: its columns follow from its messages."
                 )
-            return _from_autopilot(path, flight, options)
-        kind = path.suffix.lower()
-        if kind not in TABLES:
-            raise FlightReadError(
-                f"Got the suffix {path.suffix!r}, but expected one of "
-                f"{sorted(TABLES | AUTOPILOTS)}: convert it, in MATLAB by writetable, or rename it."
-            )
-        refused = [name for name, value in options.items() if value is not DEFAULTS[name]]
+            return _from_autopilot(path, flight, servos, airborne)
+        refused = []
+        if servos is not None:
+            refused.append("servos")
+        if airborne is not True:
+            refused.append("airborne")
         if refused:
             raise FlightReadError(
                 f"Got {refused} for a table, but expected these only with logs of autopilots."
             )
-        rename = dict(rename or {})
-        table = TABLES[kind](path, rename) if kind == ".csv" else TABLES[kind](path)
-        table = _renamed(table, rename)
-        if flight is not None or "flight" not in table:
-            table["flight"] = path.stem if flight is None else flight
-        return _as_flight(table)
+        return _from_table(path, flight, dict(rename or {}))
 
 
-def _from_autopilot(path, flight, options):
-    flown = on_one_clock(path, **options)
+def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
+    flown = on_one_clock(path, servos=servos, airborne=airborne)
     name = path.stem if flight is None else flight
-    table = _as_flight(flight_table(flown, name, airborne=options["airborne"]))
+    table = _as_flight(flight_table(flown, name, airborne=airborne))
     table.attrs["sources"] = {
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
@@ -154,89 +147,105 @@ def _from_autopilot(path, flight, options):
     return table
 
 
+def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.DataFrame:
+    kind = path.suffix.lower()
+    if kind not in TABLES:
+        raise FlightReadError(
+            f"Got the suffix {path.suffix!r}, but expected one of "
+            f"{sorted(TABLES | AUTOPILOTS)}: convert it, in "
+            "MATLAB by writetable, or rename it."
+        )
+    table = _renamed(TABLES[kind](path, rename), rename)
+    if flight is not None or "flight" not in table:
+        table["flight"] = path.stem if flight is None else flight
+    return _as_flight(table)
+
+
 def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
     """Return the table with new names; raise FlightReadError if it has a column by neither name."""
-    names = [str(name).strip() for name in table.columns]
+    table = table.rename(columns=lambda name: str(name).strip())
+    names = list(table.columns)
     for old, new in rename.items():
         if base_name(new) not in CHANNELS:
             raise FlightReadError(
                 f"Got rename of {old!r} to {new!r}, but expected a name of a flight table "
-                f"(docs/notation.md) without a unit: units stand in the file's header, such as 'de [deg]'."
+                "(docs/notation.md) without a unit: units stand in the file's header, such as 'de [deg]'."
             )
         if old not in names and new not in names:
             near = get_close_matches(old, names, n=3, cutoff=0.5) or names[:12]
             raise FlightReadError(
-                f"Got rename of {old!r}, but the file has no such column: expected one such as "
-                f"{near}."
+                f"Got rename of {old!r}, but the file has no such column: expected one such as {near}."
             )
-    return table.set_axis([rename.get(name, name) for name in names], axis="columns")
+    return table.rename(columns=rename)
 
 
-def _as_flight(table):
+def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
     """Return a raw table in the order and types of a flight table."""
     table = table.reset_index(drop=True)
     unknown = unknown_columns(table)
     if suggestions(unknown, table.columns):
         unknown_names = unknown_columns_message(unknown, table.columns)
-        warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=3)
+        warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=4)
     if "time" not in table:
         raise FlightReadError(
-            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename a "
-            f"column, as by --rename t=time, or compute it; its unit stands in the header ('t [ms]')."
+            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename a column, "
+            "as by --rename t=time, or compute it; its unit stands in the header ('t [ms]')."
         )
     try:
         check_table(table)
         table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
         time = table["time"].to_numpy()
         if np.isnan(time).any():
-            raise FlightReadError(
-                f"Got no time at row {int(np.argmax(np.isnan(time)))}, but expected it in every "
-                f"row [s]."
-            )
+            row = int(np.argmax(np.isnan(time)))
+            raise FlightReadError(f"Got no time at row {row}, but expected it in every row [s].")
         check_clock(time, table["flight"])
         check_units(table)
     except ValueError as error:
         raise FlightReadError(*error.args) from error
-    order = ["time", "flight", *[name for name in table.columns if name not in ("time", "flight")]]
-    table = table[order]
+    others = [name for name in table.columns if name not in ("time", "flight")]
+    table = table[["time", "flight", *others]]
     table.attrs = {UNKNOWN: unknown}
     return table
 
 
-def _as_numbers(table):
+def _as_numbers(table: pd.DataFrame) -> dict[str, np.ndarray]:
     """Return the columns of the vocabulary as floats; infinities as NaN, with a warning."""
     numbers = {}
-    for name in [
-        name for name in table.columns if base_name(name) in CHANNELS and name != "flight"
-    ]:
+    infinite = []
+    for name in filter(is_number, table.columns):
         column = table[name]
-        if name == "time" and pd.api.types.is_datetime64_any_dtype(column):
-            column = column - column.iloc[0]
-        if name == "time" and pd.api.types.is_timedelta64_dtype(column):
-            column = column.dt.total_seconds()
-        numbers[name] = to_floats(column)
-    if infinite := [name for name, values in numbers.items() if np.isinf(values).any()]:
-        warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=4)
-    return numbers | {
-        name: np.where(np.isinf(numbers[name]), np.nan, numbers[name]) for name in infinite
-    }
+        if name == "time":
+            column = _as_seconds(column)
+        values = to_floats(column)
+        is_infinite = np.isinf(values)
+        if is_infinite.any():
+            infinite.append(name)
+            values = np.where(is_infinite, np.nan, values)
+        numbers[name] = values
+    if infinite:
+        warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=5)
+    return numbers
 
 
-def _flight_names(flight):
+def _as_seconds(time: pd.Series) -> pd.Series:
+    """Return dates and durations as seconds, dates from the first row on; numbers as they are."""
+    if pd.api.types.is_datetime64_any_dtype(time):
+        time = time - time.iloc[0]
+    return time.dt.total_seconds() if pd.api.types.is_timedelta64_dtype(time) else time
+
+
+def _flight_names(flight: pd.Series) -> np.ndarray:
     """Return the name of each row's flight as str; whole numbers without a point."""
     try:
         codes, names = flight_codes(flight)
     except ValueError as error:
-        raise FlightReadError(
-            f"{error} read_flight(path, flight='name') names all rows alike."
-        ) from error
-    numbered = [
-        int(name) if isinstance(name, float) and name.is_integer() else name for name in names
-    ]
-    return np.array([str(name).strip() for name in numbered], dtype=object)[codes]
-
-
-WIDTH = 110
+        message = f"{error} read_flight(path, flight='name') names all rows alike."
+        raise FlightReadError(message) from error
+    texts = []
+    for name in names:
+        is_whole = isinstance(name, float) and name.is_integer()
+        texts.append(str(int(name) if is_whole else name).strip())
+    return np.array(texts, dtype=object)[codes]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,33 +278,31 @@ class LogSummary:
 
     def to_dict(self) -> dict:
         """Return everything as lists, dicts, texts and numbers, NaN as None, ready for JSON."""
-        tables = {
-            name: getattr(self, name).reset_index(names="name").to_dict("records")
-            for name in ("topics", "columns", "flights")
-        }
-        return plain(vars(self) | tables)
+        content = vars(self).copy()
+        for name in ("topics", "columns", "flights"):
+            content[name] = content[name].reset_index(names="name").to_dict("records")
+        return plain(content)
 
     def __str__(self) -> str:
         vehicle = self.vehicle or "vehicle unknown"
+        head = f"{self.path}: {self.format}, {self.firmware}, {vehicle}"
+        topics = []
+        for name, messages, rate in self.topics.itertuples():
+            topics.append(f"{name} {messages} times, {rate:.3g} Hz")
+        columns = []
         kinds = self.columns.groupby(["source", "rate"], sort=False, dropna=False)
-        parts = [
-            [f"{self.path}: {self.format}, {self.firmware}, {vehicle}"],
-            [
-                f"{row.Index} {row.messages} times, {row.rate:.3g} Hz"
-                for row in self.topics.itertuples()
-            ],
-            [f"{rate:.3g} Hz: {' '.join(rows.index)} ({source})" for (source, rate), rows in kinds],
-            [
-                f"flight from {a:.1f} s to {b:.1f} s at {v:.1f} m/s"
-                for a, b, v in self.flights.to_numpy()
-            ],
-            [f"! {remark}" for remark in self.remarks],
-        ]
-        return "\n\n".join(
-            "\n".join(fill(line, WIDTH, subsequent_indent="    ") for line in lines)
-            for lines in parts
-            if lines
-        )
+        for (source, rate), rows in kinds:
+            columns.append(f"{rate:.3g} Hz: {' '.join(rows.index)} ({source})")
+        flights = []
+        for begin, end, airspeed in self.flights.to_numpy():
+            flights.append(f"flight from {begin:.1f} s to {end:.1f} s at {airspeed:.1f} m/s")
+        remarks = [f"! {remark}" for remark in self.remarks]
+        paragraphs = []
+        for lines in ([head], topics, columns, flights, remarks):
+            if lines:
+                filled = [fill(line, WIDTH, subsequent_indent="    ") for line in lines]
+                paragraphs.append("\n".join(filled))
+        return "\n\n".join(paragraphs)
 
 
 def inspect_log(
@@ -325,21 +332,21 @@ def inspect_log(
     with reading(path):
         flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
-    log = flown.log
     try:
         table = flight_table(flown, path.stem, airborne=True)
         faults = _faults(table)
     except FlightReadError as error:
-        table, faults = longest.table[:0].assign(flight=""), [str(error)]
-    topics = {
-        name: (len(topic), (len(topic) - 1) / max(np.ptp(topic.time), 1e-9))
-        for name, topic in longest.topics.items()
-    }
+        table = longest.table[:0].assign(flight="")
+        faults = [str(error)]
+    topics = {}
+    for name, topic in longest.topics.items():
+        seconds = max(np.ptp(topic.time), 1e-9)
+        topics[name] = (len(topic), (len(topic) - 1) / seconds)
     return LogSummary(
         path=str(path),
-        format=log.kind,
-        firmware=log.firmware,
-        vehicle=log.vehicle,
+        format=flown.log.kind,
+        firmware=flown.log.firmware,
+        vehicle=flown.log.vehicle,
         topics=pd.DataFrame.from_dict(topics, orient="index", columns=["messages", "rate"]),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
@@ -355,14 +362,16 @@ def names_servos(path: PathLike) -> bool:
 
 def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
     """Return the summary of a file that is no log of an autopilot."""
-    steps = table.groupby("flight", sort=False)["time"].diff().dropna()
-    step = steps.median() if len(steps) else np.nan
+    step = table.groupby("flight", sort=False)["time"].diff().median()
     unknown = table.attrs[UNKNOWN]
     channels = table.drop(columns=["time", "flight", *unknown])
     columns = pd.DataFrame(
         {"source": "column", "rate": channels.notna().mean() / step}, index=channels.columns
     )
+    remarks = _faults(table)
     unknown_names = unknown_columns_message(unknown, table.columns)
+    if unknown_names:
+        remarks.insert(0, f"columns of unknown names: {unknown_names}")
     return LogSummary(
         path=str(path),
         format="table",
@@ -370,10 +379,7 @@ def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
         topics=pd.DataFrame(),
         columns=columns,
         flights=_flights(table),
-        remarks=(
-            *([f"columns of unknown names: {unknown_names}"] if unknown_names else []),
-            *_faults(table),
-        ),
+        remarks=tuple(remarks),
     )
 
 

@@ -9,8 +9,7 @@ file. Messages of other systems, such as the ground station, are left out.
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from functools import partial
+from collections import Counter, defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +17,33 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import extra
+from skdgp._compute.typing import Matrix
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import controls_of
 from skdgp.io._log import (
     EQUIVALENT,
+    NOTHING,
     QUATERNION,
     Log,
     Rule,
     Topic,
+    centi,
     damage,
     density_at,
     from_rpm,
     instance_name,
+    milli,
     numeric_fields,
+    scaling,
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import MAV_TYPES
 
-STAMP, SIGNATURE = 8, 13  # bytes of the arrival, of a signature
-OVERHEAD = {0xFE: 8, 0xFD: 12}  # bytes of a message beside its payload, by its first byte
+STAMP = 8  # bytes of the arrival
+SIGNATURE = 13  # bytes of a signature
+MAVLINK_1 = 0xFE  # first byte of a message of version 1
+MAVLINK_2 = 0xFD
+OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}  # bytes of a message beside its payload
 PX4 = 12  # MAV_AUTOPILOT
 INT32 = 6  # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
@@ -46,53 +53,43 @@ NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
 
 
-def _wind_from(values):
+def _wind_from(values: Matrix) -> Matrix:
     """Return the wind north, east of the direction [deg] that it comes from, and its speed."""
-    direction, speed = np.deg2rad(values[:, 0]), values[:, 1]
+    direction, speed = values.T
+    direction = np.deg2rad(direction)
     return np.column_stack([-speed * np.cos(direction), -speed * np.sin(direction)])
 
 
-def _axes(name):
-    return tuple(f"{axis}{name}" for axis in "xyz")
+def _attitude(angles: Matrix) -> Matrix:
+    return euler_to_quaternion(*angles.T)
 
 
-_milli, _centi, _milli_g = (
-    partial(np.multiply, factor) for factor in (1e-3, 0.01, 1e-3 * STANDARD_GRAVITY)
-)
+def _density(hectopascals: Matrix) -> Matrix:
+    return density_at(100 * hectopascals)
+
+
+GYROS = ("xgyro", "ygyro", "zgyro")
+ACCELEROMETERS = ("xacc", "yacc", "zacc")
+milli_g = scaling(1e-3 * STANDARD_GRAVITY)
+AIRSPEED = "of a sensor, or estimated on board"
 RULES = (
-    Rule(("p", "q", "r"), "HIGHRES_IMU", _axes("gyro")),
-    Rule(("p", "q", "r"), "RAW_IMU", _axes("gyro"), _milli),
-    Rule(("p", "q", "r"), "SCALED_IMU", _axes("gyro"), _milli),
+    Rule(("p", "q", "r"), "HIGHRES_IMU", GYROS),
+    Rule(("p", "q", "r"), "RAW_IMU", GYROS, milli),
+    Rule(("p", "q", "r"), "SCALED_IMU", GYROS, milli),
     Rule(("p", "q", "r"), "ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(("ax", "ay", "az"), "HIGHRES_IMU", _axes("acc")),
-    Rule(("ax", "ay", "az"), "RAW_IMU", _axes("acc"), _milli_g),
-    Rule(("ax", "ay", "az"), "SCALED_IMU", _axes("acc"), _milli_g),
-    Rule(
-        QUATERNION,
-        "ATTITUDE",
-        ("roll", "pitch", "yaw"),
-        lambda angles: euler_to_quaternion(*angles.T),
-    ),
-    Rule(
-        (EQUIVALENT,),
-        "VFR_HUD",
-        ("airspeed",),
-        valid=("airspeed",),
-        note="of a sensor, or estimated on board",
-    ),
+    Rule(("ax", "ay", "az"), "HIGHRES_IMU", ACCELEROMETERS),
+    Rule(("ax", "ay", "az"), "RAW_IMU", ACCELEROMETERS, milli_g),
+    Rule(("ax", "ay", "az"), "SCALED_IMU", ACCELEROMETERS, milli_g),
+    Rule(QUATERNION, "ATTITUDE", ("roll", "pitch", "yaw"), _attitude),
+    Rule((EQUIVALENT,), "VFR_HUD", ("airspeed",), valid=("airspeed",), note=AIRSPEED),
     Rule(("v_north", "v_east", "v_down"), "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
-    Rule(("v_north", "v_east", "v_down"), "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), _centi),
+    Rule(("v_north", "v_east", "v_down"), "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), centi),
     Rule(("north", "east", "down"), "LOCAL_POSITION_NED", ("x", "y", "z")),
-    Rule(("altitude",), "GLOBAL_POSITION_INT", ("alt",), _milli),
-    Rule(
-        ("density",),
-        "SCALED_PRESSURE",
-        ("press_abs",),
-        lambda hectopascals: density_at(100 * hectopascals),
-    ),
+    Rule(("altitude",), "GLOBAL_POSITION_INT", ("alt",), milli),
+    Rule(("density",), "SCALED_PRESSURE", ("press_abs",), _density),
     Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
     Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
-    Rule(("throttle",), "VFR_HUD", ("throttle",), _centi),
+    Rule(("throttle",), "VFR_HUD", ("throttle",), centi),
     Rule(("propeller_speed",), "RPM", ("rpm1",), from_rpm),
     Rule(("propeller_speed",), "ESC_TELEMETRY_1_TO_4", ("rpm[0]",), from_rpm),
 )
@@ -108,20 +105,22 @@ def read_tlog(path: Path) -> Log:
     )
     if not systems:
         raise FlightReadError(
-            "Got a file without a message ATTITUDE of MAVLink, but expected the telemetry of an "
-            "aircraft: is it empty, or of another kind?"
+            "Got a file without a message ATTITUDE of MAVLink, but expected the "
+            "telemetry of an aircraft: is it empty, or of another kind?"
         )
-    system = systems.most_common(1)[0][0]
-    by_name: dict[str, dict[int, Any]] = {}
+    system, _ = systems.most_common(1)[0]
+    by_name: defaultdict[str, dict[int, Any]] = defaultdict(dict)  # by place in the file
     for place, message in enumerate(messages):
         if message.get_srcSystem() == system:
-            number = getattr(message, NUMBERED.get(message.get_type(), ""), 0)
-            name = instance_name(message.get_type(), int(number))
-            by_name.setdefault(name, {})[place] = message
-    beats = by_name.pop("HEARTBEAT", {}).values()
-    px4 = any(beat.autopilot == PX4 for beat in beats)
-    settings = by_name.pop("PARAM_VALUE", {}).values()
-    parameters = {message.param_id: _parameter(message, px4) for message in settings}
+            by_name[_name(message)][place] = message
+    vehicle = None
+    is_px4 = False
+    for beat in by_name.pop("HEARTBEAT", {}).values():
+        is_px4 |= beat.autopilot == PX4
+        vehicle = vehicle or MAV_TYPES.get(beat.type)
+    parameters = {}
+    for message in by_name.pop("PARAM_VALUE", {}).values():
+        parameters[message.param_id] = _parameter(message, is_px4)
     attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     return Log(
@@ -129,12 +128,12 @@ def read_tlog(path: Path) -> Log:
         topics=topics,
         rules=RULES,
         parameters=parameters,
-        firmware="PX4" if px4 else "ArduPilot",
-        vehicle=next((MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES), None),
+        firmware="PX4" if is_px4 else "ArduPilot",
+        vehicle=vehicle,
         remarks=damage(skipped),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        controls=controls_of(topics.get(OUTPUTS, {}), parameters, OUTPUTS + ".servo{}_raw"),
+        controls=controls_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"),
     )
 
 
@@ -142,14 +141,13 @@ def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:
     """Return the messages to read, and the number of bytes that belong to none."""
     decoder = mavlink.MAVLink(None)
     messages: list[Any] = []
-    position = skipped = 0
+    position = 0
+    skipped = 0
     while position + STAMP + min(OVERHEAD.values()) <= len(data):
         start = position + STAMP
-        size = data[start + 1] + OVERHEAD.get(data[start], len(data))
-        size += SIGNATURE * (data[start] == 0xFD and data[start + 2] & 1)
+        size, number = _size_and_number(data, start)
         frame = data[start : start + size]
-        numbers = frame[5:6] if data[start] == 0xFE else frame[7:10]
-        kind = mavlink.mavlink_map.get(int.from_bytes(numbers, "little"))
+        kind = mavlink.mavlink_map.get(number)
         try:
             if kind is None or kind.msgname in READ or len(frame) < size:
                 messages.append(decoder.decode(bytearray(frame)))
@@ -160,14 +158,34 @@ def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:
     return [message for message in messages if message.get_type() in READ], skipped
 
 
+def _size_and_number(data: bytes, start: int) -> tuple[int, int]:
+    """Return how many bytes a message has, and the number of its type; the whole file where none begins."""
+    first = data[start]
+    size = data[start + 1] + OVERHEAD.get(first, len(data))
+    if first == MAVLINK_1:
+        return size, data[start + 5]
+    is_signed = data[start + 2] & 1
+    if first == MAVLINK_2 and is_signed:
+        size += SIGNATURE
+    return size, int.from_bytes(data[start + 7 : start + 10], "little")
+
+
+def _name(message: Any) -> str:
+    """Return the name of the topic of a message, with its instance."""
+    kind = message.get_type()
+    instance = getattr(message, NUMBERED.get(kind, ""), 0)
+    return instance_name(kind, int(instance))
+
+
 def _clock(messages: dict[int, Any]) -> pd.Series:
     """Return the vehicle's clock [s] by place in the file, NaN of messages without one."""
-
-    def clock(message):
-        times = (factor * getattr(message, name, np.nan) for name, factor in CLOCKS.items())
-        return next((time for time in times if np.isfinite(time)), np.nan)
-
-    return pd.Series({place: clock(message) for place, message in messages.items()})
+    times = {}
+    for place, message in messages.items():
+        times[place] = np.nan
+        for field, factor in CLOCKS.items():
+            if field in message.fieldnames:
+                times[place] = factor * getattr(message, field)
+    return pd.Series(times)
 
 
 def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
@@ -180,7 +198,8 @@ def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
     return Topic(time, places, numeric_fields({str(name): fields[name] for name in fields}))
 
 
-def _parameter(message: Any, px4: bool) -> float:
+def _parameter(message: Any, is_px4: bool) -> float:
     """Return the value of a parameter; PX4 sends the bits of whole numbers."""
-    form = "<i" if px4 and message.param_type == INT32 else "<f"
-    return float(struct.unpack(form, struct.pack("<f", message.param_value))[0])
+    form = "<i" if is_px4 and message.param_type == INT32 else "<f"
+    bits = struct.pack("<f", message.param_value)
+    return float(struct.unpack(form, bits)[0])

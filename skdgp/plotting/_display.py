@@ -86,12 +86,16 @@ class Display(ABC):
 
             return picture(draw, label=display.words(key), size=display.size)
 
-        panels = [
-            f"<div>{''.join(image(display, key) for display in (self, *beneath))}</div>"
-            for key in self.keys
-        ]
-        layout = "single" if len(panels) == 1 else "trio" * (self.size[0] < WIDTH)
-        grid = f'<div class="panels {layout}">{"".join(panels)}</div>'
+        panels = ""
+        for key in self.keys:
+            images = [image(display, key) for display in (self, *beneath)]
+            panels += f"<div>{''.join(images)}</div>"
+        layout = ""
+        if len(self.keys) == 1:
+            layout = "single"
+        elif self.size[0] < WIDTH:
+            layout = "trio"
+        grid = f'<div class="panels {layout}">{panels}</div>'
         return f"<figure>{keys[0]}{grid}<figcaption>{caption}</figcaption></figure>"
 
 
@@ -106,11 +110,19 @@ def _legend(ax: Any) -> str:
     artist: Any
     for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
         label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
-        is_area = isinstance(artist, Collection)
-        is_mark = not is_area and artist.get_linestyle() == "None"
-        kind = "area" if is_area else "mark" * is_mark
-        style = f"color: {to_hex(artist.get_facecolor()[0] if is_area else artist.get_color())}"
-        lines += f'<li><i class="{kind}" style="{style}">{"•" * is_mark}</i>{text(label)}</li>'
+        kind = ""
+        mark = ""
+        color: Any
+        if isinstance(artist, Collection):
+            kind = "area"
+            color = artist.get_facecolor()[0]
+        else:
+            color = artist.get_color()
+            if artist.get_linestyle() == "None":
+                kind = "mark"
+                mark = "•"
+        style = f"color: {to_hex(color)}"
+        lines += f'<li><i class="{kind}" style="{style}">{mark}</i>{text(label)}</li>'
     return f'<ul class="key">{lines}</ul>' if lines else ""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import combinations, takewhile
+from itertools import combinations
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._display.page import (
     PALETTE,
     ROLES,
@@ -33,6 +33,8 @@ JOINT = "joint"  # name of the term of all regressors
 LEVELS = (0.05, 0.95)  # quantiles of the second regressor of an interaction
 N_SAMPLES = 60  # samples over which interactions are compared
 N_GRID = 30  # points of each curve
+N_INTERACTIONS = 2  # shown for each output
+N_LEVEL_GRID = 15  # points of each curve of an interaction
 
 
 class Curve(NamedTuple):
@@ -88,13 +90,17 @@ class Effects:
 
         The sum of the means and ``intercept`` is the predicted mean.
         """
-        regressor, before, _, _ = _split_model(self._model)
-        for step in before:
+        parts = _split_model(self._model)
+        for step in parts.before:
             X = step.transform(X)
-        X = regressor._check_regressors(X)
-        moments = {name: term.predict(X) for name, term in self._terms.items()}
-        mean = {name: values * regressor.scale_ for name, (values, _) in moments.items()}
-        return mean, {name: np.sqrt(x) * regressor.scale_ for name, (_, x) in moments.items()}
+        X = parts.regressor._check_regressors(X)
+        means = {}
+        stds = {}
+        for name, term in self._terms.items():
+            mean, variance = term.predict(X)
+            means[name] = mean * parts.scale
+            stds[name] = np.sqrt(variance) * parts.scale
+        return means, stds
 
 
 def effects(model: BaseEstimator) -> Effects:
@@ -142,43 +148,42 @@ def effects(model: BaseEstimator) -> Effects:
     >>> bool(np.allclose(sum(found.evaluate(X)[0].values()) + found.intercept, model.predict(X)))
     True
     """
-    regressor, _, (shift, factor), names = _split_model(model)
-    rows = training_inputs(regressor.posterior_)
-    rows = rows[:: -(-len(rows) // MAX_ROWS)]
-    units = pd.DataFrame(shift + factor * rows, columns=names)
-    posterior, scale = regressor.posterior_, regressor.scale_
-    columns = posterior.kernel.term_regressors()
-    terms = {
-        _name(regressors, names): CentredTerm(posterior, regressors, rows) for regressors in columns
-    }
-    intercept = sum(term.values.mean(axis=0) for term in terms.values())
-    terms.pop("", None)  # the constant
+    parts = _split_model(model)
+    rows = parts.samples(MAX_ROWS)
+    terms = {}
+    intercept: Any = 0.0
+    for columns in parts.posterior.kernel.term_regressors():
+        term = CentredTerm(parts.posterior, columns, rows)
+        intercept = intercept + term.values.mean(axis=0)
+        if len(columns):  # else the constant
+            terms[_name(columns, parts.names)] = term
+    importance = {name: term.values.std(axis=0) * parts.scale for name, term in terms.items()}
     curves = {}
-    for k, name in enumerate(names):
+    for k, name in enumerate(parts.names):
         if name in terms:
-            points = np.tile(rows.mean(axis=0), (N_GRID, 1))
-            low, high = np.quantile(rows[:, k], RANGE)
-            points[:, k] = np.linspace(low, high, N_GRID)
-            mean, variance = terms[name].predict(points)
-            at = shift[k] + factor[k] * points[:, k]
-            curves[name] = Curve(at, mean * scale, np.sqrt(variance) * scale)
-    importance = {name: term.values.std(axis=0) * scale for name, term in terms.items()}
+            curves[name] = _curve(parts, rows, terms[name], k)
+    outputs = parts.regressor.output_names_
     return Effects(
-        intercept=regressor.center_ + intercept * scale,
-        importance=pd.DataFrame.from_dict(
-            importance, orient="index", columns=regressor.output_names_
-        ),
+        intercept=parts.regressor.center_ + intercept * parts.scale,
+        importance=pd.DataFrame.from_dict(importance, orient="index", columns=outputs),
         curves=curves,
-        samples=units,
+        samples=pd.DataFrame(parts.in_units(rows), columns=parts.names),
         _model=model,
         _terms=terms,
     )
 
 
-def interactions(
-    model: BaseEstimator, *, most: int = 2, n_grid: int = 15
-) -> dict[str, list[Interaction]]:
-    r"""Return the ``most`` strongest interactions of two regressors on each output, the strongest first.
+def _curve(parts: _Parts, rows: Matrix, term: CentredTerm, k: int) -> Curve:
+    """Return the effect of regressor k, from its 1 % to its 99 % quantile."""
+    low, high = np.quantile(rows[:, k], RANGE)
+    points = np.tile(rows.mean(axis=0), (N_GRID, 1))
+    points[:, k] = np.linspace(low, high, N_GRID)
+    mean, variance = term.predict(points)
+    return Curve(parts.in_units(points)[:, k], mean * parts.scale, np.sqrt(variance) * parts.scale)
+
+
+def interactions(model: BaseEstimator) -> dict[str, list[Interaction]]:
+    r"""Return the two strongest interactions of two regressors on each output, the strongest first.
 
     Around the mean c of the samples, regressors i and j interact by the second-order term of
     cut-HDMR (Rabitz & Alis 1999),
@@ -195,87 +200,129 @@ def interactions(
     >>> from skdgp.plotting._effects import interactions
     >>> X = pd.DataFrame(np.random.default_rng(0).uniform(-1, 1, (80, 3)), columns=["alpha", "q", "r"])
     >>> model = DependentGPRegressor(n_latent=0, max_iter=20).fit(X, pd.DataFrame({"Cm": X["alpha"] * X["q"]}))
-    >>> interactions(model, most=1)["Cm"][0].regressors
+    >>> interactions(model)["Cm"][0].regressors
     ('alpha', 'q')
     """
-    regressor, _, (shift, factor), names = _split_model(model)
-    rows = training_inputs(regressor.posterior_)
-    rows = rows[:: -(-len(rows) // N_SAMPLES)]
-    posterior, scale = regressor.posterior_, regressor.scale_
+    parts = _split_model(model)
+    rows = parts.samples(N_SAMPLES)
+    pairs = list(combinations(range(len(parts.names)), 2))
+    shares = _shares(parts, rows, pairs)
+    strongest = {}
+    for k, output in enumerate(parts.regressor.output_names_):
+        order = np.argsort(-shares[:, k], kind="stable")[:N_INTERACTIONS]
+        strongest[str(output)] = [
+            _interaction(parts, rows, pairs[n], k, float(shares[n, k])) for n in order
+        ]
+    return strongest
+
+
+def _shares(parts: _Parts, rows: Matrix, pairs: list[tuple[int, int]]) -> Matrix:
+    """Return the root mean square over the rows of the interaction of pairs, (n_pairs, P)."""
     centre = rows.mean(axis=0)
 
-    def moved(columns):
+    def moved(*columns: int) -> Matrix:
+        """Return the mean with some regressors as in the rows, the others at their centre."""
         points = np.tile(centre, (len(rows), 1))
         points[:, columns] = rows[:, columns]
-        return posterior.predict(points)
+        return parts.posterior.predict(points)
 
-    alone = [moved([k]) for k in range(len(names))]
-    origin = posterior.predict(centre[None])
-    pairs = list(combinations(range(len(names)), 2))
-    sizes = np.zeros((len(pairs), len(scale)))
-    for row, (i, j) in zip(sizes, pairs, strict=True):
-        row[:] = np.sqrt(np.mean((moved([i, j]) - alone[i] - alone[j] + origin) ** 2, axis=0))
-    found = {}
-    for k, output in enumerate(regressor.output_names_):
-        strongest = np.argsort(-sizes[:, k], kind="stable")[:most]
-        found[str(output)] = [
-            _interaction(
-                posterior, rows, pairs[n], k, n_grid, names, shift, factor, scale[k]
-            )._replace(share=float(sizes[n, k] * scale[k]))
-            for n in strongest
-        ]
-    return found
+    alone = [moved(k) for k in range(len(centre))]
+    origin = parts.posterior.predict(centre[None])
+    shares = np.zeros((len(pairs), len(parts.scale)))
+    for n, (i, j) in enumerate(pairs):
+        term = moved(i, j) - alone[i] - alone[j] + origin
+        shares[n] = np.sqrt(np.mean(term**2, axis=0))
+    return shares * parts.scale
 
 
-def _interaction(posterior, rows, pair, output, n_grid, names, shift, factor, scale) -> Interaction:
+def _interaction(
+    parts: _Parts, rows: Matrix, pair: tuple[int, int], output: int, share: float
+) -> Interaction:
     """Return how an output moves with the first of two regressors at two values of the second."""
     first, second = pair
     low, high = np.quantile(rows[:, first], RANGE)
-    grid = np.linspace(low, high, n_grid)
-    levels = np.quantile(rows[:, second], LEVELS)
-    points = np.tile(rows.mean(axis=0), (2, n_grid + 1, 1))
-    points[:, 1:, first] = grid  # the first row of each level is the origin of its curve
-    points[:, :, second] = levels[:, None]
-    flat = points.reshape(-1, points.shape[2])
-    n = len(flat)
-    mean = posterior.predict(flat)[:, output].reshape(2, -1)
-    block = slice(output * n, (output + 1) * n)
-    cov = posterior.covariance(flat)[block, block].reshape(2, n_grid + 1, 2, n_grid + 1)
-    cov = np.stack([cov[0, :, 0], cov[1, :, 1]])
-    variance = np.einsum("lnn->ln", cov) + cov[:, :1, 0] - 2 * cov[:, :, 0]
-    units = shift + factor * points
+    points = np.tile(rows.mean(axis=0), (2, N_LEVEL_GRID + 1, 1))
+    points[:, 1:, first] = np.linspace(low, high, N_LEVEL_GRID)  # behind the origin of the curve
+    points[:, :, second] = np.quantile(rows[:, second], LEVELS)[:, None]
+    mean = np.empty((2, N_LEVEL_GRID))
+    variance = np.empty((2, N_LEVEL_GRID))
+    for level in range(2):
+        value = parts.posterior.predict(points[level])[:, output]
+        block = slice(output * (N_LEVEL_GRID + 1), (output + 1) * (N_LEVEL_GRID + 1))
+        cov = parts.posterior.covariance(points[level])[block, block]
+        mean[level] = value[1:] - value[0]
+        variance[level] = np.diagonal(cov)[1:] + cov[0, 0] - 2 * cov[1:, 0]
+    units = parts.in_units(points)
+    scale = parts.scale[output]
     return Interaction(
-        regressors=(names[first], names[second]),
+        regressors=(parts.names[first], parts.names[second]),
         at=units[0, 1:, first],
         levels=units[:, 0, second],
-        mean=scale * (mean - mean[:, :1])[:, 1:].T,
-        std=scale * np.sqrt(np.maximum(variance, 0.0))[:, 1:].T,
-        share=np.nan,
+        mean=scale * mean.T,
+        std=scale * np.sqrt(np.maximum(variance, 0.0)).T,
+        share=share,
     )
 
 
-def _split_model(model):
-    """Return the regressor, the steps before it, shift and scale of the scalers at their end, the regressors' names."""
+class _Parts(NamedTuple):
+    """Regressor of a model, the steps before it, and the scaling to the units before the scalers at their end."""
+
+    regressor: DependentGPRegressor
+    before: list[Any]
+    names: list[str]
+    shift: Vector
+    factor: Vector
+
+    @property
+    def posterior(self) -> Any:
+        """The posterior of the scaled outputs."""
+        return self.regressor.posterior_
+
+    @property
+    def scale(self) -> Vector:
+        """The scales of the outputs (P,)."""
+        return self.regressor.scale_
+
+    def samples(self, most: int) -> Matrix:
+        """Return at most so many rows of the training data."""
+        rows = training_inputs(self.posterior)
+        return rows[:: -(-len(rows) // most)]
+
+    def in_units(self, points: Array) -> Array:
+        """Return regressors (..., d) in the units before the scalers."""
+        return self.shift + self.factor * points
+
+
+def _split_model(model: Any) -> _Parts:
+    """Return the parts of a regressor, or of a pipeline that ends in one."""
     steps = [step for _, step in model.steps] if isinstance(model, Pipeline) else [model]
     regressor = steps.pop()
     if not isinstance(regressor, DependentGPRegressor):
         raise TypeError(
-            f"Got {type(regressor).__name__}, but expected a fitted DependentGPRegressor, or a "
-            f"pipeline that ends in one."
+            f"Got {type(regressor).__name__}, but expected a fitted "
+            "DependentGPRegressor, or a pipeline that ends in one."
         )
     check_is_fitted(regressor)
     names = regressor._regressor_names()
-    steps = [step for step in steps if step not in (None, "passthrough")]
     d = len(names)
-    scalers = list(takewhile(lambda step: not scaling_of([step], d)[2], reversed(steps)))[::-1]
+    steps = [step for step in steps if step not in (None, "passthrough")]
+    scalers: list[Any] = []
+    for step in reversed(steps):
+        _, _, others = scaling_of([step], d)
+        if others:
+            break
+        scalers.insert(0, step)
     if scalers:
         names = list(map(str, getattr(scalers[0], "feature_names_in_", names)))
-    return regressor, steps, scaling_of(scalers, d)[:2], names
+    shift, factor, _ = scaling_of(scalers, d)
+    return _Parts(regressor, steps, names, shift, factor)
 
 
-def _name(columns, names):
-    """Return the name of the term of some regressors; empty for a constant."""
-    return JOINT if len(columns) == len(names) > 1 else ", ".join(names[k] for k in columns)
+def _name(columns: tuple[int, ...], names: list[str]) -> str:
+    """Return the name of the term of some regressors."""
+    if len(columns) == len(names) > 1:
+        return JOINT
+    return ", ".join(names[k] for k in columns)
 
 
 N_EFFECTS = 4  # regressors shown for each output: those whose effects vary most over the samples
@@ -325,11 +372,11 @@ class EffectsDisplay(Display):
     @property
     def keys(self) -> list[tuple[str, str | int]]:
         """Output and regressor, or output and number of an interaction."""
-        return [
-            (output, key)
-            for output in map(str, self.importance)
-            for key in (*self._largest(output), *range(len(self.interactions.get(output, ()))))
-        ]
+        keys: list[tuple[str, str | int]] = []
+        for output in map(str, self.importance):
+            keys += [(output, name) for name in self._largest(output)]
+            keys += [(output, k) for k in range(len(self.interactions.get(output, ())))]
+        return keys
 
     @property
     def n_columns(self) -> int:
@@ -369,20 +416,22 @@ class EffectsDisplay(Display):
             quantiles, np.full(len(quantiles), 0.03), "|", label="samples", color=ROLES["measured"],
             markersize=4, markeredgewidth=0.5, transform=ax.get_xaxis_transform(),
         )  # fmt: skip
-        shown = [self.curves[each] for each in self._largest(output)]
-        top = max(np.abs(each.mean[:, k]).max() + BAND * each.std[:, k].min() for each in shown)
+        top = 0.0
+        for name_of_row in self._largest(output):  # on one scale
+            shown = self.curves[name_of_row]
+            top = max(top, np.abs(shown.mean[:, k]).max() + BAND * shown.std[:, k].min())
         ax.set_ylim(-1.08 * top, 1.08 * top)
         ax.set_xlabel(axis_label(name))
 
-    def _draw_interaction(self, ax, found):
-        first, second = found.regressors
-        factor = display_unit(first)[0]
-        times, unit = display_unit(second)
+    def _draw_interaction(self, ax: Any, interaction: Interaction) -> None:
+        first, second = interaction.regressors
+        factor, _ = display_unit(first)
+        level_factor, unit = display_unit(second)
+        at = factor * interaction.at
         for k, color in enumerate((PALETTE["blue"], PALETTE["vermillion"])):
-            label = f"{symbol(second)} = {times * found.levels[k]:.3g} {unit}".rstrip()
-            draw_curve(
-                ax, factor * found.at, found.mean[:, k], found.std[:, k], label, color, color
-            )
+            level = level_factor * interaction.levels[k]
+            label = f"{symbol(second)} = {level:.3g} {unit}".rstrip()
+            draw_curve(ax, at, interaction.mean[:, k], interaction.std[:, k], label, color, color)
         ax.set_xlabel(axis_label(first))
         lines = [line for line in ax.lines if not line.get_label().startswith("_")]
         ax.legend(handles=lines, frameon=False, fontsize="small")

@@ -27,7 +27,6 @@ LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity,
 LEVEL = 0.95
 MAX_BAND = 0.6  # largest part of the lines' range by which a band widens the vertical axis
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
-VALUES = ("measured", "mean", "truth", "lower", "upper")
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 
 
@@ -90,37 +89,51 @@ class TimeHistoryDisplay(Display):
 
     def residuals(self) -> Self:
         """Return the display of everything less the estimate."""
-        arrays = {name: getattr(self, name) for name in VALUES}
-        less = {name: values - self.mean for name, values in arrays.items() if values is not None}
-        return replace(self, suffix=" less estimate", **less)
+        if self.mean is None:
+            raise ValueError(
+                "Got a display without an estimate, but expected one: nothing to subtract."
+            )
+        mean = self.mean
+
+        def less(values: Matrix | None) -> Matrix | None:
+            return None if values is None else values - mean
+
+        return replace(
+            self,
+            suffix=" less estimate",
+            measured=less(self.measured),
+            mean=less(mean),
+            truth=less(self.truth),
+            lower=less(self.lower),
+            upper=less(self.upper),
+        )
 
     def draw(self, ax: Any, key: str) -> None:
         """Draw the lines and the band of a name."""
         k = self.names.index(key)
-        factor = display_unit(key)[0]
+        factor, _ = display_unit(key)
         starts = segment_starts(self.time, self.window)
+
+        def line(label: str, values: Matrix | None, **style: Any) -> None:
+            if values is not None:
+                time, points = line_points(self.time, factor * values[:, k], starts)
+                # samples between gaps, which a line alone does not show
+                alone = _lone_points(points)
+                marker = "." if alone else None
+                ax.plot(
+                    time, points, label=label, marker=marker, markersize=3, markevery=alone, **style
+                )
+
         if self.lower is not None and self.upper is not None:
-            lower = factor * self.lower[:, k]
-            band = band_points(self.time, lower, factor * self.upper[:, k], starts)
+            band = band_points(
+                self.time, factor * self.lower[:, k], factor * self.upper[:, k], starts
+            )
             ax.fill_between(
                 *band, label="95 % band", color=ROLES["band"], alpha=0.35, linewidth=0.6, zorder=2.2
             )
-        lines = {
-            "measured": (self.measured, {"color": ROLES["measured"], "linewidth": 1.4}),
-            "truth": (self.truth, {"color": ROLES["truth"], "linewidth": 0.9, "linestyle": "--"}),
-            self.estimate: (
-                self.mean,
-                {"color": ROLES["mean"], "linewidth": 0.8, "zorder": 2.3},
-            ),
-        }
-        for label, (values, style) in lines.items():
-            if values is not None:
-                points = line_points(self.time, factor * values[:, k], starts)
-                finite = np.pad(np.isfinite(points[1]), 1)
-                # samples between gaps, which a line alone does not show
-                alone = np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
-                marker = {"marker": "." if alone else None, "markersize": 3, "markevery": alone}
-                ax.plot(*points, label=label, **marker, **style)
+        line("measured", self.measured, color=ROLES["measured"], linewidth=1.4)
+        line("truth", self.truth, color=ROLES["truth"], linewidth=0.9, linestyle="--")
+        line(self.estimate, self.mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3)
         if self.measured is not None:  # else the band is what the figure shows
             _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
@@ -216,26 +229,27 @@ class TimeHistoryDisplay(Display):
         check_columns(trajectories, ["time", *names], what="trajectory")
         if "start" in trajectories and trajectories["start"].nunique() > 1:
             raise ValueError(
-                f"Got trajectories of {trajectories['start'].nunique()} starts, but expected those "
-                f"of one: trajectories[trajectories['start'] == 0]."
+                f"Got trajectories of {trajectories['start'].nunique()} starts, but "
+                "expected those of one: trajectories[trajectories['start'] == 0]."
             )
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
-        single = trajectories if n_paths == 1 else mean
-        lower = upper = middle = None
-        if n_paths > 1:
+        line: Any = None
+        lower = upper = None
+        estimate = "simulated"
+        if n_paths == 1:
+            line = _unwrapped(trajectories, names)
+        else:
             bands = trajectory_bands(trajectories, LEVEL, names)
-            middle, lower, upper = (
-                bands[[f"{name}{end}" for name in names]].to_numpy()
-                for end in ("", "_low", "_high")
-            )
-        line: Any = middle
-        if single is not None:
-            line = single[names].to_numpy(float, copy=True)
-            for k in (k for k, name in enumerate(names) if name in EULER):
-                line[:, k] = unwrapped_paths(line[None, :, k])[0]
-                if middle is not None:  # in the same turn as the band
-                    line[:, k] += 2 * np.pi * np.round((middle[0, k] - line[0, k]) / (2 * np.pi))
+            lower = bands[[f"{name}_low" for name in names]].to_numpy()
+            upper = bands[[f"{name}_high" for name in names]].to_numpy()
+            median = bands[names].to_numpy()
+            if mean is None:
+                line = median
+                estimate = "median of the paths"
+            else:
+                line = _unwrapped(mean, names)
+                line += _turns(names, median[0], line[0])
         beyond = None
         if "beyond" in trajectories:
             beyond = (trajectories["beyond"] != "").to_numpy().reshape(n_paths, -1).mean(axis=0)
@@ -247,7 +261,7 @@ class TimeHistoryDisplay(Display):
             upper=upper,
             measured=None if flown is None else _interpolated(flown, time, names, line[0]),
             beyond=beyond,
-            estimate="median of the paths" if single is None else "simulated",
+            estimate=estimate,
         ).plot(ax)
 
     @classmethod
@@ -264,18 +278,39 @@ class TimeHistoryDisplay(Display):
         ).plot(ax)
 
 
+def _lone_points(values: Vector) -> list[int]:
+    """Return the points that have no finite neighbour."""
+    finite = np.pad(np.isfinite(values), 1)
+    return np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
+
+
+def _unwrapped(table: pd.DataFrame, names: list[str]) -> Matrix:
+    """Return columns (n, k), angles without jumps."""
+    values = table[names].to_numpy(float, copy=True)
+    for k, name in enumerate(names):
+        if name in EULER:
+            values[:, k] = unwrapped_paths(values[None, :, k])[0]
+    return values
+
+
+def _turns(names: list[str], wanted: Vector, found: Vector) -> Vector:
+    """Return the multiples of a turn that bring angles within half a turn of the wanted ones; 0 of other columns."""
+    is_angle = np.isin(names, EULER)
+    return np.where(is_angle, 2 * np.pi * np.round((wanted - found) / (2 * np.pi)), 0.0)
+
+
 def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:
     """Return a flight at times, its angles without jumps, within half a turn of the simulated ones at the start."""
     check_columns(flown, ["time", *names], what="flown")
     clock = flown["time"].to_numpy(float)
     columns = []
-    for name, first in zip(names, start, strict=True):
+    for name in names:
         column = flown[name].to_numpy(float)
-        column = np.unwrap(column) if name in EULER else column
-        column = np.interp(time, clock, column, left=np.nan, right=np.nan)
-        turns = np.round((first - column[0]) / (2 * np.pi)) if name in EULER else 0.0
-        columns.append(column + 2 * np.pi * turns)
-    return np.stack(columns, axis=-1)
+        if name in EULER:
+            column = np.unwrap(column)
+        columns.append(np.interp(time, clock, column, left=np.nan, right=np.nan))
+    values = np.stack(columns, axis=-1)
+    return values + _turns(names, start, values[0])
 
 
 def _fit_to_lines(ax: Any) -> None:

@@ -8,23 +8,15 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from sklearn import get_config
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from skdgp._compute.sklearn_compat import (
-    check_feature_names_in,
-    fit_context,
-    output_container,
-    set_output_container,
-)
+from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.checks import check_table, numeric
 
 
-class TableTransformer(  # type: ignore[call-arg]
-    TransformerMixin, BaseEstimator, ABC, auto_wrap_output_keys=None
-):
+class TableTransformer(TransformerMixin, BaseEstimator, ABC):
     """Base of transformers that read named columns of a flight table and add or choose others.
 
     Only the columns that the transformer reads must be present, in any order; others pass through,
@@ -46,23 +38,13 @@ class TableTransformer(  # type: ignore[call-arg]
     def transform(self, X: Any) -> Any:
         """Return the transformed flight table X, with its index."""
         check_is_fitted(self)
-        return self._as_output(self._transform_table(self._as_table(as_pandas(X))))
+        return self._transform_table(self._as_table(as_pandas(X)))
 
     def get_feature_names_out(self, input_features: Any = None) -> np.ndarray:
         """Return the column names of the transformed table; ``input_features`` must equal ``feature_names_in_``."""
         check_is_fitted(self)
         names = check_feature_names_in(self, input_features)
         return np.asarray(self._columns_out(list(names)), dtype=object)
-
-    def set_output(self, *, transform: str | None = None) -> Self:
-        """Set the container of transformed tables: "default", "pandas" or "polars"; None changes nothing."""
-        if transform not in (None, "default", "pandas", "polars"):
-            raise ValueError(
-                f"Got transform={transform!r}, but expected 'default', 'pandas' or 'polars'."
-            )
-        if transform is not None:
-            set_output_container(self, transform)
-        return self
 
     @abstractmethod
     def _fit_table(self, table: pd.DataFrame) -> None:
@@ -91,13 +73,6 @@ class TableTransformer(  # type: ignore[call-arg]
                 f"{type(self).__name__} expected at least one of {names}. Rename yours; "
                 f"docs/notation.md lists every name with its unit."
             )
-
-    def _as_output(self, result: pd.DataFrame) -> Any:
-        if output_container(self, get_config()["transform_output"]) != "polars":
-            return result
-        import polars
-
-        return polars.DataFrame({name: result[name].to_numpy() for name in result.columns})
 
     def __sklearn_tags__(self):
         tags = super().__sklearn_tags__()

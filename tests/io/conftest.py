@@ -38,6 +38,16 @@ def ulog_keyed(kind, key, payload):
     return ulog_message(kind, bytes([len(key)]) + key.encode() + payload)
 
 
+def typed(field, n):
+    """Return the type of a field of a ULog and its values, (n,) or (n, k): truth values, or numbers."""
+    if isinstance(field, tuple):
+        return field
+    values = np.asarray(field)
+    values = np.broadcast_to(values, values.shape or n)
+    kind = "bool" if values.dtype == bool else "float"
+    return (f"{kind}[{values.shape[1]}]" if values.ndim > 1 else kind), values
+
+
 class ULogWriter:
     """Collects definitions and data messages; ``bytes()`` puts them in order of time."""
 
@@ -57,7 +67,8 @@ class ULogWriter:
         self.subscriptions, self.data, self.formats = [], [], set()
 
     def topic(self, name, time, *, instance=0, **fields):
-        """Add a topic; field types by suffix, as in ``q=("float[4]", values (n, 4))``."""
+        """Add a topic; a field is numbers, (n, k), (n,) or one, or with its type ``("float[4]", values)``."""
+        fields = {key: typed(value, len(time)) for key, value in fields.items()}
         if name not in self.formats:
             self.formats.add(name)
             layout = "".join(f"{kind} {field};" for field, (kind, _) in fields.items())
@@ -222,21 +233,16 @@ def px4(flight):
         t, made = f.time(rate, delay=delay), {}
         for key, value in fields.items():
             if isinstance(value, str):
-                n = len(value.split())
-                made[key] = f"float[{n}]" if n > 1 else "float", f.at(t, *value.split()) * factor
+                values = f.at(t, *value.split()) * factor
+                made[key] = values if " " in value else values[:, 0]
             else:
                 made[key] = value(t)
         w.topic(name, t, **made)
 
     valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), always("bool", True))
-    attitude = {"q": lambda t: ("float[4]", quaternion(f.at(t, "phi", "theta", "psi")))}
-    pulses = {
-        "output": lambda t: (
-            "float[4]",
-            1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder"),
-        )
-    }
-    indicated = {"indicated_airspeed_m_s": lambda t: ("float", 0.9 * f.at(t, "airspeed"))}
+    attitude = {"q": lambda t: quaternion(f.at(t, "phi", "theta", "psi"))}
+    pulses = {"output": lambda t: 1500 + 1000 * f.at(t, "aileron", "elevator", "rudder", "rudder")}
+    indicated = {"indicated_airspeed_m_s": lambda t: 0.9 * f["airspeed"](t)}
     position = {
         "x": "north",
         "y": "east",

@@ -1,14 +1,15 @@
 """Logs of autopilots into flight tables: every channel comes back, in SI, on one clock, with the signs of a table."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from skdgp._flight.channels import CHANNELS
-from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight
-from skdgp.io import _dataflash as dataflash
-from skdgp.io import _ulog as ulog
+from skdgp.io import AUTOPILOTS, EQUIVALENT, QUATERNION, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
+NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 SURFACES = ("aileron", "elevator", "rudder")
 POINTS = [[1000, -0.5], [2000, 0.5]]
 PX4_SERVOS = {
@@ -93,15 +94,13 @@ class TestChoices:
         return 1.0 + np.arange(n) / rate
 
     def gyro(self, log, t):
-        return log.topic(
-            "vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([np.sin(t), t, t]))
-        )
+        return log.topic("vehicle_angular_velocity", t, xyz=np.column_stack([np.sin(t), t, t]))
 
     def test_a_slow_source_gives_way_to_a_fast_one(self, write, ulog):
         t, slow = self.time(), self.time(1.0, 12)
         log = self.gyro(ulog(), t)
-        log.topic("airspeed_validated", slow, true_airspeed_m_s=("float", np.full(12, 30.0)))
-        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(600, 20.0)))
+        log.topic("airspeed_validated", slow, true_airspeed_m_s=30.0)
+        log.topic("airspeed", t, true_airspeed_m_s=20.0)
         assert read_flight(write("a.ulg", log), airborne=False).airspeed.median() == 20.0
 
     def test_samples_that_are_not_valid_are_missing(self, write, ulog):
@@ -111,8 +110,8 @@ class TestChoices:
         log.topic(
             "vehicle_local_position",
             t,
-            vx=("float", np.sin(t)),
-            vy=("float", np.cos(t)),
+            vx=np.sin(t),
+            vy=np.cos(t),
             v_xy_valid=("bool", valid),
         )
         table = read_flight(write("a.ulg", log), airborne=False)
@@ -124,16 +123,14 @@ class TestChoices:
     def test_another_instance_where_the_first_is_not_there(self, write, ulog):
         t = self.time()
         log = ulog().topic(
-            "vehicle_angular_velocity", t, instance=2, xyz=("float[3]", np.column_stack([t, t, t]))
+            "vehicle_angular_velocity", t, instance=2, xyz=np.column_stack([t, t, t])
         )
         table = read_flight(write("a.ulg", log), airborne=False)
         assert table.attrs["sources"]["p"].startswith("vehicle_angular_velocity#2.")
 
     def test_density_of_the_standard_atmosphere_where_only_altitude_is_known(self, write, ulog):
         t = self.time()
-        log = self.gyro(ulog(), t).topic(
-            "vehicle_global_position", t, alt=("float", np.full(600, 1000.0))
-        )
+        log = self.gyro(ulog(), t).topic("vehicle_global_position", t, alt=1000.0)
         table = read_flight(write("a.ulg", log), airborne=False)
         assert table.density.median() == pytest.approx(1.1117, abs=2e-4)
         assert "standard atmosphere" in table.attrs["sources"]["density"]
@@ -141,7 +138,7 @@ class TestChoices:
     def test_what_no_aircraft_can_feel_is_not_taken(self, write, ulog):
         t = self.time()
         log = self.gyro(ulog(), t)
-        log.topic("vehicle_acceleration", t, xyz=("float[3]", np.full((600, 3), 5000.0)))
+        log.topic("vehicle_acceleration", t, xyz=np.full((600, 3), 5000.0))
         with pytest.warns(FlightDataWarning, match=r"cannot be ax, ay, az: 100 % is impossible"):
             table = read_flight(write("a.ulg", log), airborne=False)
         assert "ax" not in table
@@ -154,7 +151,7 @@ class TestChoices:
             "vehicle_angular_velocity",
             t,
             **late,
-            xyz=("float[3]", np.column_stack([np.sin(t - 0.04)] * 3)),
+            xyz=np.column_stack([np.sin(t - 0.04)] * 3),
         )
         log.topic("actuator_motors", t, **late, control=("float[1]", np.sin(t) ** 2))
         table = read_flight(write("a.ulg", log), airborne=False).iloc[10:-10]
@@ -164,7 +161,7 @@ class TestChoices:
     def test_the_servo_file_is_believed_before_the_rules(self, write, ulog):
         t = self.time()
         log = self.gyro(ulog(), t).topic(
-            "actuator_motors", t, control=("float[2]", np.column_stack([0 * t, 0 * t + 0.7]))
+            "actuator_motors", t, control=np.column_stack([0 * t, 0 * t + 0.7])
         )
         servos = {"throttle": {"channel": "actuator_motors.control[1]", "points": [[0, 0], [1, 1]]}}
         assert read_flight(
@@ -175,9 +172,9 @@ class TestChoices:
 class TestFlights:
     def log(self, ulog, airspeed, t, **parameters):
         log = ulog(**parameters).topic(
-            "vehicle_angular_velocity", t, xyz=("float[3]", np.column_stack([t, t, t]) % 1)
+            "vehicle_angular_velocity", t, xyz=np.column_stack([t, t, t]) % 1
         )
-        return log.topic("airspeed", t, true_airspeed_m_s=("float", airspeed))
+        return log.topic("airspeed", t, true_airspeed_m_s=airspeed)
 
     def test_stretches_in_the_air_become_flights(self, write, ulog):
         t = np.arange(0, 120, 0.05)
@@ -202,9 +199,9 @@ class TestFlights:
     def test_rows_at_the_ends_that_lack_a_slow_channel_are_left_out(self, write, ulog):
         t = np.arange(0, 60, 0.05)
         log = self.log(ulog, np.full(t.size, 20.0), t)
-        log.topic("rpm", t[14:-3:10], indicated_frequency_rpm=("float", t[14:-3:10]))
+        log.topic("rpm", t[14:-3:10], indicated_frequency_rpm=t[14:-3:10])
         log.topic(
-            "airflow_aoa", t[500:], aoa_rad=("float", t[500:] / 100)
+            "airflow_aoa", t[500:], aoa_rad=t[500:] / 100
         )  # a vane that comes later is no reason
         table = read_flight(write("log.ulg", log))
         assert table.propeller_speed.notna().all()
@@ -228,7 +225,7 @@ class TestFlights:
         t = np.arange(0, 60, 0.05)
         log = self.log(ulog, np.full(t.size, 20.0), t)
         log.topic("vehicle_land_detected", [0.0, 10.0], landed=("bool", [1, 0]))
-        log.topic("vehicle_local_position", t, z=("float", -100.0 - 0.2 * np.maximum(t - 20, 0)))
+        log.topic("vehicle_local_position", t, z=-100.0 - 0.2 * np.maximum(t - 20, 0))
         assert read_flight(write("log.ulg", log)).time.min() == pytest.approx(22.5, abs=0.1)
 
     def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, write, ulog):
@@ -252,8 +249,8 @@ class TestFlights:
 class TestRefusals:
     def test_a_bench_log(self, write, ulog):
         t = np.arange(0, 30, 0.02)
-        log = ulog().topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
-        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 0.5)))
+        log = ulog().topic("vehicle_angular_velocity", t, xyz=np.zeros((t.size, 3)))
+        log.topic("airspeed", t, true_airspeed_m_s=0.5)
         with pytest.raises(
             FlightReadError,
             match=r"airspeed never stays above 8 m/s in the air \(highest 0.5 m/s\)",
@@ -261,7 +258,7 @@ class TestRefusals:
             read_flight(write("bench.ulg", log))
 
     def test_nothing_of_a_flight(self, write, ulog):
-        log = ulog().topic("cpuload", np.arange(0, 30, 0.02), load=("float", np.zeros(1500)))
+        log = ulog().topic("cpuload", np.arange(0, 30, 0.02), load=np.zeros(1500))
         with pytest.raises(FlightReadError, match=r"no message of a flight.*log these topics"):
             read_flight(write("log.ulg", log))
 
@@ -292,17 +289,17 @@ class TestWithoutAnAccelerometer:
         half = np.stack([np.cos(psi / 2), np.sin(psi / 2)])
         q = np.stack([half[0] * np.cos(phi / 2), half[0] * np.sin(phi / 2)], axis=1)
         q = np.column_stack([q, half[1] * np.sin(phi / 2), half[1] * np.cos(phi / 2)])
-        log = ulog().topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, speed)))
-        log.topic("vehicle_angular_velocity", t, xyz=("float[3]", np.zeros((t.size, 3))))
-        log.topic("vehicle_attitude", t, q=("float[4]", q))
+        log = ulog().topic("airspeed", t, true_airspeed_m_s=speed)
+        log.topic("vehicle_angular_velocity", t, xyz=np.zeros((t.size, 3)))
+        log.topic("vehicle_attitude", t, q=q)
         velocity = {"vx": speed * np.cos(psi), "vy": speed * np.sin(psi), "vz": np.zeros(t.size)}
         log.topic(
             "vehicle_local_position",
             t,
-            **{name: ("float", each) for name, each in velocity.items()},
+            **velocity,
         )
         for name, values in accelerometer.items():
-            log.topic(name, t, xyz=("float[3]", np.broadcast_to(values, (t.size, 3))))
+            log.topic(name, t, xyz=np.broadcast_to(values, (t.size, 3)))
         return log, 9.80665 / np.cos(phi)
 
     def test_specific_force_is_that_of_velocity_and_attitude(self, write, ulog):
@@ -322,13 +319,15 @@ class TestWithoutAnAccelerometer:
 
 
 class TestRules:
-    def test_columns_are_words_of_the_vocabulary(self):
-        for rule in (*ulog.RULES, *dataflash.RULES):
-            assert set(rule.columns) <= {*CHANNELS, *QUATERNION, EQUIVALENT}, rule.topic
-            assert np.shape(rule.convert(np.ones((3, len(rule.fields))))) == (
-                3,
-                len(rule.columns),
-            ), rule.topic
+    @pytest.mark.parametrize("suffix", [".ulg", ".bin", ".tlog"])
+    def test_columns_are_words_of_the_vocabulary(self, suffix, px4, ardupilot, tlog, tmp_path):
+        path = tmp_path / f"log{suffix}"
+        path.write_bytes({".ulg": px4, ".bin": ardupilot, ".tlog": b"".join(tlog)}[suffix])
+        known = set(re.findall(r"`(\w+)`", NOTATION.read_text(encoding="utf-8")))
+        for rule in AUTOPILOTS[suffix](path).rules:
+            assert set(rule.columns) <= known | {*QUATERNION, EQUIVALENT}, rule.topic
+            converted = rule.convert(np.ones((3, len(rule.fields))))
+            assert np.shape(converted) == (3, len(rule.columns)), rule.topic
 
 
 @pytest.mark.shared
@@ -439,7 +438,7 @@ def test_signs_of_quaternions_do_not_matter(tmp_path, ulog):
     half = 0.1 * time
     signs = np.random.default_rng(1).choice([-1.0, 1.0], (600, 1))
     q = signs * np.column_stack([np.cos(half), np.sin(half), 0 * half, 0 * half])
-    log = ulog().topic("vehicle_attitude", time, q=("float[4]", q))
+    log = ulog().topic("vehicle_attitude", time, q=q)
     (tmp_path / "log.ulg").write_bytes(bytes(log))
     table = read_flight(tmp_path / "log.ulg", airborne=False)
     np.testing.assert_allclose(table["phi"], 0.2 * table["time"], atol=1e-3)

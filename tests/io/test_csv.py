@@ -78,7 +78,7 @@ CASES = {
     ),
     "both decimal marks": (
         ["time;altitude\n0.00;1,200\n0.02;1,201\n"],
-        "'1,200' with a decimal comma and '0.00' with",
+        "'1,200' in column 'altitude' .* one decimal mark",
     ),
     "separators of thousands": (
         ['time,altitude\n0,"1,200"\n0.02,"1,201"\n', "time;altitude\n0,00;1.200,5\n0,02;1.201,5\n"],

@@ -26,7 +26,7 @@ def whole(tmp_path, px4):
 def quad(tmp_path, ulog):
     t = np.arange(0, 20, 0.02)
     log = ulog(MAV_TYPE=2).topic(
-        "vehicle_angular_velocity", t, xyz=("float[3]", np.sin(np.column_stack([t, t, t])))
+        "vehicle_angular_velocity", t, xyz=np.sin(np.column_stack([t, t, t]))
     )
     (tmp_path / "quad.ulg").write_bytes(bytes(log))
     return tmp_path / "quad.ulg"

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from skdgp.design import Wavetrain, ardupilot_script, doublet
-from skdgp.io import FlightReadError, read_flight, read_servos
-from skdgp.io._autopilot import read_log
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight, read_servos
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
 
@@ -111,19 +110,19 @@ class TestFullThrow:
             3: (16, 0, 0, 1.0),
         }  # the last: a wheel
         log = ulog(**parameters_of(types)).topic(
-            "actuator_servos", [0.1, 0.2], control=("float[4]", np.zeros((2, 4)))
+            "actuator_servos", [0.1, 0.2], control=np.zeros((2, 4))
         )
         (tmp_path / "log.ulg").write_bytes(bytes(log))
-        mixing = read_log(tmp_path / "log.ulg").controls
+        mixing = AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
         assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
 
     def test_elevons_of_px4_take_nothing_from_a_fixed_mixer(self, tmp_path, ulog):
         log = ulog(**parameters_of({0: (5, -0.5, 0.5, 0), 1: (6, 0.5, 0.5, 0)}))
-        log.topic("actuator_servos", [0.1, 0.2], control=("float[2]", np.zeros((2, 2))))
-        log.topic("actuator_controls_0", [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+        log.topic("actuator_servos", [0.1, 0.2], control=np.zeros((2, 2)))
+        log.topic("actuator_controls_0", [0.1, 0.2], control=np.zeros((2, 4)))
         (tmp_path / "log.ulg").write_bytes(bytes(log))
-        assert {*read_log(tmp_path / "log.ulg").controls} == {"aileron", "elevator"}
+        assert {*AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls} == {"aileron", "elevator"}
 
     def test_any_mixing_of_px4(self, tmp_path, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
@@ -141,10 +140,8 @@ class TestFullThrow:
         )
         t = np.arange(0, 10, 0.05)
         control = np.tile([-roll, roll, pitch + yaw, pitch - yaw, 0.7], (t.size, 1))
-        log = ulog(**parameters_of(types)).topic(
-            "actuator_servos", t, control=("float[5]", control)
-        )
-        log.topic("airspeed", t, true_airspeed_m_s=("float", np.full(t.size, 20.0)))
+        log = ulog(**parameters_of(types)).topic("actuator_servos", t, control=control)
+        log.topic("airspeed", t, true_airspeed_m_s=20.0)
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         table = read_flight(tmp_path / "log.ulg", servos="full throw")
         found = {name: round(float(table[name].median()), 6) for name in self.COMMANDS}
@@ -179,7 +176,7 @@ class TestFullThrow:
             match=r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)",
         ):
             read_flight(tmp_path / "log.bin", servos="full throw")
-        log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=("float", [1, 2]))
+        log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=[1, 2])
         (tmp_path / "log.ulg").write_bytes(bytes(log))
         with pytest.raises(FlightReadError, match="without parameters that name"):
             read_flight(tmp_path / "log.ulg", servos="full throw")
@@ -189,7 +186,7 @@ def test_reversed_outputs(tmp_path, dataflash):
     log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0)
     log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
     (tmp_path / "log.bin").write_bytes(bytes(log))
-    controls = read_log(tmp_path / "log.bin").controls
+    controls = AUTOPILOTS[".bin"](tmp_path / "log.bin").controls
     ends = {name: servo.angles[-1] for name, ((_, servo),) in controls.items()}
     assert ends == {"elevon_left": 1.0, "elevon_right": -1.0}
 
@@ -206,9 +203,9 @@ def test_reversed_outputs(tmp_path, dataflash):
     ],
 )
 def test_servos_of_px4(tmp_path, ulog, topic, parameters, channel):
-    log = ulog(**parameters).topic(topic, [0.1, 0.2], control=("float[4]", np.zeros((2, 4))))
+    log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))
     (tmp_path / "log.ulg").write_bytes(bytes(log))
-    assert read_log(tmp_path / "log.ulg").controls["elevator"][0][1].channel == channel
+    assert AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls["elevator"][0][1].channel == channel
 
 
 # Signs of the pulses of the log that every column comes from
@@ -240,9 +237,9 @@ def test_the_code_runs(tmp_path, monkeypatch, ulog, flight):
         ("actuator_controls_0", "control", ("aileron", "elevator", "rudder", "throttle")),
     ):
         log.topic(name, t, **{field: (f"float[{len(columns)}]", flight.at(t, *columns))})
-    log.topic("airspeed", t, true_airspeed_m_s=("float", flight["airspeed"](t)))
-    log.topic("vehicle_air_data", t, rho=("float", flight["density"](t)))
-    log.topic("rpm", t, indicated_frequency_rpm=("float", flight["propeller_speed"](t)))
+    log.topic("airspeed", t, true_airspeed_m_s=flight["airspeed"](t))
+    log.topic("vehicle_air_data", t, rho=flight["density"](t))
+    log.topic("rpm", t, indicated_frequency_rpm=flight["propeller_speed"](t))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sortie.ulg").write_bytes(bytes(log))
     names = {}

@@ -7,8 +7,9 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp.plotting import TimeHistoryDisplay
+
+COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 
 
 def outputs(n=200, n_outputs=6, seed=0):

@@ -10,7 +10,6 @@ from scipy.stats import norm
 
 from skdgp import DependentGPRegressor, effects
 from skdgp.plotting import EffectsDisplay
-from skdgp.plotting._effects import interactions
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,8 @@ def test_an_interaction_is_what_effects_do_not_add_up_to(model):
     )
     Y = pd.DataFrame({"CZ": X["r"] + 20 * X["alpha"] * X["q"], "Cm": np.sin(5 * X["r"])})
     joint = DependentGPRegressor(n_latent=0, max_iter=30, random_state=0).fit(X, Y)
-    found = interactions(joint, n_grid=5)
+    display = EffectsDisplay.from_model(joint, ax=False)
+    found = display.interactions
     strongest = found["CZ"][0]
     assert strongest.regressors == ("alpha", "q")
     products = 20 * (X["alpha"] - X["alpha"].mean()) * (X["q"] - X["q"].mean())
@@ -74,11 +74,8 @@ def test_an_interaction_is_what_effects_do_not_add_up_to(model):
     slopes = np.ptp(strongest.mean, axis=0) / np.ptp(strongest.at) * np.sign(strongest.mean[-1])
     assert np.diff(slopes) == pytest.approx(20 * np.diff(strongest.levels), rel=0.15)
     assert (strongest.std >= 0).all()
-    display = EffectsDisplay.from_model(joint, ax=False)
     display.draw(ax := Figure().subplots(), ("CZ", 0))
     _, low, high = ax.lines
-    np.testing.assert_allclose(low.get_ydata(), display.interactions["CZ"][0].mean[:, 0])
+    np.testing.assert_allclose(low.get_ydata(), strongest.mean[:, 0])
     assert high.get_label().startswith("$q$ = ")
     assert len(ax.collections) == 2
-    sums = interactions(model)  # of functions of single regressors, but for the joint process
-    assert set(sums) == {"CZ", "Cm"}

@@ -1,18 +1,31 @@
 """Few points, the same picture."""
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from skdgp.plotting._display import N_SLICES, band_points, line_points, segment_starts
+from skdgp.plotting import TimeHistoryDisplay
+
+N_SLICES = 300  # of a long record, each drawn with its lowest and its highest sample
 
 
-def noisy_record(n=30_000, seed=0):
-    rng = np.random.default_rng(seed)
+def noisy_record(n):
+    rng = np.random.default_rng(0)
     return np.arange(n) / 40.0, np.cumsum(rng.normal(size=n)) + rng.normal(size=n)
+
+
+def drawn(time, values, std=None):
+    """Return the panel of one output, whose estimate is the values."""
+    display = TimeHistoryDisplay.from_predictions(time, values, values, std, ax=Figure())
+    return display.axes_[0, 0]
+
+
+def line(time, values):
+    return drawn(time, values).lines[0].get_data()
 
 
 def test_every_slice_keeps_its_extremes():
     time, values = noisy_record(50 * N_SLICES)
-    t, v = line_points(time, values, segment_starts(time))
+    t, v = line(time, values)
     for slice_ in values.reshape(N_SLICES, -1):
         assert {slice_.min(), slice_.max()} <= set(v)
     assert len(t) <= 2 * N_SLICES
@@ -23,20 +36,25 @@ def test_holes_wide_enough_to_be_seen_break_the_line():
     time = np.arange(3000) / 10.0
     values = np.sin(time)
     values[900:1200] = np.nan
-    _, v = line_points(time, values, np.array([0]))
+    _, v = line(time, values)
     assert np.count_nonzero(np.isnan(v)) == 1
-    assert len(line_points(time, np.full(3000, np.nan), np.array([0]))[1]) == 0
+    _, nothing = line(time, np.full(3000, np.nan))
+    assert len(nothing) == 0
 
 
 def test_a_band_covers_every_interval():
     time, centre = noisy_record(5000)
-    half = 1 + np.abs(np.sin(time))
-    t, low, high = band_points(time, centre - half, centre + half, np.array([0]))
-    covered_low = np.interp(time, t, low)
-    covered_high = np.interp(time, t, high)
-    assert len(t) <= 2 * (N_SLICES + 13)
+    std = 1 + np.abs(np.sin(time))
+    half = 1.959964 * std
+    (area,) = drawn(time, centre, std).collections
+    corners = area.get_paths()[0].vertices
+    top = len(corners) // 2
+    assert top <= 2 * (N_SLICES + 13) + 1
     # Inside a slice the band is the union of its samples' intervals.
-    assert (covered_low <= (centre - half) + 1e-12).all()
-    assert (covered_high >= (centre + half) - 1e-12).all()
-    assert low.min() == (centre - half).min()
-    assert high.max() == (centre + half).max()
+    lower = corners[:top]
+    upper = corners[top:][::-1]
+    low, high = ((centre - half), (centre + half))
+    assert (np.interp(time, *lower[np.argsort(lower[:, 0], kind="stable")].T) <= low + 1e-9).all()
+    assert (np.interp(time, *upper[np.argsort(upper[:, 0], kind="stable")].T) >= high - 1e-9).all()
+    assert corners[:, 1].min() == low.min()
+    assert corners[:, 1].max() == high.max()

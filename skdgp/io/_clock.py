@@ -1,0 +1,212 @@
+"""Clocks of logs: parts between restarts without wrong time stamps, and channels brought to one clock.
+
+Single time stamps may be wrong; the median of neighbouring messages in the file hardly ever is.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import butter, sosfiltfilt
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.clock import GAP
+from skdgp.io._log import Topic
+
+
+@dataclass(frozen=True)
+class StampSettings:
+    """Settings of the search for restarts of a clock and wrong time stamps."""
+
+    # messages of a block, whose median time is compared with the next block's
+    block_size: int = 25
+    # a clock that goes back by more than this was restarted [s]; messages out of order are less late
+    restart_step: float = 5.0
+    # distance of valid stamps from the medians of a part [s]
+    margin: float = 5.0
+    # longest step between medians that widens this margin [s]
+    largest_step: float = 60.0
+
+
+@dataclass(frozen=True)
+class ResamplingSettings:
+    """Settings of the resampling of channels to one clock."""
+
+    filter_order: int = 4
+    # corner of the low-pass in parts of the new rate: gain 1/2 there
+    cutoff: float = 0.4
+    # least ratio of rates of a channel that is low-passed
+    least_ratio: float = 1.2
+    # in pauses longer than both, [s] and [usual steps], the clock has no rows
+    pause_seconds: float = 5.0
+    pause_steps: float = 50.0
+    # larger fractions of gaps are the pauses between bursts; a guess
+    most_gaps: float = 0.05
+
+
+STAMPS = StampSettings()
+RESAMPLING = ResamplingSettings()
+
+
+def clock_parts(
+    topics: dict[str, Topic], settings: StampSettings = STAMPS
+) -> tuple[list[dict[str, Topic]], list[str]]:
+    """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
+    order, time = _in_file_order(topics)
+    edges = [0, *_restarts(time, settings), len(time)]
+    parts = []
+    n_wrong = Counter(dict.fromkeys(topics, 0))
+    n_disordered = 0
+    for first, last in pairwise(edges):
+        low, high = _valid_times(time[first:last], settings)
+        part = {}
+        for name, topic in topics.items():
+            logged = topic.select((topic.order >= order[first]) & (topic.order <= order[last - 1]))
+            valid = logged.select((logged.time >= low) & (logged.time <= high))
+            n_wrong[name] += len(logged) - len(valid)
+            n_disordered += int((np.diff(valid.time) < 0).sum())
+            if len(valid):
+                _, increasing = np.unique(valid.time, return_index=True)
+                part[name] = valid.select(increasing)
+        parts.append(part)
+    remarks = []
+    if len(parts) > 1:
+        steps = [f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4]]
+        remarks.append(
+            f"the clock was set back {len(parts) - 1} times ({', '.join(steps)}): each time a new flight begins"
+        )
+    if n_wrong.total():
+        name, most = n_wrong.most_common(1)[0]
+        remarks.append(
+            f"{n_wrong.total()} of {len(time)} messages have a time that cannot be ({most} of {name})"
+        )
+    if n_disordered:
+        remarks.append(f"{n_disordered} messages stand out of order in time, and were sorted")
+    return parts, remarks
+
+
+def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
+    """Return places in the file and times of all messages, in the order of the file."""
+    order = np.concatenate([topic.order for topic in topics.values()])
+    time = np.concatenate([topic.time for topic in topics.values()])
+    rows = np.argsort(order, kind="stable")
+    return order[rows], time[rows]
+
+
+def _restarts(time: Vector, settings: StampSettings) -> list[int]:
+    """Return the first messages of clocks that were set back."""
+    size = settings.block_size
+    steady = _steady(time, size)
+    restarts = set()
+    for block in np.flatnonzero(np.diff(steady) < -settings.restart_step).tolist():
+        start = max(block - 3, 0) * size
+        window = time[start : (block + 5) * size]
+        middle = (steady[block] + steady[block + 1]) / 2
+        # before the restart messages are later than the middle, behind it earlier
+        balance = np.cumsum(np.where(window > middle, 1, -1))
+        restarts.add(start + int(np.argmax(balance)) + 1)
+    return sorted(restarts - {len(time)})
+
+
+def _valid_times(time: Vector, settings: StampSettings) -> tuple[float, float]:
+    """Return the earliest and the latest time that messages of a part may have."""
+    steady = _steady(time, settings.block_size)
+    step = np.abs(np.diff(steady)).max(initial=0.0)
+    margin = settings.margin + min(step, settings.largest_step)
+    return steady.min() - margin, steady.max() + margin
+
+
+def _steady(time: Vector, block_size: int) -> Vector:
+    """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
+    size = min(block_size, len(time))
+    n_blocks = len(time) // size
+    blocks = time[: n_blocks * size].reshape(n_blocks, size)
+    medians = np.pad(np.median(blocks, axis=1), 2, mode="edge")
+    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and
+    # 1.15.3 returns 0.
+    return np.median(sliding_window_view(medians, 5), axis=1)
+
+
+def usual_step(step: Vector, settings: ResamplingSettings = RESAMPLING) -> float:
+    """Return the usual step of a clock: the median, or the mean where messages come in bursts.
+
+    In bursts, steps longer than gaps are frequent and make up most of the time.
+    """
+    median = np.median(step)
+    gap = step > GAP * median
+    are_bursts = gap.mean() > settings.most_gaps and step[gap].sum() > 0.5 * step.sum()
+    return float(np.mean(step) if are_bursts else median)
+
+
+def uniform_clock(time: Vector, rate: float, settings: ResamplingSettings = RESAMPLING) -> Vector:
+    """Return the multiples of 1 / rate [s] within the runs of a channel."""
+    step = np.diff(time)
+    pause = max(settings.pause_seconds, settings.pause_steps * np.median(step))
+    ticks = []
+    for run in _runs(time, pause):
+        first = np.ceil(time[run][0] * rate - 1e-6)
+        last = np.floor(time[run][-1] * rate + 1e-6)
+        ticks.append(np.arange(first, last + 1))
+    return np.concatenate(ticks) / rate
+
+
+def _runs(time: Vector, gap: float) -> list[slice]:
+    """Return the runs of a channel between steps longer than a gap [s]."""
+    starts = np.flatnonzero(np.diff(time) > gap) + 1
+    edges = [0, *starts.tolist(), len(time)]
+    return [slice(first, last) for first, last in pairwise(edges)]
+
+
+def resample(
+    time: Vector,
+    values: Matrix,
+    clock: Vector,
+    rate: float,
+    settings: ResamplingSettings = RESAMPLING,
+) -> Matrix:
+    """Return channels (n, k), sampled at increasing times (n,) [s], on another clock (m,) of ``rate`` [Hz], (m, k).
+
+    Rows that are not finite count as not sampled; gaps, and rows before the first and after the
+    last sample, are NaN. Each run of samples without a gap (2.5 usual steps) is taken by itself. If
+    it is faster than the new rate it passes a Butterworth low-pass forwards and backwards, which
+    has no delay (Gustafsson 1996, Determining the initial states in forward-backward filtering);
+    then it is interpolated linearly.
+    """
+    result = np.full((len(clock), values.shape[1]), np.nan)
+    sampled = np.isfinite(values).all(axis=1)
+    time = time[sampled]
+    values = values[sampled]
+    if len(time) < 2:
+        return result
+    gap = GAP * usual_step(np.diff(time), settings)
+    tolerance = 1e-6 / rate
+    for run in _runs(time, gap):
+        own = time[run]
+        begin = np.searchsorted(clock, own[0] - tolerance)
+        end = np.searchsorted(clock, own[-1] + tolerance, side="right")
+        if len(own) > 1 and end > begin:
+            passed = _low_passed(own, values[run], rate, settings)
+            result[begin:end] = _interpolated(clock[begin:end], own, passed)
+    return result
+
+
+def _low_passed(time: Vector, values: Matrix, rate: float, settings: ResamplingSettings) -> Matrix:
+    """Return a run without the frequencies that the new rate cannot carry."""
+    n = len(time)
+    old_rate = (n - 1) / (time[-1] - time[0])
+    if old_rate < settings.least_ratio * rate:
+        return values
+    even = np.linspace(time[0], time[-1], n)
+    sections = butter(settings.filter_order, settings.cutoff * rate, fs=old_rate, output="sos")
+    padding = min(n - 1, round(4 * old_rate / rate) + 27)
+    passed = sosfiltfilt(sections, _interpolated(even, time, values), axis=0, padlen=padding)
+    return _interpolated(time, even, passed)
+
+
+def _interpolated(at: Vector, time: Vector, values: Matrix) -> Matrix:
+    """Return columns at other times, by straight lines."""
+    return np.column_stack([np.interp(at, time, column) for column in values.T])

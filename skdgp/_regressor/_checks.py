@@ -224,7 +224,7 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
     _warn(
         f"{n_inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained: "
         f"{remedy}",
-        stacklevel=7,
+        stacklevel=9,
     )
 
 
@@ -292,6 +292,7 @@ def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) 
         "deviations may be too small. Give more rows or minutes of manoeuvres, or name fewer "
         "regressors.",
         FewRowsWarning,
+        stacklevel=7,
     )
 
 
@@ -302,6 +303,7 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
             "The fit was interrupted; the best hyperparameters so far are kept. Fit again to "
             "continue.",
             ConvergenceWarning,
+            stacklevel=7,
         )
     elif not best.converged:
         unscaled = [
@@ -315,12 +317,13 @@ def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None
             f"again the log "
             f"likelihood is expected to rise by {best.remaining:,.0f} nats. Raise max_iter{scale}.",
             ConvergenceWarning,
+            stacklevel=7,
         )
 
 
 def _warn(message, category=UserWarning, stacklevel=6):
-    # stacklevel: this function, the check, _checked or _learn, fit, its wrapper, and the caller of
-    # fit.
+    # stacklevel: this function, the check, _checked, fit, its wrapper, and the caller of fit; other
+    # checks are called from deeper
     warn(message, category, stacklevel=stacklevel)
 
 
@@ -346,6 +349,7 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
             f"{', '.join(reached[:MOST_TOLD])}{more}. Widen the bounds, unless they are known to "
             "hold.",
             ConvergenceWarning,
+            stacklevel=7,
         )
 
 

@@ -25,7 +25,7 @@ from skdgp._compute.linalg import column_scale
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
-from skdgp.inference._posterior import FREQUENCIES, Posterior, SinglePosterior
+from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle, independent_processes, prior_paths
 
 BLOCKS = 60  # blocks of the time series; errors of different blocks are taken as independent
@@ -80,7 +80,7 @@ class FunctionErrors(NamedTuple):
         rng = check_random_state(random_state)
         z = rng.standard_normal((n_paths, len(self.weights)))
         linear = LinearPaths(np.tensordot(z, self.weights, axes=1), self.centre)
-        return linear + prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
+        return linear + prior_paths(self.kernel, n_paths, PosteriorSettings.frequencies, rng)
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
         """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d) of the random terms, and of those by method."""

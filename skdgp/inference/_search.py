@@ -192,56 +192,87 @@ def search(
         singles = [fit.kernel for fit in fits]
         noise = np.concatenate([fit.noise for fit in fits])
 
-    # Stage 2. From widths that outputs share, stage 3 needs few iterations, and ends at optima that
-    # predict better than those reached from arbitrary widths. With noisy regressors, slopes of the
-    # coarse model propagate their noise.
+    # Stage 2.
     X, Y, known = X[rows], Y[rows], known.of_rows(rows)
-    data = Data.from_table(X, Y, known.loading)
+    joint = _JointSearch(kernel, Data.from_table(X, Y, known.loading), bounds, stop, options, exact)
     start = starting_kernel(kernel, X, Y, random_state, singles)
-    simpler = coarse(kernel)
-    shared = starting_kernel(simpler, X, Y, random_state, singles)
+    shared = starting_kernel(coarse(kernel), X, Y, random_state, singles)
     n_iter = 0
     if shared.n_dims < start.n_dims or options.input_noise:
-        half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
-        shared, noise, end = climb(
-            shared, noise, bounds, data, half, stop, optimizer=settings.optimizer, common=exact
-        )
+        shared, noise, end = joint.with_shared_widths(shared, noise)
         n_iter = end.n_iter
         start = from_coarse(kernel, start, shared)
 
     # Stage 3.
     if options.input_noise:
-        data = Hyperparameters(shared, noise, scale).noisy(data, 1).with_loadings()
-        noise, input_bounds = initial_input_noise(noise, data, scale, known)
-        bounds = np.concatenate([bounds, input_bounds])
-    best, noise, end = climb(
-        start,
-        noise,
-        bounds,
-        data,
-        options.max_iter - n_iter,
-        stop,
-        optimizer=settings.optimizer,
-        common=exact,
-    )
+        joint = joint.with_noisy_regressors(shared, noise, scale)
+        noise, input_bounds = initial_input_noise(noise, joint.data, scale, known)
+        joint = joint._replace(bounds=np.concatenate([bounds, input_bounds]))
+    best, noise, end = joint.climb(start, noise, options.max_iter - n_iter)
 
     # Stage 4.
     if options.input_noise and not exact and not stop.is_set():
-        noise = _noise_from_half(best, noise, bounds, X, Y, scale, stop, settings)
-    P = Y.shape[1]
-    input_std = known.input_std if options.input_noise else None
-    if options.input_noise and input_std is None:
-        input_std = scale * np.sqrt(noise[P:])
-    irrelevant = settings.irrelevant_rise * data.n_values
-    return Hyperparameters(
-        best,
-        noise[:P],
-        input_std,
-        n_iter=n_iter + end.n_iter,
-        interrupted=stop.is_set(),
-        remaining=end.remaining,
-        converged=bool(end.converged or end.remaining <= irrelevant),
-    )
+        noise = _noise_from_half(best, noise, joint.bounds, X, Y, scale, stop, settings)
+    return joint.found(best, noise, end, n_iter, scale, known)
+
+
+class _JointSearch(NamedTuple):
+    """Stages 2 and 3: a kernel, some values of all outputs, and the bounds of the noise."""
+
+    kernel: MultiOutputKernel
+    data: Data
+    bounds: Matrix
+    stop: Event
+    options: SearchOptions
+    exact: bool
+
+    def climb(self, start, noise, max_iter) -> Point:
+        """Return the best kernel and noise found from a start."""
+        optimizer = self.options.settings.optimizer
+        return climb(
+            start,
+            noise,
+            self.bounds,
+            self.data,
+            max_iter,
+            self.stop,
+            optimizer=optimizer,
+            common=self.exact,
+        )
+
+    def with_shared_widths(self, start, noise) -> Point:
+        """Return the best kernel whose outputs share widths.
+
+        From these widths, stage 3 needs few iterations, and ends at optima that predict better than
+        those reached from arbitrary widths.
+        """
+        max_iter = self.options.max_iter
+        half = min(-(-max_iter // 2), max_iter - 1)  # stage 3 has at least one
+        return self.climb(start, noise, half)
+
+    def with_noisy_regressors(self, shared, noise, scale) -> _JointSearch:
+        """Return the search with noise of the regressors, which slopes of the kernel of stage 2 propagate."""
+        data = Hyperparameters(shared, noise, scale).noisy(self.data, 1)
+        return self._replace(data=data.with_loadings())
+
+    def found(self, kernel, noise, end, n_iter, scale, known) -> Hyperparameters:
+        """Return what the search has found."""
+        P = len(self.data.y)
+        input_std = None
+        if self.options.input_noise:
+            input_std = known.input_std
+            if input_std is None:
+                input_std = scale * np.sqrt(noise[P:])
+        irrelevant = self.options.settings.irrelevant_rise * self.data.n_values
+        return Hyperparameters(
+            kernel,
+            noise[:P],
+            input_std,
+            n_iter=n_iter + end.n_iter,
+            interrupted=self.stop.is_set(),
+            remaining=end.remaining,
+            converged=bool(end.converged or end.remaining <= irrelevant),
+        )
 
 
 def _noise_from_half(kernel, noise, bounds, X, Y, scale, stop, settings):

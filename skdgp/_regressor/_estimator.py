@@ -54,7 +54,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     Cost of exact inference: with N observed values (samples times outputs), one evaluation of the
     likelihood takes O(N^3) time and O(N^2) memory. A predicted mean takes O(N), a standard
-    deviation O(N^2). To learn from a part of a long log, set the other targets to NaN
+    deviation O(N^2). To learn from a part of a long time series, set the other targets to NaN
     (``skdgp.model_selection.thin_targets``).
 
     "Time series" below means rows in recording order, fitted with ``time``.

@@ -40,8 +40,7 @@ class FreeParameter:
         """Whether the parameter keeps its value."""
         if isinstance(self.bounds, str) and self.bounds != "fixed":
             raise ValueError(
-                f"Got bounds {self.bounds!r} of {self.name}, but expected a pair, an array of "
-                f"pairs, or 'fixed'."
+                f"Got bounds {self.bounds!r} of {self.name}, but expected a pair, an array of pairs, or 'fixed'."
             )
         return isinstance(self.bounds, str)
 
@@ -52,23 +51,21 @@ class FreeParameter:
 
     def elements(self, values: Array) -> Array:
         """Return the value of each element, (n_elements, ...), from an array of the values of all entries."""
-        found = np.empty((self.n_elements, *values.shape[self.index.ndim :]))
+        elements = np.empty((self.n_elements, *values.shape[self.index.ndim :]))
         if self.n_elements:
             free = self.index >= 0
-            found[self.index[free]] = values[free]
-        return found
+            elements[self.index[free]] = values[free]
+        return elements
 
     def pairs(self) -> Matrix:
         """Return the bounds of each element, (n_elements, 2), from one pair or one for each entry."""
         bounds = np.asarray(self.bounds, dtype=float)
-        if (
-            bounds.shape[-1:] != (2,)
-            or not (bounds[..., 0] < bounds[..., 1]).all()
-            or (self.log and not (bounds > 0).all())
-        ):
+        lower = "0 < lower" if self.log else "lower"
+        is_pair = bounds.shape[-1:] == (2,) and (bounds[..., 0] < bounds[..., 1]).all()
+        if not is_pair or (self.log and not (bounds > 0).all()):
             raise ValueError(
-                f"Got bounds {self.bounds!r} of {self.name}, but expected "
-                f"{'0 < ' if self.log else ''}lower < upper: a pair, or one for each entry."
+                f"Got bounds {self.bounds!r} of {self.name}, but expected {lower} < upper: "
+                "a pair, or one for each entry."
             )
         if bounds.shape == (2,):
             return np.tile(bounds, (self.n_elements, 1))
@@ -624,8 +621,7 @@ def as_shape(name: str, value: Any, shape) -> np.ndarray:
         return np.array(np.broadcast_to(value, shape))
     except ValueError:
         raise ValueError(
-            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that "
-            f"broadcasts to it."
+            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that broadcasts to it."
         ) from None
 
 
@@ -636,8 +632,8 @@ def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]
     """
     if not (given is None or isinstance(given, Mapping)):
         raise TypeError(
-            f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, such "
-            f"as {{{next(iter(defaults))!r}: (0.1, 10.0)}}."
+            f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, "
+            f"such as {{{next(iter(defaults))!r}: (0.1, 10.0)}}."
         )
     for name in given or {}:
         if name not in defaults:
@@ -690,8 +686,8 @@ def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
         return values * factor.reshape(-1, *(1,) * (-1 - axis))
     except ValueError:
         raise ValueError(
-            f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, one for each "
-            f"output, along axis {axis}."
+            f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, "
+            f"one for each output, along axis {axis}."
         ) from None
 
 

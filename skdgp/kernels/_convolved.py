@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -295,21 +296,14 @@ class ConvolvedGaussian(MultiOutputKernel):
     def free_parameters(self) -> list[FreeParameter]:
         d = np.atleast_1d(self.length_scale).shape[-1]
         feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
-        M = len(feeds)
-        bounds = self._bounds(DEFAULT_BOUNDS)
         matters = ~self.without_effect(d)
-        if self.covariance_type == "tied":
-            # one filter for each latent
-            lengths = numbered(np.broadcast_to(matters, (M, 1, d)))
-            lengths = np.where(feeds[..., None], lengths, -1)
-        else:
-            lengths = numbered(feeds[..., None] & matters)
-        # only differences between outputs matter: the first one of each latent is not shifted
-        shifted = feeds.copy()
-        shifted[np.arange(M), feeds.argmax(axis=1)] = False
-        shifts = numbered(shifted[..., None] & matters)
+        is_tied = self.covariance_type == "tied"
+        amplitudes, lengths, shifts = numbers(
+            feeds.tobytes(), feeds.shape[1], matters.tobytes(), is_tied
+        )
+        bounds = self._bounds(DEFAULT_BOUNDS)
         return [
-            FreeParameter("amplitude", numbered(feeds), False, bounds["amplitude"]),
+            FreeParameter("amplitude", amplitudes, False, bounds["amplitude"]),
             FreeParameter("length_scale", lengths, True, bounds["length_scale"]),
             FreeParameter("shift", shifts, False, bounds["shift"]),
         ]
@@ -390,6 +384,30 @@ class ConvolvedGaussian(MultiOutputKernel):
 def is_spacing(bounds: Any) -> bool:
     """Return whether bounds of length scales are those of the spacing of the samples."""
     return isinstance(bounds, str) and bounds == SPACING
+
+
+@lru_cache(maxsize=64)  # all kernels of a search have the same numbers
+def numbers(
+    fed: bytes, n_outputs: int, matters: bytes, is_tied: bool
+) -> tuple[Indices, Indices, Indices]:
+    """Return the numbers of the free amplitudes (M, P), length scales and shifts (M, P, d).
+
+    ``fed`` holds whether each latent feeds each output, ``matters`` whether each regressor has an
+    effect.
+    """
+    feeds = np.frombuffer(fed, dtype=bool).reshape(-1, n_outputs)
+    has_effect = np.frombuffer(matters, dtype=bool)
+    M, d = len(feeds), len(has_effect)
+    if is_tied:
+        # one filter for each latent
+        of_latents = numbered(np.broadcast_to(has_effect, (M, 1, d)))
+        lengths = np.where(feeds[..., None], of_latents, -1)
+    else:
+        lengths = numbered(feeds[..., None] & has_effect)
+    # only differences between outputs matter: the first one of each latent is not shifted
+    shifted = feeds.copy()
+    shifted[np.arange(M), feeds.argmax(axis=1)] = False
+    return numbered(feeds), lengths, numbered(shifted[..., None] & has_effect)
 
 
 def check_tied(lengths: Array, feeds: Mask) -> None:

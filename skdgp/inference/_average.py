@@ -189,7 +189,7 @@ def held_out_weights(
     predictions = []
     for member, noise in zip(members, noises, strict=True):
         predictions.append(held_out(member, noise, X, Y, rows, loading, order, settings))
-    means, variances = np.moveaxis(predictions, 1, 0)
+    means, variances = np.array(predictions).swapaxes(0, 1)
     cost = settings.nats * np.sum(~constant_columns(X))
     weights = np.empty((len(members), Y.shape[1]))
     for i, y in enumerate(Y[rows].T):

@@ -50,7 +50,8 @@ class ErrorSettings:
 
     def inverse(self, M: Matrix) -> Matrix:
         """Return the inverse of a symmetric matrix, without directions that are nearly singular."""
-        return np.linalg.pinv(M, rcond=self.singular, hermitian=True)
+        inverse: Any = np.linalg.pinv(M, rcond=self.singular, hermitian=True)
+        return inverse
 
 
 SETTINGS = ErrorSettings()

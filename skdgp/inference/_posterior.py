@@ -352,11 +352,12 @@ class Paths:
         return self._squeeze(values)
 
     def _check_points(self, X, ndim):
-        names = list(getattr(X, "columns", self.feature_names or []))
-        if self.feature_names is not None and names != list(self.feature_names):
+        expected_names = None if self.feature_names is None else list(self.feature_names)
+        names = getattr(X, "columns", None)
+        if names is not None and expected_names is not None and list(names) != expected_names:
             raise ValueError(
-                f"Got X with the columns {names}, but expected those of the fit, in their order: "
-                f"{list(self.feature_names)}."
+                f"Got X with the columns {list(names)}, but expected those of the fit, in their order: "
+                f"{expected_names}."
             )
         X = np.asarray(X, dtype=float)
         shape: tuple[Any, ...] = ("n", self.n_features)

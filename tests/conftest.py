@@ -18,11 +18,11 @@ from threadpoolctl import threadpool_limits
 from skdgp import DependentGPRegressor, datasets
 from skdgp._cli import _learn
 from skdgp._compute.findings import Code, Finding
-from skdgp._regressor import _estimator
+from skdgp._regressor import RegressorSettings
 from skdgp.datasets import _example_flights
 from skdgp.design import _manoeuvres
 from skdgp.identification import _identification
-from skdgp.inference import _search
+from skdgp.inference import SearchSettings, _optimizer
 from skdgp.report import FlightMechanics
 
 os.environ.setdefault(
@@ -179,11 +179,11 @@ def cut_short():
     @contextmanager
     def cut_short():
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_estimator, "SEARCHES", 1)
-            patch.setattr(_search, "SEARCH_VALUES", (300, 300))
-            patch.setattr(_search, "WIDTH_FACTORS", _search.WIDTH_FACTORS[:1])
-            patch.setattr(_search, "TRIAL_ITERATIONS", 2)
-            patch.setattr(_search, "SINGLE_ITERATIONS", 2)
+            search = SearchSettings(
+                values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
+            )
+            settings = RegressorSettings(n_searches=1, search=search)
+            patch.setattr(DependentGPRegressor, "settings", settings)
             yield
 
     return cut_short
@@ -202,12 +202,12 @@ def hasty_fits(monkeypatch, short_fits, request):
 
     For pages and commands that only use what was learned.
     """
-    minimize, most = _search.minimize, getattr(request, "param", 2)
+    minimize, most = _optimizer.minimize, getattr(request, "param", 2)
 
     def hasty(*args, options, **more):
         return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
 
-    monkeypatch.setattr(_search, "minimize", hasty)
+    monkeypatch.setattr(_optimizer, "minimize", hasty)
     for name, value in {"n_inducing": 24, "structure": "joint"}.items():
         monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, name, value)
 

@@ -1,6 +1,7 @@
 """What users do wrong: each gets what was got, what was expected, what to do."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -282,7 +283,8 @@ class TestMemory:
 
     def test_auto_chooses_by_the_number_of_values(self, X, Y, monkeypatch):
         assert quick().fit(X, Y).inference_ == "exact"
-        monkeypatch.setattr("skdgp._regressor._estimator.EXACT_LIMIT", 59)
+        settings = replace(DependentGPRegressor.settings, exact_values=59)
+        monkeypatch.setattr(DependentGPRegressor, "settings", settings)
         assert quick(n_inducing=10).fit(X, Y).inference_ == "sparse"
         Y[0] = np.nan
         assert quick(n_inducing=10).fit(X, Y).inference_ == "exact"

@@ -173,22 +173,6 @@ def output_scale(Y: Matrix) -> Vector:
     return np.where(np.abs(mean) > scale, np.hypot(mean, scale), scale)
 
 
-class RowPairs:
-    """The pairs of rows of X (n, d), each once, for covariances of the same rows that are computed again and again.
-
-    ``place`` (n_pairs,) is where a pair stands in the matrix (n, n): on and above the diagonal, row
-    after row. ``own`` (n,) are the pairs of a row with itself. ``squares`` (d, n_pairs) are squared
-    differences of the columns.
-    """
-
-    def __init__(self, X: Matrix) -> None:
-        rows, columns = np.triu_indices(len(X))
-        self.X = X
-        self.place = rows * len(X) + columns
-        self.own = np.flatnonzero(rows == columns)
-        self.squares = np.array([(x[rows] - x[columns]) ** 2 for x in X.T])
-
-
 def cluster_centres(
     X: Matrix, scale: Vector, n: int, random_state: Seed, max_iter: int = 300
 ) -> Matrix:

@@ -2,5 +2,6 @@
 
 from skdgp._regressor._checks import FewRowsWarning, check_targets
 from skdgp._regressor._estimator import DependentGPRegressor
+from skdgp._regressor._recipe import RegressorSettings
 
-__all__ = ["DependentGPRegressor", "FewRowsWarning", "check_targets"]
+__all__ = ["DependentGPRegressor", "FewRowsWarning", "RegressorSettings", "check_targets"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,17 +18,28 @@ from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference import KnownNoise
 from skdgp.kernels import MultiOutputKernel
 
-X_RANGE = (1e-60, 1e60)  # magnitudes of regressors whose fourth powers neither overflow nor vanish
-Y_RANGE = (1e-100, 1e100)  # magnitudes of targets whose squares neither overflow nor vanish
-SCALED = (
-    10.0  # regressors of standard deviations from 1 / SCALED to SCALED need no scaling; a guess
-)
-# independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
-LEAST_ROWS = 10
-# distance from a bound at which a value has reached it, over the width of the bounds or, of
-# logarithms, at most over one: guess
-BOUND_TOLERANCE = 1e-3
-WHITE = 2.0  # autocorrelation time, in rows, below which errors count as independent: guess
+# Magnitudes of regressors whose fourth powers neither overflow nor vanish
+X_RANGE = (1e-60, 1e60)
+# Magnitudes of targets whose squares neither overflow nor vanish
+Y_RANGE = (1e-100, 1e100)
+
+
+@dataclass(frozen=True)
+class WarningSettings:
+    """When a fit is warned of."""
+
+    #: Regressors of standard deviations from 1 / ``scaled`` to ``scaled`` need no scaling (guess)
+    scaled: float = 10.0
+    #: Independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
+    least_rows: int = 10
+    #: Distance from a bound at which a value has reached it, over the width of the bounds or, of
+    #: logarithms, at most over one (guess)
+    bound_tolerance: float = 1e-3
+    #: Autocorrelation time below which errors count as independent [rows] (guess)
+    white: float = 2.0
+
+
+SETTINGS = WarningSettings()
 
 
 class SearchWarning(FindingWarning, ConvergenceWarning):
@@ -55,8 +67,7 @@ def check_targets(y: Any, n_samples: int, estimator: str) -> tuple[np.ndarray, l
     if len(Y) != n_samples:
         raise ValueError(
             f"Found input variables with inconsistent numbers of samples: {[n_samples, len(Y)]}. "
-            f"Give y one row for "
-            "each row of X, with NaN where an output was not observed."
+            "Give y one row for each row of X, with NaN where an output was not observed."
         )
     table = Y.reshape(len(Y), -1)
     return table, names or [f"y{i}" for i in range(table.shape[1])], Y.ndim == 1
@@ -81,16 +92,19 @@ def standardize(
     The center of a constant output is its value, and its scale is the magnitude of that value, so
     it becomes 0 or 1 without rounding.
     """
-    constant, size = constant_columns(Y), np.nanmax(np.abs(Y), axis=0)
-    Y = np.where(constant & np.isfinite(Y), Y[np.isfinite(Y).argmax(axis=0), range(Y.shape[1])], Y)
+    constant = constant_columns(Y)
+    observed = np.isfinite(Y)
+    size = np.nanmax(np.abs(Y), axis=0)
+    first = Y[observed.argmax(axis=0), range(Y.shape[1])]
+    Y = np.where(constant & observed, first, Y)
     center = np.zeros(Y.shape[1])
     if centered:
-        weighted = np.isfinite(Y) * (1.0 if weights is None else weights)
+        weighted = observed * (1.0 if weights is None else weights)
         mean = np.nansum(weighted * Y, axis=0) / weighted.sum(axis=0)
         center = np.where(constant, np.nanmax(Y, axis=0), mean)
-    scale = np.where(
-        constant, np.where(size > 0, size, 1.0), np.sqrt(np.nanmean((Y - center) ** 2, axis=0))
-    )
+    deviation = np.sqrt(np.nanmean((Y - center) ** 2, axis=0))
+    magnitude = np.where(size > 0, size, 1.0)
+    scale = np.where(constant, magnitude, deviation)
     return (Y - center) / scale, center, scale
 
 
@@ -99,30 +113,27 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
     if time is None:
         if flight is not None:
             raise ValueError(
-                "Got flight without time, but expected both: the drift depends on time. Give time "
-                "too."
+                "Got flight without time, but expected both: the drift depends on time. Give time too."
             )
         return None
     kind = np.asarray(time).dtype
     if kind.kind in "mM":
         raise ValueError(
-            f"Got time of type {kind}, but expected seconds: (time - time[0]) / np.timedelta64(1, "
-            f"'s')."
+            f"Got time of type {kind}, but expected seconds: (time - time[0]) / np.timedelta64(1, 's')."
         )
     time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
-    codes = (
-        np.zeros(n_samples) if flight is None else pd.factorize(np.asarray(flight))[0].astype(float)
-    )
+    codes = np.zeros(n_samples)
+    if flight is not None:
+        codes = pd.factorize(np.asarray(flight))[0].astype(float)
     for name, values in (("time", time), ("flight", codes)):
         if values.shape != (n_samples,):
             raise ValueError(
-                f"Got {name} of shape {values.shape}, but expected ({n_samples},): one value for "
-                f"each row of X."
+                f"Got {name} of shape {values.shape}, but expected ({n_samples},): one value for each row of X."
             )
-    if (codes < 0).any():
+    n_unlabelled = int((codes < 0).sum())
+    if n_unlabelled:
         raise ValueError(
-            f"Got {int((codes < 0).sum())} rows without a flight, but expected a label for every "
-            f"row."
+            f"Got {n_unlabelled} rows without a flight, but expected a label for every row."
         )
     return np.column_stack([time, codes])
 
@@ -146,46 +157,54 @@ def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> K
     ``variance`` has one number, one for each output (P,), or one for each value, in the shape of
     Y; ``bounds`` are a pair or (P, 2).
     """
-    P = Y.shape[1]
-    limits = None
-    if bounds is not None:
-        limits = np.asarray(bounds, dtype=float)
-        if limits.shape not in ((2,), (P, 2)) or not (limits[..., 0] > 0).all():
-            raise ValueError(
-                f"Got noise_variance_bounds={bounds!r}, but expected a pair of positive numbers, or "
-                f"one for each of the {P} outputs."
-            )
-        if not (limits[..., 0] <= limits[..., 1]).all():
-            raise ValueError(
-                f"Got noise_variance_bounds={bounds!r}, but expected lower before upper bounds."
-            )
-        limits = np.broadcast_to(limits, (P, 2)).copy()
+    limits = _check_noise_bounds(bounds, Y.shape[1])
     if variance is None:
         return KnownNoise(None, limits)
+    P = Y.shape[1]
     values = np.asarray(variance, dtype=float)
-    for_values = values.shape == Y.shape or (is_single and values.shape == (len(Y),) != (1,))
+    of_single = is_single and values.shape == (len(Y),) != (1,)
+    for_values = values.shape == Y.shape or of_single
     if values.shape not in ((), (P,)) and not for_values:
+        shape = (len(Y),) if is_single else Y.shape
         raise ValueError(
-            f"Got noise_variance of shape {values.shape}, but expected one number, ({P},) for the "
-            f"outputs, or one for each value of y, {(len(Y),) if is_single else Y.shape}."
+            f"Got noise_variance of shape {values.shape}, but expected one number, ({P},) for the outputs, "
+            f"or one for each value of y, {shape}."
         )
-    observed = values.reshape(Y.shape)[np.isfinite(Y)] if for_values else values
-    if not (np.isfinite(observed) & (observed > 0)).all():
+    used = values.reshape(Y.shape)[np.isfinite(Y)] if for_values else values
+    if not (np.isfinite(used) & (used > 0)).all():
         raise ValueError(
-            "Got noise_variance with values that are not positive and finite, but expected variances "
-            "above zero: leave out samples without a known one, or use a small number."
+            "Got noise_variance with values that are not positive and finite, but expected variances above zero: "
+            "leave out samples without a known one, or use a small number."
         )
     if for_values and limits is not None:
         raise ValueError(
-            "Got noise_variance_bounds and a noise_variance for each value, but expected one of "
-            "them: variances of values are known, and not learned."
+            "Got noise_variance_bounds and a noise_variance for each value, but expected one of them: "
+            "variances of values are known, and not learned."
         )
     if for_values:
         table = np.where(np.isfinite(Y), values.reshape(Y.shape), np.nan)
-        return KnownNoise.of_values(np.where(np.isnan(table), np.nanmin(table, axis=0), table))
+        smallest = np.nanmin(table, axis=0)
+        return KnownNoise.of_values(np.where(np.isnan(table), smallest, table))
     white = np.broadcast_to(values, P).astype(float)
     fixed = np.column_stack([white, white])
     return KnownNoise(white, fixed if limits is None else limits)
+
+
+def _check_noise_bounds(bounds, P):
+    """Return bounds of the noise variance, (P, 2), or None if none are given."""
+    if bounds is None:
+        return None
+    limits = np.asarray(bounds, dtype=float)
+    if limits.shape not in ((2,), (P, 2)) or not (limits[..., 0] > 0).all():
+        raise ValueError(
+            f"Got noise_variance_bounds={bounds!r}, but expected a pair of positive numbers, "
+            f"or one for each of the {P} outputs."
+        )
+    if not (limits[..., 0] <= limits[..., 1]).all():
+        raise ValueError(
+            f"Got noise_variance_bounds={bounds!r}, but expected lower before upper bounds."
+        )
+    return np.broadcast_to(limits, (P, 2)).copy()
 
 
 def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, most: float) -> None:
@@ -193,24 +212,21 @@ def check_magnitudes(Z: np.ndarray, names: list[str], what: str, least: float, m
     size = np.nanmax(np.abs(Z), axis=0, initial=0.0)
     extreme = (size > most) | ((size < least) & (size > 0))
     if extreme.any():
-        magnitudes = {
-            name: f"{s:.1g}" for name, s, out in zip(names, size, extreme, strict=True) if out
-        }
+        magnitudes = {names[k]: f"{size[k]:.1g}" for k in np.flatnonzero(extreme)}
         raise ValueError(
-            f"Got {what} of magnitudes {magnitudes}, but expected {least:g} to {most:g}, whose "
-            f"powers neither vanish "
+            f"Got {what} of magnitudes {magnitudes}, but expected {least:g} to {most:g}, whose powers neither vanish "
             "nor overflow. Use another unit, or scale them (StandardScaler)."
         )
 
 
 def check_observed(Y: np.ndarray, names: list[str]) -> None:
     """Raise a ValueError if an output has fewer than two observed values."""
-    few = {name: int(n) for name, n in zip(names, np.isfinite(Y).sum(axis=0), strict=True) if n < 2}
+    n_observed = np.isfinite(Y).sum(axis=0)
+    few = {names[k]: int(n_observed[k]) for k in np.flatnonzero(n_observed < 2)}
     if few:
         raise ValueError(
             f"Got outputs observed at fewer than two samples: {few} (NaN means not observed). "
-            f"Leave these columns out, "
-            "or give more of their values."
+            "Leave these columns out, or give more of their values."
         )
 
 
@@ -220,16 +236,14 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
     ``n_exact``: the number of values that the model is learned from instead, if any.
     """
     numbers = {"inducing": n_inducing, "neglected": neglected, "exact": n_exact}
-    _warn(Finding(Code.APPROXIMATION_POOR, numbers=numbers), stacklevel=7)
+    _warn(Finding(Code.APPROXIMATION_POOR, numbers=numbers), stacklevel=9)
 
 
 def warn_of_indices(index: Any, y: Any) -> None:
     """Warn if X and y have different indices."""
-    if (
-        isinstance(index, pd.Index)
-        and isinstance(y, (pd.DataFrame, pd.Series))
-        and not index.equals(y.index)
-    ):
+    if not isinstance(index, pd.Index) or not isinstance(y, (pd.DataFrame, pd.Series)):
+        return
+    if not index.equals(y.index):
         _warn(Finding(Code.INDICES_DIFFER))
 
 
@@ -237,31 +251,45 @@ def warn_of_samples(
     X: np.ndarray, Y: np.ndarray, regressors: list[str], outputs: list[str]
 ) -> None:
     """Warn of constant regressors and outputs, and of repeated samples."""
-    for code, Z, names in (
-        (Code.CONSTANT_INPUTS, X, regressors),
-        (Code.CONSTANT_OUTPUTS, Y, outputs),
-    ):
-        constant = [name for name, same in zip(names, constant_columns(Z), strict=True) if same]
-        if constant:
-            _warn(Finding(code, numbers={"names": constant}))
+    constant = _marked(regressors, constant_columns(X))
+    if constant:
+        _warn(Finding(Code.CONSTANT_INPUTS, numbers={"names": constant}))
+    constant = _marked(outputs, constant_columns(Y))
+    if constant:
+        _warn(Finding(Code.CONSTANT_OUTPUTS, numbers={"names": constant}))
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
         _warn(Finding(Code.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
 
 
-def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) -> None:
-    """Warn if there are fewer than `LEAST_ROWS` independent rows for each regressor.
+def _marked(names, mask):
+    """Return the names of the columns that are marked."""
+    return [names[k] for k in np.flatnonzero(mask)]
 
-    ``errors`` (n, P) are residuals of the targets, in the order of the log, NaN where
-    not observed. They count as rows over their autocorrelation time, median over the outputs. An
-    average leans on its trend then. A trend alone states its uncertainty well with few rows, unless
-    their errors are correlated.
+
+def warn_of_few_rows(
+    errors: np.ndarray,
+    n_regressors: int,
+    members: list[str],
+    settings: WarningSettings = SETTINGS,
+) -> None:
+    """Warn if there are fewer than ``settings.least_rows`` independent rows for each regressor.
+
+    ``errors`` (n, P) are residuals of the targets, in recording order, NaN where not observed. They
+    count as rows over their autocorrelation time, median over the outputs. An average leans on its
+    trend then. A trend alone states its uncertainty well with few rows, unless their errors are
+    correlated.
     """
-    observed = [column[np.isfinite(column)] for column in errors.T]
-    lasting = float(np.median([autocorrelation_time(e) for e in observed]))
-    lasting = lasting if lasting >= WHITE else 1.0
-    rows = float(np.median([len(column) for column in observed])) / lasting
-    if rows >= LEAST_ROWS * n_regressors or (members == ["trend"] and lasting == 1.0):
+    times, counts = [], []
+    for column in errors.T:
+        observed = column[np.isfinite(column)]
+        times.append(autocorrelation_time(observed))
+        counts.append(len(observed))
+    lasting = float(np.median(times))
+    lasting = lasting if lasting >= settings.white else 1.0
+    rows = float(np.median(counts)) / lasting
+    is_trend = members == ["trend"] and lasting == 1.0
+    if rows >= settings.least_rows * n_regressors or is_trend:
         return
     numbers = {
         "rows": len(errors),
@@ -269,31 +297,41 @@ def warn_of_few_rows(errors: np.ndarray, n_regressors: int, members: list[str]) 
         "lasting": lasting,
         "regressors": n_regressors,
         "each": rows / n_regressors,
-        "least": LEAST_ROWS,
+        "least": settings.least_rows,
     }
-    _warn(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning)
+    _warn(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning, stacklevel=7)
 
 
-def warn_of_search(best, max_iter: int, X: np.ndarray, names: list[str]) -> None:
+def warn_of_search(
+    best: Any,
+    max_iter: int,
+    X: np.ndarray,
+    names: list[str],
+    settings: WarningSettings = SETTINGS,
+) -> None:
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
-        _warn(Finding(Code.FIT_INTERRUPTED), SearchWarning)
+        _warn(Finding(Code.FIT_INTERRUPTED), SearchWarning, stacklevel=7)
     elif not best.converged:
-        deviations = zip(names, X.std(axis=0), strict=True)
-        unscaled = [name for name, std in deviations if std > SCALED or 0 < std < 1 / SCALED]
+        std = X.std(axis=0)
+        unscaled = _marked(
+            names, (std > settings.scaled) | ((std > 0) & (std < 1 / settings.scaled))
+        )
         numbers = {"max_iter": max_iter, "remaining": best.remaining, "unscaled": unscaled}
-        _warn(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning)
+        _warn(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning, stacklevel=7)
 
 
 def _warn(
     finding: Finding, category: type[FindingWarning] = FindingWarning, stacklevel: int = 6
 ) -> None:
-    # stacklevel: this function, the check, _checked or _learn, fit, its wrapper, and the caller of
-    # fit.
+    # stacklevel: this function, the check, _checked, fit, its wrapper, and the caller of fit; other
+    # checks are called from deeper
     report(finding, category, stacklevel=stacklevel)
 
 
-def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
+def warn_of_bounds(
+    given: MultiOutputKernel, kernel: MultiOutputKernel, settings: WarningSettings = SETTINGS
+) -> None:
     """Warn of hyperparameters that end at a bound which the user gave.
 
     ``kernel`` is the fitted one, in the units of ``given``, whose terms are its last ones. A value
@@ -302,17 +340,16 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
     terms = given.summands()
     reached = []
     for term, fitted in zip(terms, kernel.summands()[-len(terms) :], strict=True):
-        before = _at_bounds(term) if term.has_values() else {}
-        reached += [
-            text
-            for name, text in _at_bounds(fitted).items()
-            if name not in before and not term.bounds_from_data(name[0])
-        ]
+        before = _at_bounds(term, settings) if term.has_values() else {}
+        for name, text in _at_bounds(fitted, settings).items():
+            if name not in before and not term.bounds_from_data(name[0]):
+                reached.append(text)
     if reached:
-        _warn(Finding(Code.BOUNDS_REACHED, numbers={"reached": reached}), SearchWarning)
+        finding = Finding(Code.BOUNDS_REACHED, numbers={"reached": reached})
+        _warn(finding, SearchWarning, stacklevel=7)
 
 
-def _at_bounds(kernel):
+def _at_bounds(kernel, settings):
     """Return texts of the elements that are at a bound, by the name, number and side of each."""
     reached = {}
     for f in kernel.free_parameters():
@@ -322,11 +359,12 @@ def _at_bounds(kernel):
         pairs = f.pairs()
         scaled = np.column_stack([pairs, values])
         low, high, at = (np.log(scaled) if f.log else scaled).T
-        tolerance = BOUND_TOLERANCE * np.minimum(high - low, 1.0 if f.log else np.inf)
-        for side, distance in (("lower", at - low), ("upper", high - at)):
-            for k in np.flatnonzero(np.abs(distance) <= tolerance):
-                bound = pairs[k, int(side == "upper")]
+        width = np.minimum(high - low, 1.0) if f.log else high - low
+        tolerance = settings.bound_tolerance * width
+        distances = {"lower": np.abs(at - low), "upper": np.abs(high - at)}
+        for column, (side, distance) in enumerate(distances.items()):
+            for k in np.flatnonzero(distance <= tolerance):
                 entry = np.argwhere(f.index == k)[0].tolist()
-                text = f"{f.name}{entry} = {values[k]:.3g} ({side} bound {bound:.3g})"
+                text = f"{f.name}{entry} = {values[k]:.3g} ({side} bound {pairs[k, column]:.3g})"
                 reached[f.name, int(k), side] = text
     return reached

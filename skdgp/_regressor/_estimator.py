@@ -6,7 +6,7 @@ from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.gaussian_process.kernels import Kernel
 from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
@@ -14,61 +14,29 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, covariance_root
 from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp._regressor import _checks
 from skdgp._regressor._impute import imputed
+from skdgp._regressor._recipe import Recipe, RegressorSettings, likeliest_mean, weights_of
 from skdgp.inference import (
-    Data,
     ExactPosterior,
-    Fit,
     FunctionErrors,
-    KnownNoise,
     KnownSlopes,
     Paths,
-    Posterior,
     PosteriorWithErrors,
-    as_exact,
-    average,
-    fit_exact,
-    fit_sparse,
     function_errors,
     mean_errors,
-    mean_of,
     misfit_variance,
-    n_searched,
     narrowing,
     residual_drift,
-    stratified,
 )
-from skdgp.kernels import (
-    ConvolvedGaussian,
-    LinearTrend,
-    MultiOutputKernel,
-    as_multi_output,
-    has_prior_paths,
-)
+from skdgp.kernels import as_multi_output, has_prior_paths
 
-LARGEST_MISFIT = 0.99  # over misfit and noise
 FIT_REMEDY = (
     "Use inference='sparse' (--inference sparse) or fewer values: "
-    "skdgp.model_selection.thin_targets(Y, 755) "
-    "(--samples 755) keeps 755 samples spread over the log."
+    "skdgp.model_selection.thin_targets(Y, 755) (--samples 755) keeps 755 samples spread over the flight."
 )
 PREDICT_REMEDY = "Use fewer samples at a time, or return_std=True, which needs no joint covariance."
-# Searches of a time series, each from other rows (docs/results.md, pairs of flights)
-SEARCHES = 2
-# Fewest and most shared latents where their number is not given; more take more time
-N_LATENT = 2, 4
-LOG_ITERATIONS = 60  # of a log
-# Most iterations, of at most so many values; of more values, as many as take the same time
-ITERATIONS, ITERATED_VALUES = 150, 1500
-# Most observed values, and values of a log, of which inference="auto" is exact
-EXACT_LIMIT, LOG_LIMIT = 6000, 1000
-# Largest prior variance that inducing variables leave unexplained, over the noise variance
-MOST_NEGLECTED = 0.3
-ADDITIVE_SAMPLES = (
-    5000  # of a log: largest number for which an average has main effects, see docs/theory.md
-)
 
 
 class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -86,17 +54,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     Cost of exact inference: with N observed values (samples times outputs), one evaluation of the
     likelihood takes O(N^3) time and O(N^2) memory. A predicted mean takes O(N), a standard
-    deviation O(N^2). To learn from a part of a long log, set the other targets to NaN
+    deviation O(N^2). To learn from a part of a long time series, set the other targets to NaN
     (``skdgp.model_selection.thin_targets``).
 
-    A log, below, are rows in the order of recording, whose ``time`` ``fit`` gets.
+    "Time series" below means rows in recording order, fitted with ``time``.
 
     Parameters
     ----------
     kernel : MultiOutputKernel, scikit-learn kernel or None
         Covariance of the processes, with values and bounds in the units of the outputs. Missing
-        values are estimated from the data. None: ``ConvolvedGaussian(n_latent)``, for a log with
-        ``parameter_bounds={"length_scale": "spacing"}``. A kernel of scikit-learn is wrapped in
+        values are estimated from the data. None: ``ConvolvedGaussian(n_latent)``, for a time series
+        with ``parameter_bounds={"length_scale": "spacing"}``. A kernel of scikit-learn is wrapped in
         ``Coregionalized``.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. Not
@@ -106,7 +74,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "joint": a trend and the dependent processes. "additive": also a process of each regressor
         alone for each output (main effects). "trend": the trend alone, with its weights integrated
         out. "average": the mixture of posteriors of all terms ("additive" for up to 5000 samples of
-        a log, else "joint"), of the trend and main effects, and of the trend, at the same
+        a time series, else "joint"), of the trend and main effects, and of the trend, at the same
         hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
         held out in turn (docs/theory.md). A model without a linear trend, or whose hyperparameters are
         not learned, has one member. With more regressors than rows "average" is "trend".
@@ -120,7 +88,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
-        from at most 1800 values. "auto" is "exact" up to 6000 observed values, 1000 of a log. Of
+        from at most 1800 values. "auto" is "exact" up to 6000 observed values, 1000 of a time series. Of
         more without ``time`` it is "sparse" where the inducing inputs leave less than 0.3 of the
         noise variance unexplained (Burt, Rasmussen & van der Wilk 2020), else "exact" on 6000 of
         the values. The result is in ``inference_``.
@@ -130,8 +98,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Noise of the regressors, independent between samples and regressors: "learned" is one
         standard deviation for each regressor. With their covariance S and the slopes J of the mean
         it adds J S J^T to the noise covariance of the outputs (McHutchon & Rasmussen 2011). None:
-        exact regressors. An array has known standard deviations. "auto" is "learned" for a log, and
-        else None; without an ``optimizer`` nothing is learned.
+        exact regressors. An array has known standard deviations. "auto" is "learned" for a time series,
+        and else None; without an ``optimizer`` nothing is learned.
     noise_variance : float, array (P,), array (n, P) or None
         Variance of the measurement noise, in squared units of the outputs. None: learned. A number
         for each output is known and keeps its value, or is the starting value if there are bounds.
@@ -145,8 +113,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         uses all values.
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
-        The preceding fits of single outputs use at most twice as many each. None: 60 for a log,
-        else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
+        The preceding fits of single outputs use at most twice as many each. None: 60 for a time
+        series, else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -226,6 +194,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "random_state": ["random_state"],
     }
 
+    #: What is chosen where a parameter is not given
+    settings = RegressorSettings()
+
     def __init__(
         self,
         kernel: Kernel | None = None,
@@ -281,7 +252,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time : array (n,) or None
-            Time of each sample [s], of rows in the order of the log. None: rows in any order, with
+            Time of each sample [s], of rows in recording order. None: rows in any order, with
             independent errors. Use it if errors of neighbouring samples are correlated, as in a
             flight: without it bands are too narrow.
 
@@ -363,82 +334,119 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "standard deviation of each regressor, such as "
                 "input_noise=np.sqrt(np.diag(model.input_covariance_))."
             )
-        noise = noise._replace(input_std=input_std)
         used = np.isfinite(Y).any(axis=1)
-        X, Y, clock = X[used], Y[used], None if clock is None else clock[used]
-        noise = noise.of_rows(used)
+        X = X[used]
+        Y = Y[used]
+        clock = None if clock is None else clock[used]
+        noise = noise._replace(input_std=input_std).of_rows(used)
         _checks.check_observed(Y, self.output_names_)
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
         _checks.warn_of_samples(X, Y, self._regressor_names(), self.output_names_)
         return X, Y, clock, noise
 
+    def _recipe(self, time_series: bool) -> Recipe:
+        """Return the parameters of the fit."""
+        return Recipe(
+            kernel=self.kernel,
+            n_latent=self.n_latent,
+            structure=self.structure,
+            trend=self.trend,
+            inference=self.inference,
+            n_inducing=self.n_inducing,
+            input_noise=self.input_noise,
+            optimizer=self.optimizer,
+            max_iter=self.max_iter,
+            random_state=self.random_state,
+            time_series=time_series,
+            settings=self.settings,
+        )
+
     def _learn(self, X, Y, clock, slopes, noise):
         """Set the fitted attributes."""
-        log = clock is not None
-        n_values = int(np.isfinite(Y).sum())
-        inference = self.inference
-        if inference == "auto":
-            inference = "exact" if n_values <= (LOG_LIMIT if log else EXACT_LIMIT) else "sparse"
-        if inference == "exact":  # the covariance, and the factors of the components
-            searches = n_searches(self, log)
-            n_matrices = 1 + 2 * searches if searches > 1 else 2
-            check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)
-        centred = self.trend is not None
-        Z, self.center_, self.scale_ = _checks.standardize(Y, centred, noise.weights)
-        self._slopes = None
-        if slopes is not None:
-            self._slopes = slopes.scaled(1 / self.scale_[:, None])
-            Z = self._slopes.corrected(X, Z)
-        self.max_iter_ = most_iterations(self.max_iter, Z, log)
-        kernel = _make_kernel(self, X, Z, log).rescaled(1 / self.scale_)
+        recipe = self._recipe(clock is not None)
+        _check_memory(recipe, int(np.isfinite(Y).sum()))
+        Z = self._normalised(X, Y, slopes, noise.weights)
         known = noise.in_units(self.scale_)
-        fit = fit_structure(self, kernel, X, Z, log, inference, known)
-        posterior, learned = fit.posterior, fit.learned
+        kernel = recipe.make_kernel(X, Z).rescaled(1 / self.scale_)
+        self.max_iter_ = recipe.most_iterations(Z)
+        fit = recipe.fit(kernel, X, Z, known)
+        self._set_hyperparameters(fit)
+        self._warn_of_fit(fit, X, Z)
+        self._set_noise(fit, X, Z, clock, known)
+        flight = None if clock is None else clock[:, 1]
+        self.posterior_ = self._with_errors(fit, flight, recipe.time_series)
+
+    def _normalised(self, X, Y, slopes, weights):
+        """Return the centred and scaled targets, with known slopes."""
+        Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None, weights)
+        self._slopes = None
+        if slopes is None:
+            return Z
+        self._slopes = slopes.scaled(1 / self.scale_[:, None])
+        return self._slopes.corrected(X, Z)
+
+    def _set_hyperparameters(self, fit):
+        """Set the attributes that the search has found."""
+        posterior, learned = fit
         self.inference_ = "exact" if isinstance(posterior.members[0], ExactPosterior) else "sparse"
         self.weights_ = weights_of(posterior)
-        _checks.warn_of_search(learned, self.max_iter_, X, self._regressor_names())
         self.kernel_ = posterior.kernel.rescaled(self.scale_)
-        if self.kernel is not None and self.optimizer is not None:
-            _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
-        if not learned.interrupted:
-            errors = Z - likeliest_mean(posterior, X)
-            _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
-        misfit, variance, memory = np.zeros((3, len(self.scale_)))
-        if log:
-            _, variance, memory = residual_drift(posterior, X, Z, clock)
-            misfit = misfit_variance(posterior, X, Z, clock)
-        # The search took the misfit for noise, of which at least a lower bound is left.
-        least = (1.0 - LARGEST_MISFIT) * learned.noise
-        if known.bounds is not None:
-            least = np.maximum(least, known.bounds[:, 0])
-        most = np.maximum(learned.noise - least, 0.0)
-        misfit = np.where(known.is_learned, np.minimum(misfit, most), misfit)
-        white = np.where(known.is_learned, learned.noise - misfit, learned.noise)
-        if known.loading is not None:
-            white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
-        if log:
-            of_function = function_errors(posterior, misfit, learned.input_std, clock[:, 1])
-        else:
-            of_function = mean_errors(posterior)
-        if not centred:
-            of_function = of_function.without_means(len(self.scale_))
-        if self._slopes is not None:
-            of_function = self._slopes.replaced(of_function)
-        if log or centred or self._slopes is not None:
-            posterior = PosteriorWithErrors(posterior, of_function)
-        self.posterior_ = posterior
-        self.misfit_variance_ = misfit * self.scale_**2
-        self.noise_variance_ = white * self.scale_**2
-        self.drift_variance_ = variance * self.scale_**2
-        self.drift_memory_ = memory
         self._input_std = learned.input_std
-        std = np.zeros(X.shape[1]) if learned.input_std is None else learned.input_std
+        std = np.zeros(self.n_features_in_) if learned.input_std is None else learned.input_std
         self.input_covariance_ = np.diag(std**2)
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         self.n_iter_ = max(1, learned.n_iter)
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
+
+    def _warn_of_fit(self, fit, X, Z):
+        """Warn of a search that did not converge, of values at their bounds, and of few rows."""
+        _checks.warn_of_search(fit.learned, self.max_iter_, X, self._regressor_names())
+        if self.kernel is not None and self.optimizer is not None:
+            _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
+        if not fit.learned.interrupted:
+            errors = Z - likeliest_mean(fit.posterior, X)
+            _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
+
+    def _set_noise(self, fit, X, Z, clock, known):
+        """Set noise, drift and misfit of the outputs."""
+        noise = fit.learned.noise
+        misfit = np.zeros(len(noise))
+        variance = np.zeros(len(noise))
+        self.drift_memory_ = np.zeros(len(noise))
+        if clock is not None:
+            _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
+            misfit = misfit_variance(fit.posterior, X, Z, clock)
+        # The search took the misfit for noise, of which at least a lower bound is left.
+        least = (1.0 - self.settings.largest_misfit) * noise
+        if known.bounds is not None:
+            least = np.maximum(least, known.bounds[:, 0])
+        most = np.maximum(noise - least, 0.0)
+        misfit = np.where(known.is_learned, np.minimum(misfit, most), misfit)
+        white = np.where(known.is_learned, noise - misfit, noise)
+        if known.loading is not None:
+            white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
+        self.misfit_variance_ = misfit * self.scale_**2
+        self.noise_variance_ = white * self.scale_**2
+        self.drift_variance_ = variance * self.scale_**2
+
+    def _with_errors(self, fit, flight, time_series):
+        """Return the posterior with errors of the function."""
+        posterior, learned = fit
+        if time_series:
+            misfit = self.misfit_variance_ / self.scale_**2
+            errors = function_errors(posterior, misfit, learned.input_std, flight)
+        else:
+            errors = mean_errors(posterior)
+        centred = self.trend is not None
+        if not centred:
+            errors = errors.without_means(len(self.scale_))
+        if self._slopes is not None:
+            errors = self._slopes.replaced(errors)
+        if time_series or centred or self._slopes is not None:
+            return PosteriorWithErrors(posterior, errors)
+        return posterior
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------
@@ -484,25 +492,33 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "Got return_std=True and return_cov=True, but at most one of them can be returned."
             )
         X = self._check_regressors(X)
-        if not (return_std or return_cov):
-            return self._in_output_units(self.posterior_.predict(X))
         if return_std:
-            mean, variance = self.posterior_.predict(X, return_variance=True)
-            variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
-            if include_noise:
-                variance = variance + self.noise_variance_ / self.scale_**2
-            return self._in_output_units(mean), self._squeeze(np.sqrt(variance) * self.scale_)
+            return self._mean_and_std(X, include_noise, include_input_noise)
         mean = self._in_output_units(self.posterior_.predict(X))
-        check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
+        if return_cov:
+            check_memory(mean.size, "The joint covariance of", PREDICT_REMEDY)
+            return mean, self._covariance(X, include_noise, include_input_noise)
+        return mean
+
+    def _mean_and_std(self, X, include_noise, include_input_noise):
+        mean, variance = self.posterior_.predict(X, return_variance=True)
+        variance = variance + np.sum(self._loading(X, include_input_noise) ** 2, axis=2)
+        if include_noise:
+            variance = variance + self.noise_variance_ / self.scale_**2
+        return self._in_output_units(mean), self._squeeze(np.sqrt(variance) * self.scale_)
+
+    def _covariance(self, X, include_noise, include_input_noise):
+        """Return the joint covariance at X, (P n, P n), output-major."""
+        n, P = len(X), len(self.scale_)
         cov = self.posterior_.covariance(X)
         loading = self._loading(X, include_input_noise)
-        blocks = cov.reshape(len(self.scale_), len(X), len(self.scale_), len(X))
+        blocks = cov.reshape(P, n, P, n)
         np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
         if include_noise:
             noise = self.noise_variance_ / self.scale_**2
-            cov[np.diag_indices_from(cov)] += np.repeat(noise, len(X))
-        scale = np.repeat(self.scale_, len(X))
-        return mean, cov * np.multiply.outer(scale, scale)
+            cov[np.diag_indices_from(cov)] += np.repeat(noise, n)
+        scale = np.repeat(self.scale_, n)
+        return cov * np.multiply.outer(scale, scale)
 
     def impute(self, X: Matrix, Y: Any, return_std: bool = False) -> Any:
         r"""Replace missing targets, from the regressors and the other outputs of the same row.
@@ -556,7 +572,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         X = self._check_regressors(X)
         mean, std = self.predict(X, return_std=True, include_noise=True)
-        mean, std = mean.reshape(len(X), -1), std.reshape(len(X), -1)
+        mean = mean.reshape(len(X), -1)
+        std = std.reshape(len(X), -1)
         value, deviation = imputed(X, self._check_targets(Y, mean.shape), mean, std)
         if not return_std:
             return self._squeeze(value)
@@ -678,11 +695,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = self._check_targets(y, mean.shape)
-        scores = [
-            r2_score(y_true[rows], y_pred[rows])
-            for y_true, y_pred, rows in zip(Y.T, mean.T, np.isfinite(Y.T), strict=True)
-            if rows.any()
-        ]
+        scores = []
+        for y_true, y_pred in zip(Y.T, mean.T, strict=True):
+            rows = np.isfinite(y_true)
+            if rows.any():
+                scores.append(r2_score(y_true[rows], y_pred[rows]))
         return float(np.mean(scores)) if scores else float("nan")
 
     def _loading(self, X, factor):
@@ -690,8 +707,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         factor = np.asarray(factor, dtype=float)
         if factor.shape not in ((), (len(X),)) or not (factor >= 0).all():
             raise ValueError(
-                f"Got include_input_noise of shape {factor.shape}, but expected a bool, or "
-                f"factors of the variance "
+                f"Got include_input_noise of shape {factor.shape}, but expected a bool, or factors of the variance "
                 f"from 0 on: one number, or one for each of the {len(X)} rows."
             )
         if self._input_std is None or not factor.any():
@@ -746,153 +762,15 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return values[:, 0] if self._single else values
 
 
-# -- the kernel and its fit
-# --------------------------------------------------------------------------------------
-
-
-def fit_structure(
-    model: BaseEstimator,
-    kernel: MultiOutputKernel,
-    X: Matrix,
-    Z: Matrix,
-    log: bool,
-    inference: str,
-    known: KnownNoise,
-) -> Fit:
-    """Return the fit to X (n, d) and centred and scaled targets Z (n, P), rows of a ``log`` in its order or others.
-
-    ``kernel`` has all terms, and ``known`` is the noise, of the scaled targets. Parameters of the
-    model, a DependentGPRegressor, are read; it is not changed.
-    """
-    random_state = check_random_state(model.random_state)
-    fits: list[Fit] = []
-    data = Data.from_table(X, Z, known.loading)  # one copy for all
-    while len(fits) < n_searches(model, log):
-        fits.append(_searched(model, kernel, X, Z, data, log, inference, known, random_state))
-        if fits[-1].learned.interrupted:
-            return fits[0].cut_short()
-    return mean_of(fits)
-
-
-def n_searches(model: BaseEstimator, log: bool) -> int:
-    """Return the number of searches whose averages a fit is the mean of."""
-    return SEARCHES if log and model.structure == "average" and model.optimizer is not None else 1
-
-
-def _searched(model, kernel, X, Z, data, log, inference, known, random_state):
-    """Return the fit of one search."""
-    kind = model.input_noise if isinstance(model.input_noise, str) else None
-    has_input_noise = kind == "learned" or (log and kind == "auto") or known.input_std is not None
-    options = {
-        "known": known,
-        "optimizer": model.optimizer,
-        "max_iter": most_iterations(model.max_iter, Z, log),
-        "input_noise": has_input_noise and known.loading is None,
-        "random_state": random_state.randint(2**31 - 1),
-    }
-    if inference == "exact":
-        fit = fit_exact(kernel, X, Z, data=data, **options)
-    else:
-        options |= {"n_inducing": model.n_inducing, "ordered": log}
-        fit = fit_sparse(kernel, X, Z, data=data, **options)
-        neglected = 0.0  # prior variance over the noise, of the worst output
-        if not (log or fit.learned.interrupted or fit.learned.input_std is not None):
-            sparse: Any = fit.posterior
-            neglected = float(np.max(sparse.unexplained_variance / sparse.noise))
-        n_exact = EXACT_LIMIT if model.inference == "auto" else None
-        if neglected > MOST_NEGLECTED:
-            _checks.warn_of_approximation(neglected, model.n_inducing, n_exact)
-        if neglected > MOST_NEGLECTED and n_exact is not None:
-            n = EXACT_LIMIT * len(X) // np.isfinite(Z).sum()
-            rows = stratified(np.arange(len(X)), n, random_state)
-            X, Z, known = X[rows], Z[rows], known.of_rows(rows)
-            data = fit.learned.noisy(Data.from_table(X, Z, known.loading))
-            fit = as_exact(fit.learned, X, Z, data, known)
-    if model.structure != "average" or model.optimizer is None or fit.learned.interrupted:
-        return fit
-    return average(fit, X, Z, None if log else random_state, known)
-
-
-def most_iterations(max_iter: int | None, Y: Matrix, log: bool) -> int:
-    """Return the largest number of iterations of the search for hyperparameters, which learns from N values.
-
-    Where it is not given, 60 of a log, else 150, or :math:`150 (1500 / N)^3`, as N^3 is the time of
-    an iteration.
-    """
-    if max_iter is not None or log:
-        return LOG_ITERATIONS if max_iter is None else max_iter
-    return int(ITERATIONS * min(ITERATED_VALUES / n_searched(Y), 1.0) ** 3)
-
-
-def weights_of(posterior: Posterior) -> dict[str, Vector]:
-    """Return the weight (P,) of each kind of member of a posterior, by its name."""
-    weights: dict = {}
-    for member, weight in zip(posterior.members, posterior.mixture, strict=True):
-        weights[_name(member.kernel)] = weights.get(_name(member.kernel), 0.0) + weight
-    return weights
-
-
-def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
-    """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
-
-    Its errors are noise, where an average still has a part of the errors of the other members.
-    """
-    means = np.array([member.predict(X) for member in posterior.members])
-    return np.take_along_axis(means, posterior.mixture.argmax(axis=0)[None, None], axis=0)[0]
-
-
-def _name(kernel):
-    terms = [term for term in kernel.summands() if not isinstance(term, LinearTrend)]
-    several = any(len(term.term_regressors()[0]) > 1 or kernel.n_features == 1 for term in terms)
-    return "joint" if several else "additive" if terms else "trend"
-
-
 def _check_number(what, number):
     """Raise a ValueError unless this is a positive integer."""
     if not isinstance(number, Integral) or isinstance(number, bool) or number < 1:
         raise ValueError(f"Got n_{what}={number!r}, but expected a number of {what} from 1 on.")
 
 
-def _make_kernel(model, X, Z, log):
-    """Return the kernel of all terms, in the units of the outputs.
-
-    Raises ValueError if the structure needs another kernel or trend, or if ``n_latent`` is given
-    beside a kernel.
-    """
-    if model.structure == "trend" and (model.kernel is not None or model.trend != "linear"):
-        raise ValueError(
-            f"Got structure='trend' with kernel={model.kernel!r} and trend={model.trend!r}, but "
-            "expected kernel=None and trend='linear', or structure='joint' for a given kernel."
-        )
-    if model.structure == "additive" and model.kernel is not None:
-        raise ValueError(
-            f"Got structure='additive' with kernel={model.kernel!r}, but expected kernel=None. Use "
-            "structure='joint', and add ConvolvedGaussian(0, regressors=[k]) to the kernel."
-        )
-    if model.n_latent is not None and model.kernel is not None:
-        raise ValueError(
-            f"Got n_latent={model.n_latent} with kernel={model.kernel!r}, but expected one of them: "
-            f"leave out n_latent, and give it to the kernel, such as "
-            f"ConvolvedGaussian({model.n_latent})."
-        )
-    n, d = X.shape
-    # one centre for all searches and components
-    trend = LinearTrend(center=X.mean(axis=0)) if model.trend == "linear" else None
-    if model.kernel is not None:
-        given = as_multi_output(clone(model.kernel))
-        complete = trend is None or any(term.n_processes == 0 for term in given.summands())
-        return given if complete else trend + given
-    averaged = model.structure == "average" and trend is not None
-    if model.structure == "trend" or (averaged and d > n):  # a process would have no weight
-        return trend
-    bounds = {"length_scale": "spacing"} if log else None
-    n_latent = model.n_latent
-    if n_latent is None:  # more where they can fill what is missing
-        n_latent = (
-            N_LATENT[0] if log or np.isfinite(Z).all() else int(np.clip(Z.shape[1] // 2, *N_LATENT))
-        )
-    kernel: MultiOutputKernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
-    if model.structure == "additive" or (log and averaged and d > 1 and n <= ADDITIVE_SAMPLES):
-        for k in range(d):
-            kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel
-    return kernel if trend is None else trend + kernel
+def _check_memory(recipe, n_values):
+    """Raise a ValueError if the covariance, and the factors of the components, do not fit into memory."""
+    if recipe.inference_of(n_values) == "exact":
+        several = recipe.n_searches > 1
+        n_matrices = 1 + 2 * recipe.n_searches if several else 2
+        check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,23 +20,36 @@ from skdgp._compute.linalg import (
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Indices, Matrix, Vector
 
-BANDWIDTHS = (
-    0.02,
-    0.05,
-    0.1,
-)  # of the means over near rows, in standard deviations of the regressors
-SEARCH_ROWS, MOST_ROWS = 300, 3000  # for hyperparameters, and for the posterior of one output
-ITERATIONS = 40
-LEAST_ROWS = 10  # in which the output is observed
-# Logarithms of a, l, b, c, w and the noise variance (``covariance``): start and bounds
-START = np.log([1.0, 1.0, 0.3, 0.1, 4.0, 0.1])
-BOUNDS = Bounds(
-    np.log([1e-5, 1e-2, 1e-6, 1e-6, 1e-1, 1e-6]), np.log([1e5, 1e3, 1e3, 1e3, 1e3, 1e2])
-)
+
+@dataclass(frozen=True)
+class ImputeSettings:
+    """The process of a missing measurement, given other outputs of the row."""
+
+    #: Of the means over near rows, in standard deviations of the regressors
+    bandwidths: tuple[float, ...] = (0.02, 0.05, 0.1)
+    #: Most rows for hyperparameters
+    search_rows: int = 300
+    #: Most rows for the posterior of one output
+    rows: int = 3000
+    #: Most iterations of the search
+    iterations: int = 40
+    #: Fewest rows in which the output is observed
+    least_rows: int = 10
+    #: Starting values of a, l, b, c, w and the noise variance (``covariance``)
+    start: tuple[float, ...] = (1.0, 1.0, 0.3, 0.1, 4.0, 0.1)
+    #: Their lower bounds
+    lower: tuple[float, ...] = (1e-5, 1e-2, 1e-6, 1e-6, 1e-1, 1e-6)
+    #: Their upper bounds
+    upper: tuple[float, ...] = (1e5, 1e3, 1e3, 1e3, 1e3, 1e2)
+
+
+SETTINGS = ImputeSettings()
 REMEDY = "Give fewer rows at a time, the ones with missing values and their neighbours."
 
 
-def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Matrix]:
+def imputed(
+    X: Matrix, Y: Matrix, mean: Matrix, std: Matrix, settings: ImputeSettings = SETTINGS
+) -> tuple[Matrix, Matrix]:
     """Return Y (n, P) with missing values replaced, and their standard deviations, zero where observed.
 
     For the equations see ``DependentGPRegressor.impute``. ``mean`` and ``std`` (n, P) are
@@ -44,26 +58,34 @@ def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Ma
     """
     check_memory(len(X), "Imputation in", REMEDY, n_matrices=3)
     missing = np.isnan(Y)
-    value, deviation = np.where(missing, mean, Y), np.where(missing, std, 0.0)
-    logs = [
-        closer_to_normal(y[~rows], z) for y, rows, z in zip(Y.T, missing.T, value.T, strict=True)
-    ]
-    table = np.column_stack([np.log(z) if log else z for z, log in zip(value.T, logs, strict=True)])
+    value = np.where(missing, mean, Y)
+    deviation = np.where(missing, std, 0.0)
+    table = value.copy()
+    takes_logarithm = []
+    for p, rows in enumerate(missing.T):
+        takes_logarithm.append(closer_to_normal(Y[~rows, p], value[:, p], settings.least_rows))
+        if takes_logarithm[p]:
+            table[:, p] = np.log(value[:, p])
     scaled = (table - table.mean(axis=0)) / column_scale(table)
     x = (X - X.mean(axis=0)) / column_scale(X)
     for p, rows in enumerate(missing.T):
-        known = missing[rows].mean(axis=0) < 0.5 if rows.any() else np.zeros(Y.shape[1], dtype=bool)
+        if not rows.any() or np.sum(~rows) < settings.least_rows:
+            continue
+        known = missing[rows].mean(axis=0) < 0.5
         asked = rows & ~missing[:, known].all(axis=1)
-        learned = np.flatnonzero(~rows)
-        if asked.any() and len(learned) >= LEAST_ROWS:
-            moments = conditional(x, scaled[:, known], table[learned, p], learned, asked)
-            value[asked, p], deviation[asked, p] = log_normal(*moments) if logs[p] else moments
+        if asked.any():
+            learned = np.flatnonzero(~rows)
+            y = table[learned, p]
+            moments = conditional(x, scaled[:, known], y, learned, asked, settings)
+            if takes_logarithm[p]:
+                moments = log_normal(*moments)
+            value[asked, p], deviation[asked, p] = moments
     return value, deviation
 
 
-def closer_to_normal(y: Vector, filled: Vector) -> bool:
+def closer_to_normal(y: Vector, filled: Vector, least_rows: int) -> bool:
     """Return whether log y has a larger normal likelihood than y, both as densities of y."""
-    if np.min(filled) <= 0 or len(y) < LEAST_ROWS or np.ptp(y) == 0:
+    if np.min(filled) <= 0 or len(y) < least_rows or np.ptp(y) == 0:
         return False
     logarithm = np.log(y)
     return bool(np.log(np.std(logarithm)) + logarithm.mean() < np.log(np.std(y)))
@@ -77,25 +99,35 @@ def log_normal(mean: Vector, std: Vector) -> tuple[Vector, Vector]:
 
 @one_blas_thread()
 def conditional(
-    x: Matrix, others: Matrix, y: Vector, learned: Indices, asked: Matrix
+    x: Matrix,
+    others: Matrix,
+    y: Vector,
+    learned: Indices,
+    asked: Matrix,
+    settings: ImputeSettings = SETTINGS,
 ) -> tuple[Vector, Vector]:
     """Return mean and standard deviation of a measurement in the rows ``asked``, from y (m,) in ``learned``.
 
     They are of the mixture, with equal weights, of the processes for each bandwidth.
     """
-    some, most = (
-        np.linspace(0, len(y) - 1, min(len(y), limit)).astype(int)
-        for limit in (SEARCH_ROWS, MOST_ROWS)
-    )
+    some = evenly(len(y), settings.search_rows)
+    most = evenly(len(y), settings.rows)
     predictions = []
-    for bandwidth in BANDWIDTHS:
+    for bandwidth in settings.bandwidths:
         table = inputs(x, others, bandwidth)
-        theta = likeliest([part[learned[some]] for part in table], y[some])
-        rows, wanted = ([part[which] for part in table] for which in (learned[most], asked))
+        searched = [part[learned[some]] for part in table]
+        theta = likeliest(searched, y[some], settings)
+        rows = [part[learned[most]] for part in table]
+        wanted = [part[asked] for part in table]
         predictions.append(predicted(theta, rows, y[most], wanted))
     means, stds = np.array(predictions).swapaxes(0, 1)
     mean = means.mean(axis=0)
     return mean, np.sqrt(np.mean(stds**2 + (means - mean) ** 2, axis=0))
+
+
+def evenly(n: int, most: int) -> Indices:
+    """Return at most so many of n places, evenly spread."""
+    return np.linspace(0, n - 1, min(n, most)).astype(int)
 
 
 def inputs(x: Matrix, others: Matrix, bandwidth: float) -> list[Matrix]:
@@ -132,9 +164,10 @@ def factor(K: Matrix, theta: Vector) -> Matrix:
     return jittered_cholesky(lambda: np.asfortranarray(K + np.exp(theta[-1]) * np.eye(len(K))))
 
 
-def likeliest(rows: list[Matrix], y: Vector) -> Vector:
-    """Return the hyperparameters of the largest marginal likelihood of the standardised y, found from START."""
-    between, z = relations(rows, rows), (y - y.mean()) / column_scale(y[:, None])[0]
+def likeliest(rows: list[Matrix], y: Vector, settings: ImputeSettings = SETTINGS) -> Vector:
+    """Return the hyperparameters of the largest marginal likelihood of the standardised y."""
+    between = relations(rows, rows)
+    z = (y - y.mean()) / column_scale(y[:, None])[0]
 
     def loss(theta):
         K, slopes = covariance(theta, between)
@@ -146,8 +179,10 @@ def likeliest(rows: list[Matrix], y: Vector) -> Vector:
         value = 0.5 * (z @ weights + log_determinant(L))
         return value, np.array([0.5 * np.sum(rest * slope) for slope in slopes])
 
-    options: Any = {"maxiter": ITERATIONS}
-    return minimize(loss, START, jac=True, method="L-BFGS-B", bounds=BOUNDS, options=options).x
+    start = np.log(settings.start)
+    bounds = Bounds(np.log(settings.lower), np.log(settings.upper))
+    options: Any = {"maxiter": settings.iterations}
+    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
 
 
 def predicted(

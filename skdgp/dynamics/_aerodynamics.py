@@ -18,7 +18,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.differences import central_difference
-from skdgp._compute.sklearn_compat import set_output_container, unwrap
+from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
@@ -509,8 +509,7 @@ def _steps_of(model: BaseEstimator) -> list:
 def _for_arrays(transform: Any) -> Any:
     """Return the transform as if fitted on an array, returning arrays, whatever `set_output` chose."""
     twin = copy.deepcopy(_without_names(transform))
-    set_output_container(twin, "default")
-    return twin
+    return twin.set_output(transform="default") if hasattr(twin, "set_output") else twin
 
 
 def _without_names(step: Any) -> Any:

@@ -330,7 +330,7 @@ def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
     pair = kernel.pair(i, j)
     (regressors,) = original.term_regressors()
     unused = np.setdiff1d(np.arange(X.shape[1]), regressors)
-    for gain, root, shift in zip(pair.gain, pair.F, pair.mu, strict=True):
+    for gain, root, shift in zip(pair.gain, np.sqrt(pair.Sigma), pair.mu, strict=True):
         F = np.diag(root)
         F[unused] = 0.0
         F = F[:, F.any(axis=0)]

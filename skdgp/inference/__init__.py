@@ -17,6 +17,7 @@ errors    of the function, that a posterior does not hold: by correlated noise, 
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
+from skdgp.inference._drift import residual_drift
 from skdgp.inference._errors import (
     FunctionErrors,
     PosteriorWithErrors,
@@ -24,21 +25,28 @@ from skdgp.inference._errors import (
     mean_errors,
     narrowing,
 )
-from skdgp.inference._fit import (
-    Fit,
-    as_exact,
-    average,
-    fit_exact,
-    fit_sparse,
-    mean_of,
-    misfit_variance,
-    residual_drift,
-)
+from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mean_of
 from skdgp.inference._known_slopes import KnownSlopes
-from skdgp.inference._likelihood import Data, log_likelihood
-from skdgp.inference._posterior import ExactPosterior, Paths, Posterior, SinglePosterior
-from skdgp.inference._search import KnownNoise, Optimum, maximize, n_searched, stratified
-from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._likelihood import Data, TileSettings, log_likelihood
+from skdgp.inference._misfit import misfit_variance
+from skdgp.inference._noise import KnownNoise
+from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
+from skdgp.inference._posterior import (
+    ExactPosterior,
+    Paths,
+    Posterior,
+    PosteriorSettings,
+    SinglePosterior,
+)
+from skdgp.inference._search import Objective, SearchSettings, n_searched, some_rows, stratified
+from skdgp.inference._sparse import ShareSettings, SparsePosterior
+from skdgp.inference._starts import (
+    coarse,
+    from_coarse,
+    narrowed,
+    single_output,
+    starting_kernel,
+)
 
 __all__ = [
     "AveragePosterior",
@@ -49,17 +57,25 @@ __all__ = [
     "FunctionErrors",
     "KnownNoise",
     "KnownSlopes",
+    "Objective",
+    "OptimizerSettings",
     "Optimum",
     "Paths",
     "Posterior",
+    "PosteriorSettings",
     "PosteriorWithErrors",
+    "SearchSettings",
+    "ShareSettings",
     "SinglePosterior",
     "SparsePosterior",
+    "TileSettings",
     "as_exact",
     "autocorrelation_time",
     "average",
+    "coarse",
     "fit_exact",
     "fit_sparse",
+    "from_coarse",
     "function_errors",
     "log_likelihood",
     "maximize",
@@ -67,8 +83,12 @@ __all__ = [
     "mean_of",
     "misfit_variance",
     "n_searched",
+    "narrowed",
     "narrowing",
     "residual_drift",
+    "single_output",
+    "some_rows",
+    "starting_kernel",
     "stratified",
     "training_inputs",
 ]

@@ -13,7 +13,7 @@ Weights below 5 % are set to zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import reduce
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,16 +26,31 @@ from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle
 
-# Cost of the hyperparameters of a process [nats for each regressor] (Akaike 1974: two widths)
-NATS = 2.0
-# Blocks of the log, and parts held out in turn: errors are correlated over a tenth of a log
-BLOCKS, FOLDS = 8, 4
-# Most rows that weights are learned from, and values of an exact posterior, to save time
-MOST_ROWS, MOST_VALUES = 4000, 4000
-COMPLETE = 0.95  # share of its values that an output has where whole rows are held out
-# Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen all of it
-LEAST_WEIGHT = 0.05
-STEPS = 200  # of expectation maximisation for the weights
+
+@dataclass(frozen=True)
+class AverageSettings:
+    """How the weights of an average are learned."""
+
+    #: Cost of the hyperparameters of a process [nats for each regressor] (Akaike 1974: two widths)
+    nats: float = 2.0
+    #: Blocks of rows: errors are correlated over a tenth of a time series
+    n_blocks: int = 8
+    #: Parts of the blocks that are held out in turn
+    n_folds: int = 4
+    #: Most rows that weights are learned from, to save time
+    rows: int = 4000
+    #: Most values of an exact posterior that weights are learned from, to save time
+    values: int = 4000
+    #: Fraction of its values that an output has where whole rows are held out
+    complete: float = 0.95
+    #: Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen
+    #: all of it
+    least_weight: float = 0.05
+    #: Steps of expectation maximisation for the weights
+    n_steps: int = 200
+
+
+SETTINGS = AverageSettings()
 
 
 def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
@@ -45,13 +60,13 @@ def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
     of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k
     (v_k + (m_k - m)^2)`.
     """
-    means, variances = zip(*values, strict=True) if return_variance else (values, None)
-    means = np.asarray(means)
+    means = np.asarray([value[0] for value in values] if return_variance else values)
     weights = mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
     mean = np.sum(weights * means, axis=0)
-    if variances is None:
+    if not return_variance:
         return mean
-    return mean, np.sum(weights * (np.asarray(variances) + (means - mean) ** 2), axis=0)
+    variances = np.asarray([value[1] for value in values])
+    return mean, np.sum(weights * (variances + (means - mean) ** 2), axis=0)
 
 
 def parts_of(kernel: MultiOutputKernel) -> list[tuple[int, ...]]:
@@ -60,11 +75,13 @@ def parts_of(kernel: MultiOutputKernel) -> list[tuple[int, ...]]:
     Between them stands the sum without the processes of several regressors. A kernel without a
     trend has one member.
     """
+    trend, single = [], []
     terms = kernel.summands()
-    trend = [k for k, term in enumerate(terms) if term.n_processes == 0]
-    single = [
-        k for k, term in enumerate(terms) if k not in trend and len(term.term_regressors()[0]) == 1
-    ]
+    for k, term in enumerate(terms):
+        if term.n_processes == 0:
+            trend.append(k)
+        elif len(term.term_regressors()[0]) == 1:
+            single.append(k)
     members = [tuple(range(len(terms)))]
     if trend:
         members += [tuple(sorted(trend + single)), tuple(trend)]
@@ -76,13 +93,17 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
     terms = whole.summands()
     if len(numbers) == len(terms):
         return whole
-    return reduce(lambda rest, k: terms[k] + rest, numbers[-2::-1], terms[numbers[-1]])
+    *others, last = numbers
+    total = terms[last]
+    for k in reversed(others):
+        total = terms[k] + total
+    return total
 
 
 class AveragePosterior(Posterior):
     """The mixture of posteriors, the members, with weights for each output (``moments``).
 
-    Behind a posterior of all terms stand the posteriors of its parts, with the same
+    Each posterior of all terms is followed by the posteriors of its parts, with the same
     hyperparameters. Another posterior of all terms comes from another search.
 
     Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for
@@ -107,9 +128,8 @@ class AveragePosterior(Posterior):
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        return moments(
-            self.mixture, [m.predict(Xs, return_variance) for m in self.members], return_variance
-        )
+        predictions = [member.predict(Xs, return_variance) for member in self.members]
+        return moments(self.mixture, predictions, return_variance)
 
     def gradient(self, Xs: Matrix) -> Array:
         """Return d mean / d x at Xs, (n, P, d)."""
@@ -139,15 +159,14 @@ class AveragePosterior(Posterior):
         """
         rng = check_random_state(random_state)
         pick = rng.permutation(n_paths) + rng.uniform(size=n_paths)
-        member = np.sum(
-            pick[:, None, None] >= n_paths * np.cumsum(self.mixture, axis=0)[:-1], axis=1
-        )
+        ends = n_paths * np.cumsum(self.mixture, axis=0)
+        member = np.sum(pick[:, None, None] >= ends[:-1], axis=1)
         seeds = rng.randint(2**31 - 1, size=len(self.members))
-        bundles = [
+        first, *others = [
             component.paths(n_paths, int(seed))
             for component, seed in zip(self.members, seeds, strict=True)
         ]
-        return bundles[0].mixed(bundles[1:], member)
+        return first.mixed(others, member)
 
 
 def held_out_weights(
@@ -157,39 +176,44 @@ def held_out_weights(
     Y: Matrix,
     loading: Array | None,
     random_state: Any = None,
+    settings: AverageSettings = SETTINGS,
 ) -> Matrix:
     """Return the weights (K, P) of posteriors with these noises (P,) from their predictions of held-out blocks.
 
-    ``random_state`` chooses the rows of a block; without it they are contiguous, as in a log.
+    ``random_state`` chooses the rows of a block; without it they are contiguous, as in a time
+    series.
     """
-    rows = np.arange(0, len(X), max(-(-len(X) // MOST_ROWS), -(-members[0].size // MOST_VALUES)))
+    step = max(-(-len(X) // settings.rows), -(-members[0].size // settings.values))
+    rows = np.arange(0, len(X), step)
     order = np.arange(len(rows)) if random_state is None else random_state.permutation(len(rows))
-    predictions = [
-        held_out(*pair, X, Y, rows, loading, order) for pair in zip(members, noises, strict=True)
-    ]
-    K, P = len(members), Y.shape[1]
-    cost = NATS * np.sum(~constant_columns(X))
-    weights = np.empty((K, P))
-    for i in range(P):
-        y = Y[rows, i]
-        error = np.array([y - mean[:, i] for mean, _ in predictions])
-        variance = np.array([v[:, i] for _, v in predictions])
+    predictions = []
+    for member, noise in zip(members, noises, strict=True):
+        predictions.append(held_out(member, noise, X, Y, rows, loading, order, settings))
+    means, variances = np.array(predictions).swapaxes(0, 1)
+    cost = settings.nats * np.sum(~constant_columns(X))
+    weights = np.empty((len(members), Y.shape[1]))
+    for i, y in enumerate(Y[rows].T):
+        error = y - means[..., i]
         known = np.isfinite(error).all(axis=0)
-        error, variance = error[:, known], variance[:, known]
+        error = error[:, known]
+        variance = variances[..., i][:, known]
         scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
         scores[:-1] -= cost / max(scores.shape[1], 1)
-        weights[:, i] = stacked(scores)
-    weights[weights < LEAST_WEIGHT] = 0.0
+        weights[:, i] = stacked(scores, settings.n_steps)
+    weights[weights < settings.least_weight] = 0.0
     return weights / weights.sum(axis=0)
 
 
-def stacked(scores: Matrix) -> Vector:
+def stacked(scores: Matrix, n_steps: int = SETTINGS.n_steps) -> Vector:
     """Return the weights (K,) of components with log densities (K, rows); without rows the last has all."""
     K, n = scores.shape
-    weights = np.full(K, 1.0 / K) if n else np.eye(K)[-1]
-    for _ in range(STEPS if n else 0):
+    if n == 0:
+        return np.eye(K)[-1]
+    weights = np.full(K, 1.0 / K)
+    for _ in range(n_steps):
         with np.errstate(divide="ignore"):
-            weights = softmax(scores + np.log(weights)[:, None], axis=0).mean(axis=1)
+            log_weights = np.log(weights)
+        weights = softmax(scores + log_weights[:, None], axis=0).mean(axis=1)
     return weights
 
 
@@ -201,44 +225,51 @@ def held_out(
     rows: Any,
     loading: Array | None = None,
     order: Any = None,
+    settings: AverageSettings = SETTINGS,
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
     Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
     at X, if they have any, ``order`` (len(rows),) the place of each row, by which blocks are cut.
-    Where
-    outputs are observed together, whole rows are left out. A value that
-    is missing while others are there is learned from these, so where an output has gaps, blocks are
-    left out of one output at a time.
+    Where outputs are observed together, whole rows are left out. A value that is missing while
+    others are there is learned from these, so where an output has gaps, blocks are left out of one
+    output at a time.
     """
-    loading = None if loading is None else loading[rows]
-    X, Y, step = X[rows], Y[rows], len(X) // len(rows)
+    step = len(X) // len(rows)
     inflation = np.maximum(posterior.noise / noise / step, 1.0)
-    mean, variance = np.full((2, *Y.shape), np.nan)
-    for left_out in _folds(Y, np.arange(len(Y)) if order is None else order):
-        targets = np.where(left_out, np.nan, Y)
-        data = Data.from_table(
-            X, targets, None if loading is None else loading * np.sqrt(inflation)[:, None]
-        )
+    X = X[rows]
+    Y = Y[rows]
+    inflated = None
+    if loading is not None:
+        loading = loading[rows]
+        inflated = loading * np.sqrt(inflation)[:, None]
+    order = np.arange(len(Y)) if order is None else order
+    mean = np.full(Y.shape, np.nan)
+    variance = np.full(Y.shape, np.nan)
+    for left_out in _folds(Y, order, settings):
+        data = Data.from_table(X, np.where(left_out, np.nan, Y), inflated)
         inside = np.flatnonzero(left_out.any(axis=1))
-        predicted = posterior.of(data, noise * inflation).predict(X[inside], return_variance=True)
-        for values, all_values in zip(predicted, (mean, variance), strict=True):
-            all_values[left_out] = values[left_out[inside]]
+        others = posterior.of(data, noise * inflation)
+        means, variances = others.predict(X[inside], return_variance=True)
+        mean[left_out] = means[left_out[inside]]
+        variance[left_out] = variances[left_out[inside]]
     variance += noise
     if loading is not None:
         variance += np.einsum("npr,npr->np", loading, loading)
     return mean, variance
 
 
-def _folds(Y, order):
+def _folds(Y, order, settings):
     """Yield masks of the values that are held out together, (n, P), in blocks of neighbours in ``order`` (n,)."""
     n, P = Y.shape
-    block = order * min(BLOCKS, n) // n
+    block = order * min(settings.n_blocks, n) // n
     observed = np.isfinite(Y)
-    gaps = P > 1 and (observed.mean(axis=0) < COMPLETE * observed.any(axis=1).mean()).any()
-    turn = block[:, None] + (np.arange(P) if gaps else np.zeros(P, dtype=int))
-    for fold in range(FOLDS):
-        yield (turn % FOLDS == fold) & observed
+    complete = settings.complete * observed.any(axis=1).mean()
+    has_gaps = P > 1 and (observed.mean(axis=0) < complete).any()
+    shift = np.arange(P) if has_gaps else np.zeros(P, dtype=int)
+    turn = block[:, None] + shift
+    for fold in range(settings.n_folds):
+        yield (turn % settings.n_folds == fold) & observed
 
 
 # -- one term of a sum of kernels
@@ -287,7 +318,8 @@ class _MemberTerm:
     def __init__(self, posterior: SinglePosterior, regressors: tuple[int, ...], X: Matrix) -> None:
         self.posterior = posterior.term(posterior.kernel.term(regressors))
         self.X = X
-        outputs, kernel = range(posterior.kernel.n_outputs), self.posterior.kernel
+        outputs = range(posterior.kernel.n_outputs)
+        kernel = self.posterior.kernel
         loadings = [self.posterior.loading(i, X) for i in outputs]
         self.values = np.column_stack([A @ b for A, b in loadings])
         self._means = [A.mean(axis=0) for A, _ in loadings]

@@ -15,26 +15,46 @@ standard deviation of the regressors.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import column_scale
+from skdgp._compute.linalg import column_scale, consecutive
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
-from skdgp.inference._posterior import FREQUENCIES, Posterior, SinglePosterior
+from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle, independent_processes, prior_paths
 
-BLOCKS = 60  # blocks of the time series; errors of different blocks are taken as independent
-BLOCK_ROWS = 10  # fewest samples in a block
-BLOCK_TIMES = 4.0  # fewest autocorrelation times of the errors in a block, if there remain
-FEWEST_BLOCKS = 12  # at least so many blocks
-FEWEST = 10  # samples for each weight of a line
-DELAYS = (2, 4, 6)  # of the instruments, in autocorrelation times of the errors
-SINGULAR = 1e-10  # fraction of the largest eigenvalue below which instruments count as equal
+
+@dataclass(frozen=True)
+class ErrorSettings:
+    """How errors of a function are found in the residuals of a time series."""
+
+    #: Blocks of the time series; errors of different blocks are taken as independent
+    n_blocks: int = 60
+    #: Fewest samples in a block
+    block_rows: int = 10
+    #: Fewest autocorrelation times of the errors in a block, if ``fewest_blocks`` remain
+    block_times: float = 4.0
+    #: At least so many blocks
+    fewest_blocks: int = 12
+    #: Fewest samples for each weight of a line
+    fewest: int = 10
+    #: Delays of the instruments, in autocorrelation times of the errors
+    delays: tuple[int, ...] = (2, 4, 6)
+    #: Fraction of the largest eigenvalue below which instruments count as equal
+    singular: float = 1e-10
+
+    def inverse(self, M: Matrix) -> Matrix:
+        """Return the inverse of a symmetric matrix, without directions that are nearly singular."""
+        inverse: Any = np.linalg.pinv(M, rcond=self.singular, hermitian=True)
+        return inverse
+
+
+SETTINGS = ErrorSettings()
 
 
 class FunctionErrors(NamedTuple):
@@ -80,7 +100,7 @@ class FunctionErrors(NamedTuple):
         rng = check_random_state(random_state)
         z = rng.standard_normal((n_paths, len(self.weights)))
         linear = LinearPaths(np.tensordot(z, self.weights, axes=1), self.centre)
-        return linear + prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
+        return linear + prior_paths(self.kernel, n_paths, PosteriorSettings.frequencies, rng)
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
         """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d) of the random terms, and of those by method."""
@@ -199,6 +219,7 @@ def function_errors(
     discrepancy: Vector,
     input_std: Vector | None = None,
     flight: Vector | None = None,
+    settings: ErrorSettings = SETTINGS,
 ) -> FunctionErrors:
     r"""Return the errors of the function of a posterior that it does not hold, from its time series.
 
@@ -226,7 +247,9 @@ def function_errors(
     input_std : ndarray (d,) or None
         Standard deviations of the noise of the regressors.
     flight : ndarray (n,) or None
-        Number of the flight of each sample. No block and no instrument crosses the end of one. None: one flight.
+        Number of the flight of each sample. No block and no instrument crosses the end of one.
+        None: one flight.
+    settings : ErrorSettings
 
     Returns
     -------
@@ -234,37 +257,50 @@ def function_errors(
     """
     data = posterior.data
     longest = max(data.X, key=len)
-    centre, scale = longest.mean(axis=0), column_scale(longest)
-    P, d = len(data.y), len(centre)
+    centre = longest.mean(axis=0)
+    scale = column_scale(longest)
     errors = mean_errors(posterior)._replace(
         centre=centre, discrepancy=np.asarray(discrepancy, dtype=float), length_scale=scale
     )
-    if min(map(len, data.y)) < FEWEST * (d + 1):
+    if min(map(len, data.y)) < settings.fewest * (len(centre) + 1):
         return errors
+
     samples = data.sample or [np.arange(len(y)) for y in data.y]
     records = _records(samples, flight)
-    residuals = [
-        y - posterior.predict(x)[:, i] for i, (x, y) in enumerate(zip(data.X, data.y, strict=True))
-    ]
-    parts = blocks(records, max(map(autocorrelation_time, residuals)))
-    random = np.zeros((len(parts), d + 1, P))
-    instruments = np.zeros((1, d + 1, P))
-    attenuation = np.zeros((d, d + 1, P))
-    slopes = posterior.gradient(centre[None])[0]
+    residuals = []
+    for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+        residuals.append(y - posterior.predict(x)[:, i])
+    parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
     noise = mean_noise(posterior)
+    random, instruments = [], []
     for i, (x, sample) in enumerate(zip(data.X, samples, strict=True)):
         Q = _basis((x - centre) / scale)
-        residual = residuals[i]
-        of_blocks = block_errors(Q, residual, [_places(sample, rows) for rows in parts])
-        random[:, :, i] = beyond(of_blocks, white_variance(Q, noise[i]))
-        change, scatter = instrumented(Q, residual, [_places(sample, rows) for rows in records])
-        beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
-        instruments[0, 1:, i] = (np.sign(change) * np.sqrt(beyond_chance))[1:]
-        if input_std is not None:
-            attenuation[:, 1:, i] = _attenuation(x, input_std, slopes[i])
+        of_blocks = [_places(sample, rows) for rows in parts]
+        of_records = [_places(sample, rows) for rows in records]
+        correlated = block_errors(Q, residuals[i], of_blocks, settings)
+        random.append(beyond(correlated, white_variance(Q, noise[i], settings)))
+        instruments.append(_gust_bias(Q, residuals[i], of_records, settings))
+
     unit = np.append(1.0, scale)[:, None]  # of the weights of Q
-    random = np.concatenate([errors.random, random / unit])
-    return errors._replace(random=random, method=np.concatenate([instruments / unit, attenuation]))
+    correlated = np.stack(random, axis=-1) / unit
+    gusts = np.stack(instruments, axis=-1)[None] / unit
+    slopes = posterior.gradient(centre[None])[0]
+    flattened = _attenuation(data.X, input_std, slopes, settings)
+    return errors._replace(
+        random=np.concatenate([errors.random, correlated]),
+        method=np.concatenate([gusts, flattened]),
+    )
+
+
+def _gust_bias(
+    Q: Matrix, residual: Vector, records: Sequence[Indices], settings: ErrorSettings
+) -> Vector:
+    """Return the slopes that instruments find in the residuals, beyond chance, and zero for the constant, (m,)."""
+    change, scatter = instrumented(Q, residual, records, settings)
+    beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
+    bias = np.sign(change) * np.sqrt(beyond_chance)
+    bias[0] = 0.0
+    return bias
 
 
 def _records(sample: Sequence[Indices], flight: Vector | None) -> list[Indices]:
@@ -279,23 +315,30 @@ def _places(sample: Indices, rows: Indices) -> Indices:
     return np.flatnonzero(np.isin(sample, rows, assume_unique=True))
 
 
-def white_variance(Q: Matrix, noise: float) -> Vector:
+def white_variance(Q: Matrix, noise: float, settings: ErrorSettings = SETTINGS) -> Vector:
     """Return the variance of the weights of least squares, (m,), for white noise of this variance."""
-    return noise * np.diag(np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True))
+    return noise * np.diag(settings.inverse(Q.T @ Q))
 
 
 def beyond(errors: Matrix, variance: Vector) -> Matrix:
     """Return errors (k, m) that are smaller, so that the sum of their squares is less by a ``variance`` (m,)."""
     total = np.sum(errors**2, axis=0)
     left = np.maximum(total - variance, 0.0)
-    return errors * np.sqrt(np.divide(left, total, out=np.zeros_like(total), where=total > 0))
+    fraction = np.divide(left, total, out=np.zeros_like(total), where=total > 0)
+    return errors * np.sqrt(fraction)
 
 
-def _attenuation(x: Matrix, input_std: Vector, slopes: Vector) -> Matrix:
-    """Return how far noise of each regressor (rows) flattens each slope (columns), (d, d)."""
-    covariance = np.atleast_2d(np.cov(x.T))
-    inverse = np.linalg.pinv(covariance, rcond=SINGULAR, hermitian=True)
-    return inverse * (input_std**2 * slopes)[:, None]
+def _attenuation(
+    X: Sequence[Matrix], input_std: Vector | None, slopes: Matrix, settings: ErrorSettings
+) -> Array:
+    """Return how far noise of each regressor flattens each slope (P, d) of each output, (d, d + 1, P)."""
+    P, d = slopes.shape
+    attenuation = np.zeros((d, d + 1, P))
+    if input_std is not None:
+        for i, x in enumerate(X):
+            inverse = settings.inverse(np.atleast_2d(np.cov(x.T)))
+            attenuation[:, 1:, i] = inverse * (input_std**2 * slopes[i])[:, None]
+    return attenuation
 
 
 def _basis(x: Array) -> Array:
@@ -303,11 +346,13 @@ def _basis(x: Array) -> Array:
     return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
 
 
-def blocks(records: Sequence[Indices], lasting: float = 1.0) -> list[Indices]:
+def blocks(
+    records: Sequence[Indices], lasting: float = 1.0, settings: ErrorSettings = SETTINGS
+) -> list[Indices]:
     """Return blocks of consecutive samples of the records, about 60, fewer where errors are ``lasting`` [samples]."""
     n = sum(map(len, records))
-    longer = min(BLOCK_TIMES * lasting, n / FEWEST_BLOCKS)
-    length = max(n / BLOCKS, BLOCK_ROWS, longer)
+    longer = min(settings.block_times * lasting, n / settings.fewest_blocks)
+    length = max(n / settings.n_blocks, settings.block_rows, longer)
     parts: list[Indices] = []
     for rows in records:
         parts += np.array_split(rows, max(1, int(len(rows) / length)))
@@ -317,20 +362,26 @@ def blocks(records: Sequence[Indices], lasting: float = 1.0) -> list[Indices]:
 
 
 def block_errors(
-    Q: Matrix, residual: Vector, parts: Sequence[Indices], inverse: Any = None
+    Q: Matrix,
+    residual: Vector,
+    parts: Sequence[Indices],
+    settings: ErrorSettings = SETTINGS,
+    inverse: Matrix | None = None,
 ) -> Matrix:
     """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
 
     ``parts`` are the places of the rows of each block. ``inverse`` is by default that of Q^T Q.
     """
     if inverse is None:
-        inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
+        inverse = settings.inverse(Q.T @ Q)
     scores = np.array([Q[rows].T @ residual[rows] for rows in parts])
     n_blocks = max(sum(len(rows) > 0 for rows in parts), 2)
     return scores @ inverse.T * np.sqrt(n_blocks / (n_blocks - 1))
 
 
-def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vector, Matrix]:
+def instrumented(
+    Q: Matrix, y: Vector, records: Sequence[Indices], settings: ErrorSettings = SETTINGS
+) -> tuple[Vector, Matrix]:
     """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
 
     Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
@@ -338,26 +389,30 @@ def instrumented(Q: Matrix, y: Vector, records: Sequence[Indices]) -> tuple[Vect
     motion, such as that of a gust, correlates with present regressors, and so biases least squares.
     Part of the bias remains, the more the longer gusts last.
     """
+    longest = settings.delays[-1]
     lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
-    lag = min(round(sum(lasting) / len(y)), len(y) // (2 * DELAYS[-1]))
-    first = lag * DELAYS[-1]
+    lag = min(round(sum(lasting) / len(y)), len(y) // (2 * longest))
+    first = lag * longest
     long = [rows for rows in records if len(rows) > first]
     if not long:
         return np.zeros(Q.shape[1]), np.zeros((2, Q.shape[1]))
-    now = np.concatenate([rows[first:] for rows in long])
+    now = [rows[first:] for rows in long]
     past = []
-    for delay in DELAYS:
+    for delay in settings.delays:
         earlier = [rows[first - lag * delay : len(rows) - lag * delay] for rows in long]
         past.append(Q[np.concatenate(earlier)])
     instruments = np.hstack(past)
-    between = np.linalg.pinv(instruments.T @ instruments, rcond=SINGULAR, hermitian=True)
-    expected = instruments @ (between @ (instruments.T @ Q[now]))
-    inverse = np.linalg.pinv(expected.T @ Q[now], rcond=SINGULAR, hermitian=True)
-    weights = inverse @ (expected.T @ y[now])
-    ends = np.cumsum([0, *(len(rows) - first for rows in long)])
-    of_records = [np.arange(a, b) for a, b in pairwise(ends)]
-    parts = blocks(of_records)
-    return weights, block_errors(expected, y[now] - Q[now] @ weights, parts, inverse)
+
+    present = np.concatenate(now)
+    Q = Q[present]
+    y = y[present]
+    between = settings.inverse(instruments.T @ instruments)
+    expected = instruments @ (between @ (instruments.T @ Q))  # first stage
+    inverse = settings.inverse(expected.T @ Q)
+    weights = inverse @ (expected.T @ y)  # second stage
+    of_records = [np.arange(place.start, place.stop) for place in consecutive(now)]
+    parts = blocks(of_records, settings=settings)
+    return weights, block_errors(expected, y - Q @ weights, parts, settings, inverse)
 
 
 def mean_noise(posterior: Posterior) -> Vector:
@@ -371,10 +426,11 @@ def mean_noise(posterior: Posterior) -> Vector:
     white = np.sum(posterior.mixture * members, axis=0)
     if data.sample_noise is None:
         return white
-    propagated = [np.sum(loading**2, axis=1) for loading in data.sample_noise.loading]
-    return np.array(
-        [1 / np.mean(1 / (w + part)) for w, part in zip(white, propagated, strict=True)]
-    )
+    means = []
+    for variance, loading in zip(white, data.sample_noise.loading, strict=True):
+        of_values = variance + np.sum(loading**2, axis=1)
+        means.append(1 / np.mean(1 / of_values))
+    return np.array(means)
 
 
 def mean_errors(posterior: Posterior) -> FunctionErrors:
@@ -408,7 +464,7 @@ def _intercept_variance(kernel: MultiOutputKernel, centre: Vector) -> Vector:
 
 
 @one_blas_thread()
-def narrowing(posterior: Posterior, added: Matrix) -> Matrix:
+def narrowing(posterior: Posterior, added: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
     """Return how far rows flown next narrow the deviations of slopes at the centre, (P, d), as of least squares.
 
     ``added`` (k, d) are their regressors. With too few rows for least squares no promise is made:
@@ -417,17 +473,18 @@ def narrowing(posterior: Posterior, added: Matrix) -> Matrix:
     data = posterior.data
     ratio = np.ones((len(data.y), added.shape[1]))
     for i, x in enumerate(data.X):
-        if len(x) < FEWEST * (1 + x.shape[1]):
+        if len(x) < settings.fewest * (1 + x.shape[1]):
             continue
-        centre, scale = x.mean(axis=0), column_scale(x)
-        before = _slope_variances((x - centre) / scale)
-        after = _slope_variances((np.vstack([x, added]) - centre) / scale)
+        centre = x.mean(axis=0)
+        scale = column_scale(x)
+        together = np.vstack([x, added])
+        before = _slope_variances((x - centre) / scale, settings)
+        after = _slope_variances((together - centre) / scale, settings)
         np.divide(after, before, out=ratio[i], where=before > 0)
     return np.sqrt(np.minimum(ratio, 1.0))
 
 
-def _slope_variances(z: Matrix) -> Vector:
+def _slope_variances(z: Matrix, settings: ErrorSettings) -> Vector:
     """Return the variances (d,) of the slopes of a line by least squares at z (n, d), for noise of variance one."""
     Q = _basis(z)
-    inverse = np.linalg.pinv(Q.T @ Q, rcond=SINGULAR, hermitian=True)
-    return np.diag(inverse)[1:]
+    return np.diag(settings.inverse(Q.T @ Q))[1:]

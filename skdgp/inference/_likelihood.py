@@ -1,7 +1,6 @@
 """The exact likelihood and its gradient by one Cholesky factorisation, with the noise of its covariance.
 
-Only this file knows the layout of the N x N matrix. A kernel computes one tile of one pair of
-outputs at a time.
+The N x N matrix is output-major. A kernel computes one tile of one pair of outputs at a time.
 
 Noise is white noise of each output, and noise propagated from the regressors to all outputs. The
 noise of sample a has the covariance diag(sigma^2) + J_a S J_a^T, with the slopes J_a of the
@@ -12,7 +11,8 @@ in factor analysis.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
@@ -20,8 +20,8 @@ import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
 
 from skdgp._compute.linalg import (
-    RowPairs,
     cholesky_inverse,
+    consecutive,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
@@ -30,12 +30,19 @@ from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels import MultiOutputKernel, PathBundle
 
-TILE = (
-    768  # largest side of a tile, in values of one output; kernels cut it further to fit the cache
-)
-PAIRED = 1000  # largest number of rows whose pairs are all kept
+
+@dataclass(frozen=True)
+class TileSettings:
+    """Largest sides of the tiles of the covariance matrix, in values of one output: what fits the cache."""
+
+    #: Beside the diagonal
+    side: int = 768
+    #: On the diagonal, where both triangles are computed
+    diagonal: int = 384
+
+
+TILES = TileSettings()
 SLOPE_ROWS = 512  # samples in one step of the slopes: their covariances fit the cache
-HALF = 384  # largest side of a tile on the diagonal, where both triangles are computed
 
 
 class SampleNoise(NamedTuple):
@@ -66,12 +73,12 @@ class SlopeNoise(NamedTuple):
         with threads_for(len(X)):
             slopes = thread_map(lambda batch: self.function.slopes(batch[None])[0], batches)
         loading = np.concatenate(slopes) * self.std
-        return [
-            loading[:, i]
-            if len(sample) == len(samples)
-            else loading[samples.searchsorted(sample), i]
-            for i, sample in enumerate(self.sample)
-        ]
+        of_outputs = []
+        for i, sample in enumerate(self.sample):
+            everywhere = len(sample) == len(samples)
+            rows = slice(None) if everywhere else samples.searchsorted(sample)
+            of_outputs.append(loading[rows, i])
+        return of_outputs
 
 
 def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indices, Matrix]:
@@ -89,7 +96,8 @@ def noise_pairs(noise: SampleNoise | SlopeNoise) -> Iterator[tuple]:
     ``rows`` and ``columns`` are the indices among the stacked values of two values of the same
     sample, on or above the diagonal.
     """
-    sample, loading = noise.sample, noise.loading
+    sample = noise.sample
+    loading = noise.loading
     start = np.cumsum([0, *map(len, sample)])
     for i, j in combinations_with_replacement(range(len(sample)), 2):
         _, a, b = np.intersect1d(sample[i], sample[j], assume_unique=True, return_indices=True)
@@ -99,7 +107,8 @@ def noise_pairs(noise: SampleNoise | SlopeNoise) -> Iterator[tuple]:
 def _white_and_scale(noise, data):
     """Return sigma^2 (P,) and the factors s (r,) of a noise vector [sigma^2, s]; s is 1 where it is not learned."""
     P = len(data.y)
-    return noise[:P], noise[P:] if len(noise) > P else 1.0
+    scale = noise[P:] if len(noise) > P else 1.0
+    return noise[:P], scale
 
 
 def add_noise(K, noise, data) -> None:
@@ -116,30 +125,29 @@ def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
     std = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
     draws = std * random_state.standard_normal((n_draws, len(std)))
     if data.sample_noise is not None:
-        sample, loading = data.sample_noise.sample, data.sample_noise.loading
-        n_samples = 1 + max(s.max() for s in sample if len(s))
+        loading = data.sample_noise.loading
+        n_samples = 1 + max(sample.max() for sample in data.sample_noise.sample if len(sample))
         error = random_state.standard_normal((n_draws, n_samples, loading[0].shape[1]))
-        propagated = [
-            np.einsum("snr,nr->sn", error[:, s], G) for s, G in zip(sample, loading, strict=True)
-        ]
+        propagated = []
+        for sample, G in zip(data.sample_noise.sample, loading, strict=True):
+            propagated.append(np.einsum("snr,nr->sn", error[:, sample], G))
         draws += np.hstack(propagated)
     return draws
 
 
 def noise_gradient(W, noise, data) -> np.ndarray:
     """Return 1/2 sum(W * dK / d log noise), in the shape of ``noise``; only the upper triangle of W is read."""
-    P, (white, scale) = len(data.y), _white_and_scale(noise, data)
-    outputs = np.repeat(
-        np.arange(P), [len(y) for y in data.y]
-    )  # an output without values contributes zero
+    P = len(data.y)
+    white, scale = _white_and_scale(noise, data)
+    # an output without values contributes zero
+    outputs = np.repeat(np.arange(P), [len(y) for y in data.y])
     by_white = 0.5 * white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)
     if len(noise) == P:
         return by_white
     by_scale = np.zeros(len(noise) - P)
     for i, j, rows, columns, first, second in noise_pairs(data.sample_noise):
-        by_scale += (0.5 if i == j else 1.0) * np.einsum(
-            "n,nr,nr->r", W[rows, columns], first, second
-        )
+        times = 0.5 if i == j else 1.0
+        by_scale += times * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
     return np.concatenate([by_white, scale * by_scale])
 
 
@@ -147,43 +155,36 @@ class Data(NamedTuple):
     """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model.
 
     Outputs that are observed in the same rows share the array of their inputs, which is the table's
-    where these are all. ``pairs`` are the pairs of rows of the only output with values, for
-    repeated evaluations of few rows. ``sample`` (n_i,) is the row of each value in the table.
+    where these are all. ``sample`` (n_i,) is the row of each value in the table.
     """
 
     X: list[np.ndarray]
     y: list[np.ndarray]
     sample_noise: SampleNoise | SlopeNoise | None = None
-    pairs: RowPairs | None = None
     sample: Sequence[np.ndarray] = ()
 
     @classmethod
-    def from_table(
-        cls,
-        X: Matrix,
-        Y: Matrix,
-        loading: Array | None = None,
-    ) -> Data:
+    def from_table(cls, X: Matrix, Y: Matrix, loading: Array | None = None) -> Data:
         """Return the observed values of X (n, d) and Y (n, P), with NaN where an output was not observed.
 
         ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``.
         """
-        observed = np.isfinite(Y)
         inputs: dict[bytes, Matrix] = {}
-        samples: dict[bytes, np.ndarray] = {}
-        for rows in observed.T:
-            if rows.tobytes() not in inputs:
-                inputs[rows.tobytes()] = X if rows.all() else X[rows]
-                samples[rows.tobytes()] = np.flatnonzero(rows)
-        values = cls(
-            [inputs[rows.tobytes()] for rows in observed.T],
-            [y[rows] for y, rows in zip(Y.T, observed.T, strict=True)],
-            sample=[samples[rows.tobytes()] for rows in observed.T],
-        )
-        if loading is None:
-            return values
-        loadings = [loading[rows, i] for i, rows in enumerate(observed.T)]
-        return values._replace(sample_noise=SampleNoise(values.sample, loadings))
+        samples: dict[bytes, Indices] = {}
+        keys = []
+        observed = np.isfinite(Y).T
+        for rows in observed:
+            key = rows.tobytes()
+            keys.append(key)
+            if key not in inputs:
+                inputs[key] = X if rows.all() else X[rows]
+                samples[key] = np.flatnonzero(rows)
+        sample = [samples[key] for key in keys]
+        noise = None
+        if loading is not None:
+            noise = SampleNoise(sample, [loading[rows, i] for i, rows in enumerate(observed)])
+        values = [y[rows] for y, rows in zip(Y.T, observed, strict=True)]
+        return cls([inputs[key] for key in keys], values, noise, sample)
 
     def with_slopes(self, function: PathBundle, std: Array) -> Data:
         """Return the values of a table with the noise of regressors that the slopes of a function propagate.
@@ -201,34 +202,32 @@ class Data(NamedTuple):
 
     def every(self, step: int) -> Data:
         """Return every ``step``-th value of each output."""
-        X, y, noise = [x[::step] for x in self.X], [y[::step] for y in self.y], self.sample_noise
-        if noise is None:
-            return Data(X, y)
-        sample = [part[::step] for part in noise.sample]
-        return Data(X, y, SampleNoise(sample, [part[::step] for part in noise.loading]))
+        return self._of_rows([slice(None, None, step)] * len(self.y))
 
     def by_output(self) -> list[Data]:
         """Return the values of each output that has any alone, for evaluations one after another.
 
-        What noise of regressors has in common between outputs is lost. Outputs of the same rows
-        share their pairs.
+        What noise of regressors has in common between outputs is lost.
         """
+        data = self.with_loadings()
+        parts = []
+        for i, y in enumerate(self.y):
+            if len(y):
+                rows = [slice(0)] * len(self.y)
+                rows[i] = slice(None)
+                parts.append(data._of_rows(rows))
+        return parts
 
-        def only(i, parts):
-            return [part if k == i else part[:0] for k, part in enumerate(parts)]
+    def _of_rows(self, rows):
+        """Return some values of each output."""
 
-        pairs: dict = {X.tobytes(): RowPairs(X) for X in self.X if 0 < len(X) <= PAIRED}
-        noise = self.with_loadings().sample_noise
-        return [
-            Data(
-                only(i, self.X),
-                only(i, self.y),
-                noise and SampleNoise(only(i, noise.sample), only(i, noise.loading)),
-                pairs=pairs.get(X.tobytes()),
-            )
-            for i, X in enumerate(self.X)
-            if len(X)
-        ]
+        def chosen(parts):
+            return [part[own] for part, own in zip(parts, rows, strict=True)]
+
+        noise = self.sample_noise
+        if noise is not None:
+            noise = SampleNoise(chosen(noise.sample), chosen(noise.loading))
+        return Data(chosen(self.X), chosen(self.y), noise)
 
     @property
     def n_values(self) -> int:
@@ -254,43 +253,35 @@ def _cut(tile, side):
     ]
 
 
-def _pairs(kernel, sizes):
+def _pairs(kernel, data, side, diagonal):
     """Return the pairs of tiles on and above the diagonal that the kernel couples."""
-    ends = np.cumsum([0, *sizes])
-    outputs = [Tile(i, slice(0, n), slice(ends[i], ends[i] + n)) for i, n in enumerate(sizes)]
-    tiles = [tile for output in outputs for tile in _cut(output, TILE)]
+    tiles = []
+    for i, stacked in enumerate(consecutive(data.y)):
+        output = Tile(i, slice(0, len(data.y[i])), stacked)
+        tiles += _cut(output, side)
     pairs = list(combinations(tiles, 2))
     for tile in tiles:
-        pairs += combinations_with_replacement(_cut(tile, HALF), 2)
+        pairs += combinations_with_replacement(_cut(tile, diagonal), 2)
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
 def covariance(
-    kernel: MultiOutputKernel,
-    noise: Vector,
-    data: Data,
-    at_pairs: Vector | None = None,
+    kernel: MultiOutputKernel, noise: Vector, data: Data, tiles: TileSettings = TILES
 ) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is as for ``add_noise``. ``at_pairs`` (n_pairs,) is the covariance of ``data.pairs``,
-    where it is known.
+    ``noise`` is as for ``add_noise``.
     """
-    X = data.X
-    sizes = [len(x) for x in X]
-    # In C order: its transpose is the lower triangle in Fortran order.
-    upper = np.zeros((sum(sizes), sum(sizes)))
 
     def fill(pair):
         a, b = pair
-        upper[a.stacked, b.stacked] = kernel.block(
-            a.output, b.output, X[a.output][a.rows], X[b.output][b.rows]
-        )
+        Xa = data.X[a.output][a.rows]
+        Xb = data.X[b.output][b.rows]
+        upper[a.stacked, b.stacked] = kernel.block(a.output, b.output, Xa, Xb)
 
-    if at_pairs is not None and data.pairs is not None:
-        upper.ravel()[data.pairs.place] = at_pairs
-    else:
-        thread_map(fill, _pairs(kernel, sizes))
+    # In C order: its transpose is the lower triangle in Fortran order.
+    upper = np.zeros((data.n_values, data.n_values))
+    thread_map(fill, _pairs(kernel, data, tiles.side, tiles.diagonal))
     add_noise(upper, noise, data)
     return upper.T
 
@@ -300,6 +291,7 @@ def log_likelihood(
     noise: Vector,
     data: Data,
     eval_gradient: bool = False,
+    tiles: TileSettings = TILES,
 ) -> Any:
     """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
 
@@ -315,6 +307,7 @@ def log_likelihood(
         Observed values of each output.
     eval_gradient : bool
         Whether to return the gradient too.
+    tiles : TileSettings
 
     Returns
     -------
@@ -325,40 +318,63 @@ def log_likelihood(
     """
     with threads_for(data.n_values):
         y = np.concatenate(data.y)
-        at_pairs = by_pairs = None
-        if data.pairs is not None:
-            only = next(i for i, values in enumerate(data.y) if len(values))
-            at_pairs, by_pairs = kernel.at_pairs(only, data.pairs)
-        L = jittered_cholesky(lambda: covariance(kernel, noise, data, at_pairs))
-        white = triangular_solve(L, y)  # y^T K^-1 y = white^T white
-        # Equation 20.
-        value = -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
         if not eval_gradient:
-            return value
-        return value, _gradient(kernel, noise, data, y, L, by_pairs)
+            return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, tiles)), y)
+        blocks = _blocks_with_gradients(kernel, data, tiles)
+        L = jittered_cholesky(lambda: _assembled(blocks, noise, data))
+        value = _value(L, y)
+        minus_W = _minus_W(L, y)
+        by_theta = thread_map(lambda block: block.contracted(minus_W), blocks)
+        by_noise = noise_gradient(minus_W, noise, data)
+        return value, -np.concatenate([np.sum(by_theta, axis=0), by_noise])
 
 
-def _gradient(kernel, noise, data, y, L, by_pairs):
+def _value(L, y):
+    """Return equation 20."""
+    white = triangular_solve(L, y)  # y^T K^-1 y = white^T white
+    return -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
+
+
+def _minus_W(L, y):
+    """Return K^-1 - alpha alpha^T; only its upper triangle is computed, over L."""
     inverse = cholesky_inverse(L)
-    # -W: only one triangle is computed and read, the upper one in C order.
     alpha = dsymv(1.0, inverse, y, lower=1)
-    minus_W = dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
+    return dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 
-    def contract(pair):
-        a, b = pair
-        W = minus_W[a.stacked, b.stacked]
-        if a is b:
+
+class Block(NamedTuple):
+    """The covariance of a pair of tiles, and the function from weights to its gradient."""
+
+    a: Tile
+    b: Tile
+    covariance: Matrix
+    gradient: Callable[[Matrix], Vector]
+
+    def contracted(self, W: Matrix) -> Vector:
+        """Return the gradient of this block and its mirror image, for half of W (N, N)."""
+        W = W[self.a.stacked, self.b.stacked]
+        if self.a is self.b:
             W = np.triu(W)
             np.einsum("ii->i", W)[:] *= 0.5
-        # The tile and its mirror image: twice one half.
-        return kernel.block_gradient(
-            a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows], W
-        )
+        return self.gradient(W)
 
-    if by_pairs is not None:
-        w = minus_W.ravel()[data.pairs.place]
-        w[data.pairs.own] *= 0.5
-        d_theta = -by_pairs(w)
-    else:
-        d_theta = -np.sum(thread_map(contract, _pairs(kernel, [len(x) for x in data.X])), axis=0)
-    return np.concatenate([d_theta, -noise_gradient(minus_W, noise, data)])
+
+def _blocks_with_gradients(kernel, data, tiles):
+    """Return the blocks on and above the diagonal."""
+
+    def block(pair):
+        a, b = pair
+        Xa = data.X[a.output][a.rows]
+        Xb = data.X[b.output][b.rows]
+        return Block(a, b, *kernel.block_with_gradient(a.output, b.output, Xa, Xb))
+
+    return thread_map(block, _pairs(kernel, data, tiles.side, tiles.diagonal))
+
+
+def _assembled(blocks, noise, data):
+    """Return Kff + noise as ``covariance`` does."""
+    upper = np.zeros((data.n_values, data.n_values))
+    for block in blocks:
+        upper[block.a.stacked, block.b.stacked] = block.covariance
+    add_noise(upper, noise, data)
+    return upper.T

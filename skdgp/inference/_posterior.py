@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -27,8 +28,17 @@ from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, covariance, draw_noise
 from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
 
-CHUNK_BYTES = 2**27  # working memory of one batch of predictions
-ROWS = 512  # largest number of samples in a batch: their covariances fit the cache
+
+@dataclass(frozen=True)
+class PosteriorSettings:
+    """How predictions are cut into batches, and how many waves paths have."""
+
+    #: Working memory of one batch of predictions [bytes]
+    chunk_bytes: int = 2**27
+    #: Most samples in a batch: their covariances fit the cache
+    rows: int = 512
+    #: Waves of each latent process in each path
+    frequencies: int = 64
 
 
 class Posterior(ABC):
@@ -81,6 +91,8 @@ class SinglePosterior(Posterior):
     it is learned from, the observed values or the inducing variables.
     """
 
+    settings = PosteriorSettings()
+
     @property
     @abstractmethod
     def size(self) -> int:
@@ -100,6 +112,7 @@ class SinglePosterior(Posterior):
     def of(self, data: Data, noise: Vector) -> SinglePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters."""
 
+    @abstractmethod
     def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
         """Return the posterior of one term of the kernel, which is independent of the others a priori.
 
@@ -108,14 +121,6 @@ class SinglePosterior(Posterior):
         inducing variables likewise. ``predict``, ``covariance`` and ``gradient`` refer to the
         term, which ``self.kernel.term(regressors)`` gives.
         """
-        new = object.__new__(type(self))
-        vars(new).update(vars(self) | self._factors(kernel) | {"kernel": kernel})
-        vars(new).pop("mean_function", None)
-        return new
-
-    @abstractmethod
-    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
-        """Return the attributes of the posterior of a term that are computed from all terms."""
 
     @abstractmethod
     def loading(self, i: int, Xs: Matrix) -> tuple[Array, Array]:
@@ -133,16 +138,17 @@ class SinglePosterior(Posterior):
     @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        if not return_variance:
-            return self._in_batches(lambda X: [self.mean_function.values(X[None])[0]], Xs, 1)[0]
-        return self._in_batches(self._moments, Xs, 1)
+        if return_variance:
+            return self._in_batches(self._moments, Xs, 1)
+        (mean,) = self._in_batches(lambda X: [self.mean_function.values(X[None])[0]], Xs, 1)
+        return mean
 
     @few_threads
     def gradient(self, Xs: Matrix) -> Array:
         """Return d mean / d x at Xs, (n, P, d)."""
-        return self._in_batches(
-            lambda X: [self.mean_function.slopes(X[None])[0]], Xs, np.shape(Xs)[1]
-        )[0]
+        width = np.shape(Xs)[1]
+        (slopes,) = self._in_batches(lambda X: [self.mean_function.slopes(X[None])[0]], Xs, width)
+        return slopes
 
     def _moments(self, X):
         """Return mean and variance, (n, P) each."""
@@ -156,7 +162,8 @@ class SinglePosterior(Posterior):
 
     def _in_batches(self, function, Xs, width):
         """Return the arrays that a function of X returns, whose matrices hold ``width`` times A."""
-        step = int(np.clip(CHUNK_BYTES / (8 * width * max(self.size, 1)), 1, ROWS))
+        fitting = self.settings.chunk_bytes / (8 * width * max(self.size, 1))
+        step = int(np.clip(fitting, 1, self.settings.rows))
         batches = [Xs[a : a + step] for a in range(0, max(len(Xs), 1), step)]
         return tuple(map(np.concatenate, zip(*thread_map(function, batches), strict=True)))
 
@@ -180,9 +187,10 @@ class ExactPosterior(SinglePosterior):
         self.kernel = kernel
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
-        self.log_marginal_likelihood = -0.5 * (
-            self._white @ self._white + log_determinant(self.L) + data.n_values * np.log(2 * np.pi)
-        )
+        # equation 20
+        squares = self._white @ self._white
+        constant = data.n_values * np.log(2 * np.pi)
+        self.log_marginal_likelihood = -0.5 * (squares + log_determinant(self.L) + constant)
 
     @property
     def size(self) -> int:
@@ -220,18 +228,16 @@ class ExactPosterior(SinglePosterior):
         """Return the posterior of other values with another noise, at the same hyperparameters."""
         return ExactPosterior(self.kernel, noise, data)
 
-    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
-        return {"L": self.L, "alpha": self.alpha}
+    def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
+        return ExactTerm(self, kernel)
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, N) and b (N,) such that the mean of output i at Xs is A b."""
-        blocks = [
-            self.kernel.block(i, j, Xs, X)
-            if self.kernel.couples(i, j)
-            else np.zeros((len(Xs), len(X)))
-            for j, X in enumerate(self.data.X)
-        ]
-        return np.hstack(blocks), self.alpha
+        A = np.zeros((len(Xs), self.size))
+        for j, (X, columns) in enumerate(zip(self.data.X, consecutive(self.data.y), strict=True)):
+            if self.kernel.couples(i, j):
+                A[:, columns] = self.kernel.block(i, j, Xs, X)
+        return A, self.alpha
 
     def explained(self, i: int, A: Matrix) -> np.ndarray:
         """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
@@ -255,20 +261,32 @@ class ExactPosterior(SinglePosterior):
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples of the posterior, f + Kfy Kyy^-1 (y - f(X) - noise), that are functions of the regressors."""
-        rng, data = check_random_state(random_state), self.data
+        rng = check_random_state(random_state)
+        data = self.data
         with threads_for(self.size):
-            prior = prior_paths(self.kernel, n_paths, FREQUENCIES, rng)
+            prior = prior_paths(self.kernel, n_paths, self.settings.frequencies, rng)
             points, row = np.unique(np.concatenate(data.X), axis=0, return_inverse=True)
-            f = prior.values(points[None])
-            places = enumerate(consecutive(data.X))
-            f = np.hstack([f[:, row.ravel()[place], i] for i, place in places])
-            residual = np.concatenate(data.y) - f - draw_noise(self.noise, data, n_paths, rng)
+            values = prior.values(points[None])
+            f = []
+            for i, place in enumerate(consecutive(data.X)):
+                f.append(values[:, row.ravel()[place], i])
+            noise = draw_noise(self.noise, data, n_paths, rng)
+            residual = np.concatenate(data.y) - np.hstack(f) - noise
             half = triangular_solve(self.L, np.array(residual.T, order="F"))
             weights = triangular_solve(self.L, half, transposed=True)
             return prior + covariance_paths(self.kernel, data.X, weights.T)
 
 
-FREQUENCIES = 64  # waves of each latent process in each path
+class ExactTerm(ExactPosterior):
+    """The posterior of one term of the kernel of an exact posterior."""
+
+    def __init__(self, whole: ExactPosterior, kernel: MultiOutputKernel) -> None:
+        self.kernel = kernel
+        self.noise = whole.noise
+        self.data = whole.data
+        self.log_marginal_likelihood = whole.log_marginal_likelihood
+        self.L = whole.L
+        self.alpha = whole.alpha
 
 
 class Paths:
@@ -301,13 +319,13 @@ class Paths:
         single: bool,
         feature_names: Sequence[str] | None,
     ) -> None:
-        self.bundle, self.n_paths, self.n_features = bundle, n_paths, n_features
-        self.center, self.scale, self.single, self.feature_names = (
-            center,
-            scale,
-            single,
-            feature_names,
-        )
+        self.bundle = bundle
+        self.n_paths = n_paths
+        self.n_features = n_features
+        self.center = center
+        self.scale = scale
+        self.single = single
+        self.feature_names = feature_names
 
     def __call__(self, X) -> np.ndarray:
         """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""
@@ -334,31 +352,22 @@ class Paths:
         return self._squeeze(values)
 
     def _check_points(self, X, ndim):
-        columns = getattr(X, "columns", None)
-        if (
-            columns is not None
-            and self.feature_names is not None
-            and list(columns) != list(self.feature_names)
-        ):
+        expected_names = None if self.feature_names is None else list(self.feature_names)
+        names = getattr(X, "columns", None)
+        if names is not None and expected_names is not None and list(names) != expected_names:
             raise ValueError(
-                f"Got X with the columns {list(columns)}, but expected those of the fit, in their "
-                f"order: "
-                f"{list(self.feature_names)}."
+                f"Got X with the columns {list(names)}, but expected those of the fit, in their order: "
+                f"{expected_names}."
             )
         X = np.asarray(X, dtype=float)
-        if (
-            X.ndim != ndim
-            or X.shape[-1] != self.n_features
-            or (ndim == 3 and len(X) != self.n_paths)
-        ):
-            expected = (
-                f"(n, {self.n_features})"
-                if ndim == 2
-                else f"({self.n_paths}, n, {self.n_features})"
-            )
+        shape: tuple[Any, ...] = ("n", self.n_features)
+        if ndim == 3:
+            shape = (self.n_paths, *shape)
+        wrong_paths = ndim == 3 and len(X) != self.n_paths
+        if X.ndim != ndim or X.shape[-1] != self.n_features or wrong_paths:
+            expected = ", ".join(map(str, shape))
             raise ValueError(
-                f"Got X of shape {X.shape}, but expected {expected}: a column for each regressor "
-                f"of the fit."
+                f"Got X of shape {X.shape}, but expected ({expected}): a column for each regressor of the fit."
             )
         return X
 

@@ -17,6 +17,7 @@ another machine can run them.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
@@ -36,13 +37,32 @@ from skdgp._compute.linalg import (
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, sample_table
-from skdgp.inference._posterior import FREQUENCIES, SinglePosterior
+from skdgp.inference._posterior import SinglePosterior
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle
 
-ROWS = 512  # samples in one step: their covariances fit the cache
-SHARES = 8  # largest number of shares of each output with independent noise
-SAMPLE_SHARES = 16  # largest number of shares of samples with noise correlated between outputs
-DIAGONAL_ROWS = 64  # rows of a block whose diagonal alone is needed
+
+@dataclass(frozen=True)
+class ShareSettings:
+    """How sums over the samples are cut. Results do not depend on the number of threads."""
+
+    #: Samples in one step: their covariances fit the cache
+    rows: int = 512
+    #: Most shares of each output with independent noise
+    shares: int = 8
+    #: Most shares of samples with noise correlated between outputs
+    sample_shares: int = 16
+    #: Rows of a block whose diagonal alone is needed
+    diagonal_rows: int = 64
+
+
+SHARES = ShareSettings()
+
+
+class SparseSums(NamedTuple):
+    """Cholesky factor of Kuu, and the sums over all values by their outputs, for unit or known noise."""
+
+    Lu: Matrix
+    statistics: dict[tuple[int, ...], Statistics]
 
 
 class SparsePosterior(SinglePosterior):
@@ -55,6 +75,9 @@ class SparsePosterior(SinglePosterior):
     noise : ndarray (P,)
         Noise variance of each output.
     data : Data
+    sums : SparseSums or None
+        Of these data and features, where they are known.
+    share_settings : ShareSettings
 
     Attributes
     ----------
@@ -62,23 +85,34 @@ class SparsePosterior(SinglePosterior):
         Lower bound on the log marginal likelihood.
     """
 
-    statistics: dict[tuple[int, ...], Statistics]
-
     def __init__(
-        self, kernel: MultiOutputKernel, features: Features, noise: Vector, data: Data
+        self,
+        kernel: MultiOutputKernel,
+        features: Features,
+        noise: Vector,
+        data: Data,
+        sums: SparseSums | None = None,
+        share_settings: ShareSettings = SHARES,
     ) -> None:
         self.kernel = kernel
         self.features = features
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
-        with threads_for(self.size):
-            self.Lu = jittered_cholesky(lambda: np.asfortranarray(self.features.Kuu()))
         # Of independent noise at the unit, so that another noise needs no sample.
-        unit = np.ones_like(self.noise) if self.data.sample_noise is None else self.noise
-        self.statistics = compute_statistics(
-            self.kernel, self.features, unit, self.Lu, shares_of(self.data)
-        )
+        unit = np.ones_like(self.noise) if data.sample_noise is None else self.noise
+        if sums is None:
+            with threads_for(self.size):
+                Lu = jittered_cholesky(lambda: np.asfortranarray(features.Kuu()))
+            shares = shares_of(data, share_settings)
+            statistics = compute_statistics(kernel, features, unit, Lu, shares, share_settings)
+            sums = SparseSums(Lu, statistics)
+        self.sums = sums
         self._condition(self.noise / unit)
+
+    @property
+    def Lu(self) -> Matrix:
+        """Cholesky factor of Kuu, (K, K)."""
+        return self.sums.Lu
 
     def __reduce__(self):
         # A saved model holds the samples, and computes the sums again.
@@ -94,14 +128,18 @@ class SparsePosterior(SinglePosterior):
 
         The noise of the statistics of one output is multiplied by its ``factor`` (P,).
         """
-        self.B, b, constant = np.eye(self.size), np.zeros(self.size), 0.0
-        for outputs, s in self.statistics.items():
+        self.B = np.eye(self.size)
+        b = np.zeros(self.size)
+        constant = 0.0
+        for outputs, sums in self.sums.statistics.items():
             times = factor[outputs[0]]
-            columns = self.features.columns(outputs[0]) if len(outputs) == 1 else np.arange(len(b))
-            self.B[np.ix_(columns, columns)] += s.outer / times
-            b[columns] += s.inner / times
+            single = len(outputs) == 1
+            columns = self.features.columns(outputs[0]) if single else np.arange(self.size)
+            self.B[np.ix_(columns, columns)] += sums.outer / times
+            b[columns] += sums.inner / times
             # log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound
-            constant += s.log_determinant + s.n * np.log(times) + (s.square + s.unexplained) / times
+            constant += sums.log_determinant + sums.n * np.log(times)
+            constant += (sums.square + sums.unexplained) / times
         with threads_for(self.size):
             self.LB = jittered_cholesky(lambda: np.array(self.B, order="F"))
             self.white = cholesky_solve(self.LB, b)
@@ -118,12 +156,7 @@ class SparsePosterior(SinglePosterior):
 
     def with_noise(self, noise: Vector) -> SparsePosterior:
         """Return the posterior with other variances of independent noise, from the same sums over samples."""
-        new = object.__new__(SparsePosterior)
-        kept = ("kernel", "features", "Lu", "data", "statistics")
-        vars(new).update({name: getattr(self, name) for name in kept})
-        new.noise = np.asarray(noise, dtype=float)
-        new._condition(new.noise)
-        return new
+        return SparsePosterior(self.kernel, self.features, noise, self.data, self.sums)
 
     def noise_seen(self) -> np.ndarray:
         """Return the expected mean squared residual of each output, (P,), for independent noise.
@@ -132,7 +165,7 @@ class SparsePosterior(SinglePosterior):
         stationary in the noise.
         """
         residual = np.zeros(len(self.noise))
-        for (i,), s in self.statistics.items():
+        for (i,), s in self.sums.statistics.items():
             c = self.features.columns(i)
             w = self.white[c]
             spread = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + s.unexplained
@@ -147,7 +180,7 @@ class SparsePosterior(SinglePosterior):
         der Wilk 2020).
         """
         variance = np.zeros(len(self.noise))
-        for (i,), s in self.statistics.items():
+        for (i,), s in self.sums.statistics.items():
             variance[i] = s.unexplained / s.n
         return variance
 
@@ -172,14 +205,15 @@ class SparsePosterior(SinglePosterior):
             for i in range(self.kernel.n_outputs):
                 columns = self.features.columns(i)
                 reduction = np.eye(len(columns)) - self.B_inverse[np.ix_(columns, columns)]
-                factor = sub_factor(self.Lu, columns)
-                roots.append(
-                    triangular_solve(factor, semidefinite_root(reduction), transposed=True)
-                )
+                R = semidefinite_root(reduction)
+                roots.append(triangular_solve(sub_factor(self.Lu, columns), R, transposed=True))
         return roots
 
-    def _factors(self, kernel: MultiOutputKernel) -> dict[str, Any]:
-        return {"features": self.features.rebuild(kernel), "roots": self.roots}
+    def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
+        features = self.features.rebuild(kernel)
+        term = SparsePosterior(kernel, features, self.noise, self.data, self.sums)
+        term.roots = self.roots
+        return term
 
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
@@ -204,7 +238,7 @@ class SparsePosterior(SinglePosterior):
         """Return samples of the posterior that are functions of the regressors; u_post = Lu w, w ~ N(white, B^-1)."""
         rng = check_random_state(random_state)
         with threads_for(self.size):
-            prior, u = self.features.prior_paths(n_paths, FREQUENCIES, rng)
+            prior, u = self.features.prior_paths(n_paths, self.settings.frequencies, rng)
             drawn = np.asfortranarray(rng.standard_normal(u.shape).T)
             w = self.white[:, None] + triangular_solve(self.LB, drawn, transposed=True)
             w -= triangular_solve(self.Lu, np.asfortranarray(u.T))
@@ -229,30 +263,38 @@ class SampleShare(NamedTuple):
     loading: np.ndarray
 
 
-def shares_of(data: Data) -> list[SampleShare]:
+def shares_of(data: Data, settings: ShareSettings = SHARES) -> list[SampleShare]:
     """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
     if data.sample_noise is not None:
-        tables = [(tuple(range(len(data.y))), *_sample_table(data))]
-    else:
-        tables = [
-            ((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
-            for i, (X, y) in enumerate(zip(data.X, data.y, strict=True))
-            if len(y)
-        ]
+        whole = SampleShare(tuple(range(len(data.y))), *_sample_table(data))
+        return _cut(whole, settings.sample_shares, settings)
     shares = []
-    for outputs, *table in tables:
-        n_shares = min(SHARES if len(outputs) == 1 else SAMPLE_SHARES, -(-len(table[0]) // ROWS))
-        parts = zip(*(np.array_split(part, n_shares) for part in table), strict=True)
-        shares += [SampleShare(outputs, *part) for part in parts]
+    for i, (X, y) in enumerate(zip(data.X, data.y, strict=True)):
+        if len(y):
+            whole = SampleShare((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
+            shares += _cut(whole, settings.shares, settings)
+    return shares
+
+
+def _cut(whole, most, settings):
+    """Return at most so many shares of about equal numbers of samples."""
+    n_shares = min(most, -(-len(whole.X) // settings.rows))
+    shares = []
+    for rows in np.array_split(np.arange(len(whole.X)), n_shares):
+        part = slice(rows[0], rows[-1] + 1)
+        shares.append(SampleShare(whole.outputs, whole.X[part], whole.Y[part], whole.loading[part]))
     return shares
 
 
 def _sample_table(data):
     """Return X, Y and loading of the samples."""
-    sample, loadings = data.sample_noise.sample, data.sample_noise.loading
+    sample = data.sample_noise.sample
+    loadings = data.sample_noise.loading
     samples, X = sample_table(data.X, sample)
-    n, P = len(samples), len(data.y)
-    Y, loading = np.full((n, P), np.nan), np.zeros((n, P, loadings[0].shape[1]))
+    n = len(samples)
+    P = len(data.y)
+    Y = np.full((n, P), np.nan)
+    loading = np.zeros((n, P, loadings[0].shape[1]))
     for i in range(P):
         rows = np.searchsorted(samples, sample[i])
         Y[rows, i] = data.y[i]
@@ -283,55 +325,100 @@ class Statistics(NamedTuple):
         return self.variance - float(np.trace(self.outer))
 
 
-def compute_statistics(kernel, features, noise, Lu, shares) -> dict[tuple[int, ...], Statistics]:
+def compute_statistics(
+    kernel, features, noise, Lu, shares, settings: ShareSettings = SHARES
+) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
-    sums = thread_map(partial(_share_sums, kernel, features, noise, Lu), shares)
+    of_share = thread_map(partial(_share_sums, kernel, features, noise, Lu, settings), shares)
+    parts: dict[tuple[int, ...], list[Statistics]] = {}
+    for share, part in zip(shares, of_share, strict=True):
+        parts.setdefault(share.outputs, []).append(part)
     statistics = {}
-    for outputs in dict.fromkeys(share.outputs for share in shares):
-        parts = [part for part, share in zip(sums, shares, strict=True) if share.outputs == outputs]
-        statistics[outputs] = Statistics(*(sum(terms) for terms in zip(*parts, strict=True)))
+    for outputs, of_shares in parts.items():
+        sums: Any = map(sum, zip(*of_shares, strict=True))
+        statistics[outputs] = Statistics(*sums)
     return statistics
 
 
-def _share_sums(kernel, features, noise, Lu, share):
+def _share_sums(kernel, features, noise, Lu, settings, share):
     """Return the statistics of a share; one output uses only its own features."""
-    outputs = range(len(share.outputs))
-    columns = [features.columns(i) for i in share.outputs]
-    factors = [sub_factor(Lu, c) for c in columns]
-    places: dict = {(i, j): np.ix_(columns[i], columns[j]) for i in outputs for j in outputs}
-    size = features.size
-    if len(outputs) == 1:  # slices instead of index arrays: nothing is copied
-        size, columns, places = len(columns[0]), [slice(None)], {(0, 0): slice(None)}
-    pairs = list(combinations_with_replacement(outputs, 2))
-    blocks = {(i, j): np.zeros((factors[i].shape[0], factors[j].shape[0])) for i, j in pairs}
-    inner = np.zeros(size)
-    square = variance = log_determinant = 0.0
+    sums = _SingleSums if len(share.outputs) == 1 else _JointSums
+    total = sums(kernel, features, Lu, share.outputs)
     noise = noise[list(share.outputs)]
-    for rows in gen_batches(len(share.X), ROWS):
-        X, Y = share.X[rows], np.nan_to_num(share.Y[rows])
-        precision, log_determinants = precisions(share.Y[rows], share.loading[rows], noise)
+    for rows in gen_batches(len(share.X), settings.rows):
+        X = share.X[rows]
+        Y = share.Y[rows]
+        precision, log_determinants = precisions(Y, share.loading[rows], noise)
+        total.add(X, np.nan_to_num(Y), precision, settings)
+        total.log_determinant += log_determinants.sum()
+    return total.statistics(len(share.X))
+
+
+class _JointSums:
+    """Sums over samples of several outputs, whose noise is correlated, in blocks of their features."""
+
+    def __init__(self, kernel, features, Lu, outputs):
+        self.kernel = kernel
+        self.features = features
+        self.outputs = outputs
+        self.columns = [features.columns(i) for i in outputs]
+        self.factors = [sub_factor(Lu, columns) for columns in self.columns]
+        self.blocks: dict = {}
+        for a, b in combinations_with_replacement(range(len(outputs)), 2):
+            self.blocks[a, b] = np.zeros((len(self.columns[a]), len(self.columns[b])))
+        self.inner = [np.zeros(len(columns)) for columns in self.columns]
+        self.square = 0.0
+        self.variance = 0.0
+        self.log_determinant = 0.0
+
+    def add(self, X, Y, precision, settings):
+        """Add the sums over samples X (n, d) with targets Y (n, p), zero where missing, and the inverse noise."""
         weighted = np.einsum("nij,nj->ni", precision, Y)
-        V = [triangular_solve(factors[i], features.Kfu(share.outputs[i], X).T) for i in outputs]
-        for i, j in pairs:
-            if i == j:
-                weight = precision[:, i, i]
-                half = V[i] if (weight == 1.0).all() else V[i] * np.sqrt(weight)
-                blocks[i, i] += half @ half.T
-            else:
-                blocks[i, j] += (V[i] * precision[:, i, j]) @ V[j].T
-            if kernel.couples(share.outputs[i], share.outputs[j]):
-                prior = _variance(kernel, share.outputs[i], share.outputs[j], X)
-                variance += (1 if i == j else 2) * precision[:, i, j] @ prior
-        for i in outputs:
-            inner[columns[i]] += V[i] @ weighted[:, i]
-        square += np.sum(Y * weighted)
-        log_determinant += log_determinants.sum()
-    outer = np.zeros((size, size))
-    for i, j in pairs:
-        outer[places[i, j]] += blocks[i, j]
-        if i != j:
-            outer[places[j, i]] += blocks[i, j].T
-    return Statistics(outer, inner, square, variance, log_determinant, len(share.X))
+        V = []
+        for i, factor in zip(self.outputs, self.factors, strict=True):
+            V.append(triangular_solve(factor, self.features.Kfu(i, X).T))
+        for a, b in self.blocks:
+            self._add_block(a, b, V, precision[:, a, b])
+            self._add_variance(a, b, X, precision[:, a, b], settings)
+        for a, v in enumerate(V):
+            self.inner[a] += v @ weighted[:, a]
+        self.square += np.sum(Y * weighted)
+
+    def _add_block(self, a, b, V, weight):
+        if a == b:
+            half = V[a] if (weight == 1.0).all() else V[a] * np.sqrt(weight)
+            self.blocks[a, a] += half @ half.T
+        else:
+            self.blocks[a, b] += (V[a] * weight) @ V[b].T
+
+    def _add_variance(self, a, b, X, weight, settings):
+        i, j = self.outputs[a], self.outputs[b]
+        if self.kernel.couples(i, j):
+            times = 1 if a == b else 2
+            variance = _variance(self.kernel, i, j, X, settings.diagonal_rows)
+            self.variance += times * weight @ variance
+
+    def statistics(self, n):
+        """Return the sums, in the order of all features."""
+        size = self.features.size
+        outer = np.zeros((size, size))
+        inner = np.zeros(size)
+        for (a, b), block in self.blocks.items():
+            outer[np.ix_(self.columns[a], self.columns[b])] += block
+            if a != b:
+                outer[np.ix_(self.columns[b], self.columns[a])] += block.T
+        for columns, part in zip(self.columns, self.inner, strict=True):
+            inner[columns] += part
+        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, n)
+
+
+class _SingleSums(_JointSums):
+    """Sums over samples of one output, of its own features alone."""
+
+    def statistics(self, n):
+        outer = self.blocks[0, 0]
+        inner = self.inner[0]
+        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, n)
 
 
 def sub_factor(Lu, columns):
@@ -354,13 +441,11 @@ def precisions(Y, loading, noise):
     return precision, log_determinants + observed.sum(axis=1) * np.log(2 * np.pi)
 
 
-def _variance(kernel, i, j, X):
+def _variance(kernel, i, j, X, n_rows):
     """Return cov(y_i(x), y_j(x)) at each row x of X, (n,)."""
     if i == j:
         return kernel.block_diag(i, X)
-    return np.concatenate(
-        [
-            np.diag(kernel.block(i, j, X[rows], X[rows]))
-            for rows in gen_batches(len(X), DIAGONAL_ROWS)
-        ]
-    )
+    parts = []
+    for rows in gen_batches(len(X), n_rows):
+        parts.append(np.diag(kernel.block(i, j, X[rows], X[rows])))
+    return np.concatenate(parts)

@@ -1,7 +1,7 @@
 """Multi-output covariance functions as scikit-learn kernels."""
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian, independent_processes
+from skdgp.kernels._convolved import ConvolvedGaussian, Filters, independent_processes, tied
 from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
 from skdgp.kernels._features import (
     Features,
@@ -12,13 +12,17 @@ from skdgp.kernels._features import (
     inducing_features,
     prior_paths,
 )
+from skdgp.kernels._gaussian_filters import FilterPair, GaussianBasis
 from skdgp.kernels._trend import LinearTrend
 
 __all__ = [
     "ConvolvedGaussian",
     "Coregionalized",
     "Features",
+    "FilterPair",
+    "Filters",
     "FreeParameter",
+    "GaussianBasis",
     "LatentFeatures",
     "LinearTrend",
     "MultiOutputKernel",
@@ -30,4 +34,5 @@ __all__ = [
     "independent_processes",
     "inducing_features",
     "prior_paths",
+    "tied",
 ]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, partial
 from inspect import signature
 from typing import Any
 
@@ -15,8 +15,7 @@ import numpy as np
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
-from skdgp._compute.linalg import RowPairs
-from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 
 DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
 SHOWN_ENTRIES = 12  # largest number of entries of an array that ``repr`` shows in full
@@ -41,8 +40,7 @@ class FreeParameter:
         """Whether the parameter keeps its value."""
         if isinstance(self.bounds, str) and self.bounds != "fixed":
             raise ValueError(
-                f"Got bounds {self.bounds!r} of {self.name}, but expected a pair, an array of "
-                f"pairs, or 'fixed'."
+                f"Got bounds {self.bounds!r} of {self.name}, but expected a pair, an array of pairs, or 'fixed'."
             )
         return isinstance(self.bounds, str)
 
@@ -53,23 +51,21 @@ class FreeParameter:
 
     def elements(self, values: Array) -> Array:
         """Return the value of each element, (n_elements, ...), from an array of the values of all entries."""
-        found = np.empty((self.n_elements, *values.shape[self.index.ndim :]))
+        elements = np.empty((self.n_elements, *values.shape[self.index.ndim :]))
         if self.n_elements:
             free = self.index >= 0
-            found[self.index[free]] = values[free]
-        return found
+            elements[self.index[free]] = values[free]
+        return elements
 
     def pairs(self) -> Matrix:
         """Return the bounds of each element, (n_elements, 2), from one pair or one for each entry."""
         bounds = np.asarray(self.bounds, dtype=float)
-        if (
-            bounds.shape[-1:] != (2,)
-            or not (bounds[..., 0] < bounds[..., 1]).all()
-            or (self.log and not (bounds > 0).all())
-        ):
+        lower = "0 < lower" if self.log else "lower"
+        is_pair = bounds.shape[-1:] == (2,) and (bounds[..., 0] < bounds[..., 1]).all()
+        if not is_pair or (self.log and not (bounds > 0).all()):
             raise ValueError(
-                f"Got bounds {self.bounds!r} of {self.name}, but expected "
-                f"{'0 < ' if self.log else ''}lower < upper: a pair, or one for each entry."
+                f"Got bounds {self.bounds!r} of {self.name}, but expected {lower} < upper: "
+                "a pair, or one for each entry."
             )
         if bounds.shape == (2,):
             return np.tile(bounds, (self.n_elements, 1))
@@ -130,72 +126,60 @@ class MultiOutputKernel(Kernel):
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
-    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
-        """Return cov(y_i(x), y_i(x')) of pairs of rows, (n_pairs,), and its gradient.
+    def block_with_gradient(
+        self, i: int, j: int, Xi: Matrix, Xj: Matrix
+    ) -> tuple[Matrix, Callable[[Matrix], Vector]]:
+        """Return ``block``, and the function from weights W (n_i, n_j) to ``block_gradient``.
 
-        The gradient is the function from weights w (n_pairs,) to sum(w * dcov / dtheta).
+        For kernels that save time by computing both together.
         """
-
-        def gradient(w):
-            W = np.zeros((len(pairs.X),) * 2)
-            W.ravel()[pairs.place] = w
-            return self.block_gradient(i, i, pairs.X, pairs.X, W)
-
-        return self.block(i, i, pairs.X, pairs.X).ravel()[pairs.place], gradient
+        gradient = partial(self.block_gradient, i, j, Xi, Xj)
+        return self.block(i, j, Xi, Xj), gradient
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
 
         The default uses central differences of fourth order, for regressors of about unit size.
         """
-        Xi, Xj = np.asarray(Xi, dtype=float), np.asarray(Xj, dtype=float)
-        if self.is_stationary() and len(
-            Xj
-        ):  # avoid rounding of small steps at points far from zero
-            Xi, Xj = Xi - Xj[0], Xj - Xj[0]
-        return np.stack(
-            [
-                _difference(lambda x: self.block(i, j, Xi + x, Xj), unit)
-                for unit in np.eye(Xi.shape[1])
-            ]
-        )
+        Xi = np.asarray(Xi, dtype=float)
+        Xj = np.asarray(Xj, dtype=float)
+        if self.is_stationary() and len(Xj):
+            # small steps at points far from zero would be rounded
+            Xi = Xi - Xj[0]
+            Xj = Xj - Xj[0]
+        slopes = []
+        for unit in np.eye(Xi.shape[1]):
+
+            def along(step, unit=unit):
+                return self.block(i, j, Xi + step * unit, Xj)
+
+            slopes.append(_derivative_at_zero(along))
+        return np.stack(slopes)
 
     def has_values(self) -> bool:
         """Return whether all parameter values are given."""
-        return all(
-            getattr(self, parameter.name) is not None for parameter in self.free_parameters()
-        )
+        return all(getattr(self, f.name) is not None for f in self.free_parameters())
 
-    def initialize(
-        self,
-        X: Matrix,
-        Y: Matrix,
-        random_state: Seed,
-        singles: Sequence | None = None,
-        coarse: MultiOutputKernel | None = None,
-        width_factor: float = 1.0,
-    ) -> MultiOutputKernel:
+    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         """Return the kernel with missing values and bounds estimated from data.
 
-        X is (n, d), Y is (n, P) with NaN where an output was not observed. ``singles`` (fits of
-        each output with ``single_output``) and a fit of ``coarse`` give better starting values.
-        ``width_factor`` multiplies the default starting widths. Given values do not change.
+        X is (n, d), Y is (n, P) with NaN where an output was not observed. Given values do not
+        change.
         """
         if not self.has_values():
             raise ValueError(
-                f"{type(self).__name__} cannot estimate values from data: give all of its "
-                f"parameters."
+                f"{type(self).__name__} cannot estimate values from data: give all of its parameters."
             )
-        for what, data, expected in (
-            ("outputs", Y, self.n_outputs),
-            ("regressors", X, self.n_features),
-        ):
-            if data.shape[1] != expected:
-                raise ValueError(
-                    f"Got data of {data.shape[1]} {what}, but expected {expected}, as many as the "
-                    f"kernel {type(self).__name__} has."
-                )
+        self._check_columns("outputs", Y, self.n_outputs)
+        self._check_columns("regressors", X, self.n_features)
         return self
+
+    def _check_columns(self, what, data, expected):
+        if data.shape[1] != expected:
+            raise ValueError(
+                f"Got data of {data.shape[1]} {what}, but expected {expected}, "
+                f"as many as the kernel {type(self).__name__} has."
+            )
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         """Return the kernel of the outputs in another unit, in which their values are multiplied by ``factor``.
@@ -205,19 +189,13 @@ class MultiOutputKernel(Kernel):
         when the product of all factors is one.
         """
         factor = np.asarray(factor, dtype=float)
-        return self if np.allclose(factor, 1.0, rtol=1e-12, atol=0.0) else Rescaled(self, factor)
+        if np.allclose(factor, 1.0, rtol=1e-12, atol=0.0):
+            return self
+        return Rescaled(self, factor)
 
     def bounds_from_data(self, name: str) -> bool:
         """Return whether ``initialize`` estimates the bounds of a parameter from data, by default False."""
         return False
-
-    def coarse(self) -> MultiOutputKernel:
-        """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
-        return self
-
-    def single_output(self) -> MultiOutputKernel | None:
-        """Return a kernel without values for a separate fit of one output; None: outputs are fitted jointly alone."""
-        return None
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         """Return the residuals (n, P) that initialize the other terms of a sum, by default Y."""
@@ -247,21 +225,21 @@ class MultiOutputKernel(Kernel):
 
     def split(self, X: Matrix) -> list[np.ndarray]:
         """Return X as one array for each output."""
-        per_output = isinstance(X, (list, tuple)) and len(X) > 0 and np.ndim(X[0]) == 2
-        arrays = [np.asarray(x, dtype=float) for x in (X if per_output else [X])]
-        if per_output and len(arrays) != self.n_outputs:
-            raise ValueError(
-                f"Got {len(arrays)} input arrays, but expected one for each of the "
-                f"{self.n_outputs} outputs."
-            )
+        if is_per_output(X):
+            arrays = [np.asarray(x, dtype=float) for x in X]
+            if len(arrays) != self.n_outputs:
+                raise ValueError(
+                    f"Got {len(arrays)} input arrays, but expected one for each of the {self.n_outputs} outputs."
+                )
+        else:
+            arrays = [np.asarray(X, dtype=float)] * self.n_outputs
         for x in arrays:
             if x.ndim != 2 or x.shape[1] != self.n_features:
                 raise ValueError(
-                    f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): one "
-                    f"column for each "
-                    "regressor of the kernel."
+                    f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): "
+                    "one column for each regressor of the kernel."
                 )
-        return arrays if per_output else arrays * self.n_outputs
+        return arrays
 
     def __call__(self, X, Y=None, eval_gradient=False):
         """Return the covariance matrix, (sum n_i, sum n_j), output-major.
@@ -274,24 +252,27 @@ class MultiOutputKernel(Kernel):
             raise ValueError("Got eval_gradient=True with Y, but expected Y=None.")
         rows = self.split(X)
         columns = rows if Y is None else self.split(Y)
-        K = np.block(
-            [
-                [self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)]
-                for i, Xi in enumerate(rows)
-            ]
-        )
-        return (K, self._gradient(rows)) if eval_gradient else K
+        matrix = []
+        for i, Xi in enumerate(rows):
+            blocks = [self.block(i, j, Xi, Xj) for j, Xj in enumerate(columns)]
+            matrix.append(np.hstack(blocks))
+        K = np.vstack(matrix)
+        if eval_gradient:
+            return K, self._gradient(rows)
+        return K
 
     def _gradient(self, rows):
         """Return the derivatives of the covariance matrix by theta, entry by entry."""
-        samples = [(i, x[None]) for i, Xi in enumerate(rows) for x in Xi]
+        outputs = np.repeat(np.arange(len(rows)), [len(x) for x in rows]).tolist()
+        samples = np.concatenate(rows)[:, None]
         gradient = np.zeros((len(samples), len(samples), self.n_dims))
         one = np.ones((1, 1))
-        for a, (i, x) in enumerate(samples):
-            for b, (j, z) in enumerate(samples[: a + 1]):
+        for a, i in enumerate(outputs):
+            for b, j in enumerate(outputs[: a + 1]):
                 if self.couples(i, j):
-                    gradient[a, b] = self.block_gradient(i, j, x, z, one)
-                    gradient[b, a] = gradient[a, b]
+                    slopes = self.block_gradient(i, j, samples[a], samples[b], one)
+                    gradient[a, b] = slopes
+                    gradient[b, a] = slopes
         return gradient
 
     def diag(self, X: Matrix) -> Vector:
@@ -316,9 +297,8 @@ class MultiOutputKernel(Kernel):
 
     def _no_product(self, other):
         raise TypeError(
-            f"Got a product with {other!r}, or a power, but multi-output kernels can be added, not "
-            "multiplied. Change the amplitudes, or multiply scikit-learn's kernels inside "
-            "Coregionalized."
+            f"Got a product with {other!r}, or a power, but multi-output kernels can be added, not multiplied. "
+            "Change the amplitudes, or multiply scikit-learn's kernels inside Coregionalized."
         )
 
     __mul__ = __rmul__ = __pow__ = _no_product
@@ -334,88 +314,59 @@ class MultiOutputKernel(Kernel):
     @property
     def theta(self):
         """Free hyperparameters, (n_theta,): the logarithms of positive parameters, and signed parameters themselves."""
-        parts = [
-            (f.elements(self.value(f.name)), f.log) for f in self.free_parameters() if f.n_elements
-        ]
-        return np.concatenate(
-            [np.empty(0), *(np.log(part) if log else part for part, log in parts)]
-        )
+        values = self.values()
+        theta = [np.empty(0)]
+        for f in self.free_parameters():
+            if f.n_elements:
+                elements = f.elements(values[f.name])
+                theta.append(np.log(elements) if f.log else elements)
+        return np.concatenate(theta)
 
     @theta.setter
     def theta(self, theta: Vector | None):
         theta = np.asarray(theta, dtype=float)
-        if theta.shape != (self.n_dims,):
-            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({self.n_dims},).")
-        free, start, values = self.free_parameters(), 0, {}
+        free = [f for f in self.free_parameters() if f.n_elements]
+        n_dims = sum(f.n_elements for f in free)
+        if theta.shape != (n_dims,):
+            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({n_dims},).")
+        values = self.values()
         for f in free:
-            if f.n_elements:
-                part = theta[start : start + f.n_elements]
-                start += f.n_elements
-                value, chosen = self.value(f.name).copy(), f.index >= 0
-                value[chosen] = (np.exp(part) if f.log else part)[f.index[chosen]]
-                values[f.name] = value
-        arrays = self.__dict__.get("_cache", {}).get("arrays")
-        if arrays is not None:
-            arrays = arrays | {name: frozen(value) for name, value in values.items()}
-        for name, value in values.items():
-            setattr(self, name, value)
-        # other values, the same parameters
-        self._cache = {"contents": self._contents(), "free": free}
-        if arrays is not None:
-            self._cache["arrays"] = arrays
+            elements, theta = np.split(theta, [f.n_elements])
+            value = np.array(values[f.name])
+            entries = f.index >= 0
+            value[entries] = (np.exp(elements) if f.log else elements)[f.index[entries]]
+            setattr(self, f.name, value)
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
-        kernel = copy.copy(
-            self
-        )  # scikit-learn's clone copies every parameter, which costs more than a small matrix
-        kernel._cache = dict(self.__dict__.get("_cache", {}))
+        # scikit-learn's clone copies every parameter, which costs more than a small matrix
+        kernel = copy.copy(self)
         kernel.theta = theta
         return kernel
 
     @property
     def bounds(self) -> Matrix:
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
-        parts = [
-            np.log(f.pairs()) if f.log else f.pairs()
-            for f in self.free_parameters()
-            if f.n_elements
-        ]
-        return np.concatenate([np.empty((0, 2)), *parts])
+        bounds = [np.empty((0, 2))]
+        for f in self.free_parameters():
+            if f.n_elements:
+                bounds.append(np.log(f.pairs()) if f.log else f.pairs())
+        return np.concatenate(bounds)
 
     @property
     def n_dims(self) -> int:
         """Length of theta."""
         return sum(f.n_elements for f in self.free_parameters())
 
+    def values(self) -> dict[str, Array]:
+        """Return the parameters as arrays of their full shapes."""
+        return {
+            f.name: np.asarray(getattr(self, f.name), dtype=float) for f in self.free_parameters()
+        }
+
     def value(self, name: str) -> Array:
         """Return a parameter as an array of its full shape."""
-        return np.asarray(getattr(self, name), dtype=float)
-
-    def _cached(self, name, compute):
-        """Return what ``compute()`` returned before, unless a parameter or an entry of one has changed."""
-        cache = self.__dict__.get("_cache")
-        if cache is None or any(_snapshot(value) != seen for value, seen in cache["contents"]):
-            cache = self.__dict__["_cache"] = {"contents": self._contents()}
-        if name not in cache:
-            cache[name] = compute()
-        return cache[name]
-
-    def _contents(self):
-        """Return the parameters whose entries can be set, with their entries."""
-        return [
-            (value, _snapshot(value))
-            for name, value in self.__dict__.items()
-            if name != "_cache" and _is_mutable(value)
-        ]
-
-    def __setattr__(self, name, value):
-        if name != "theta":  # which sets parameters in turn
-            self.__dict__.pop("_cache", None)  # values derived from the parameters
-        super().__setattr__(name, value)
-
-    def __getstate__(self):
-        return {name: value for name, value in self.__dict__.items() if name != "_cache"}
+        return self.values()[name]
 
     def __eq__(self, other):
         return type(self) is type(other) and _equal(self.get_params(), other.get_params())
@@ -438,12 +389,14 @@ class MultiOutputKernel(Kernel):
 
     def theta_gradient(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
         """Return d/dtheta from derivatives by the parameter entries (by their logarithms where ``log``)."""
-        masks = [(f, f.index >= 0) for f in self.free_parameters() if f.n_elements]
-        parts = [
-            np.bincount(f.index[free], weights=gradients[f.name][free], minlength=f.n_elements)
-            for f, free in masks
-        ]
-        return np.concatenate([np.empty(0), *parts])
+        theta: list[Vector] = [np.empty(0)]
+        for f in self.free_parameters():
+            if f.n_elements:
+                free = f.index >= 0
+                slopes = gradients[f.name][free]
+                sums: Any = np.bincount(f.index[free], slopes, minlength=f.n_elements)
+                theta.append(sums)
+        return np.concatenate(theta)
 
 
 class Sum(_SklearnSum, MultiOutputKernel):
@@ -454,21 +407,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""
-        return self._common("n_outputs")
+        return _common("n_outputs", self.k1.n_outputs, self.k2.n_outputs)
 
     @property
     def n_features(self) -> int:
         """Number of regressors d."""
-        return self._common("n_features")
-
-    def _common(self, name):
-        first, second = getattr(self.k1, name), getattr(self.k2, name)
-        if first != second:
-            raise ValueError(
-                f"Got a sum of kernels with {name} {first} and {second}, but expected the same "
-                f"number."
-            )
-        return first
+        return _common("n_features", self.k1.n_features, self.k2.n_features)
 
     def couples(self, i: int, j: int) -> bool:
         return self.k1.couples(i, j) or self.k2.couples(i, j)
@@ -478,24 +422,29 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return self.k1.n_processes + self.k2.n_processes
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
-        if not (self.k1.couples(i, j) and self.k2.couples(i, j)):
-            return (self.k1 if self.k1.couples(i, j) else self.k2).block(i, j, Xi, Xj)
-        K = self.k1.block(i, j, Xi, Xj)
-        K += self.k2.block(i, j, Xi, Xj)
+        if not self.k2.couples(i, j):
+            return self.k1.block(i, j, Xi, Xj)
+        K = self.k2.block(i, j, Xi, Xj)
+        if self.k1.couples(i, j):
+            K += self.k1.block(i, j, Xi, Xj)
         return K
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return np.concatenate([k.block_gradient(i, j, Xi, Xj, W) for k in (self.k1, self.k2)])
+        first = self.k1.block_gradient(i, j, Xi, Xj, W)
+        return np.concatenate([first, self.k2.block_gradient(i, j, Xi, Xj, W)])
 
-    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
-        parts = [
-            kernel.at_pairs(i, pairs)
-            if kernel.couples(i, i)
-            else (0.0, lambda w, kernel=kernel: np.zeros(kernel.n_dims))
-            for kernel in (self.k1, self.k2)
-        ]
-        values, gradients = zip(*parts, strict=True)
-        return sum(values), lambda w: np.concatenate([gradient(w) for gradient in gradients])
+    def block_with_gradient(
+        self, i: int, j: int, Xi: Matrix, Xj: Matrix
+    ) -> tuple[Matrix, Callable[[Matrix], Vector]]:
+        if not self.k2.couples(i, j):
+            K, first = self.k1.block_with_gradient(i, j, Xi, Xj)
+            return K, lambda W: np.concatenate([first(W), np.zeros(self.k2.n_dims)])
+        K, second = self.k2.block_with_gradient(i, j, Xi, Xj)
+        if not self.k1.couples(i, j):
+            return K, lambda W: np.concatenate([np.zeros(self.k1.n_dims), second(W)])
+        added, first = self.k1.block_with_gradient(i, j, Xi, Xj)
+        K += added
+        return K, lambda W: np.concatenate([first(W), second(W)])
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
@@ -503,29 +452,10 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
 
-    def initialize(
-        self,
-        X: Matrix,
-        Y: Matrix,
-        random_state: Seed,
-        singles: Sequence | None = None,
-        coarse: MultiOutputKernel | None = None,
-        width_factor: float = 1.0,
-    ) -> MultiOutputKernel:
-        def options(name):
-            hints = (
-                singles and [getattr(s, name) for s in singles],
-                coarse and getattr(coarse, name),
-            )
-            return dict(zip(("singles", "coarse"), hints, strict=True), width_factor=width_factor)
-
-        first = self.k1.initialize(X, Y, random_state, **options("k1"))
-        return Sum(
-            first, self.k2.initialize(X, first.residual(X, Y), random_state, **options("k2"))
-        )
-
-    def coarse(self) -> MultiOutputKernel:
-        return Sum(self.k1.coarse(), self.k2.coarse())
+    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
+        first = self.k1.initialize(X, Y, random_state)
+        second = self.k2.initialize(X, first.residual(X, Y), random_state)
+        return Sum(first, second)
 
     def has_values(self) -> bool:
         return self.k1.has_values() and self.k2.has_values()
@@ -539,10 +469,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         return Sum(self.k1.term(regressors), self.k2.term(regressors))
 
-    def single_output(self) -> MultiOutputKernel | None:
-        first, second = self.k1.single_output(), self.k2.single_output()
-        return None if first is None or second is None else Sum(first, second)
-
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))
 
@@ -555,6 +481,15 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
+
+
+def _common(name, first, second):
+    """Return a number that both terms of a sum have in common."""
+    if first != second:
+        raise ValueError(
+            f"Got a sum of kernels with {name} {first} and {second}, but expected the same number."
+        )
+    return first
 
 
 class Rescaled(MultiOutputKernel):
@@ -613,16 +548,11 @@ class Rescaled(MultiOutputKernel):
         W = self.factor[i] * self.factor[j] * W
         return self.kernel.block_gradient(i, j, Xi, Xj, W) * self._units()
 
-    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
-        square = self.factor[i] ** 2
-        values, gradient = self.kernel.at_pairs(i, pairs)
-        return square * values, lambda w: gradient(square * w) * self._units()
-
     def free_parameters(self) -> list[FreeParameter]:
         return self.kernel.free_parameters()
 
-    def value(self, name: str) -> Array:
-        return self.kernel.value(name)
+    def values(self) -> dict[str, Array]:
+        return self.kernel.values()
 
     @property
     def theta(self):
@@ -644,25 +574,20 @@ class Rescaled(MultiOutputKernel):
     def has_values(self) -> bool:
         return self.kernel.has_values()
 
-    def initialize(
-        self,
-        X: Matrix,
-        Y: Matrix,
-        random_state: Seed,
-        singles: Sequence | None = None,
-        coarse: MultiOutputKernel | None = None,
-        width_factor: float = 1.0,
-    ) -> MultiOutputKernel:
-        kernel = self.kernel.initialize(X, Y / self.factor, random_state, width_factor=width_factor)
+    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
+        kernel = self.kernel.initialize(X, Y / self.factor, random_state)
         units = [np.empty(0)]
         for f in kernel.free_parameters():
             size = np.abs(f.elements(kernel.value(f.name)))
-            units.append(np.ones(f.n_elements) if f.log else np.where(size > 0, size, 1.0))
+            size[size == 0.0] = 1.0
+            units.append(np.ones(f.n_elements) if f.log else size)
         return Rescaled(kernel, self.factor, np.concatenate(units))
 
     def summands(self) -> list[MultiOutputKernel]:
         parts = self.kernel.summands()
-        return [self] if len(parts) == 1 else [part.rescaled(self.factor) for part in parts]
+        if len(parts) == 1:
+            return [self]
+        return [part.rescaled(self.factor) for part in parts]
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return self.kernel.term_regressors()
@@ -674,30 +599,30 @@ class Rescaled(MultiOutputKernel):
         return self.kernel.residual(X, Y / self.factor) * self.factor
 
 
-def _difference(function, unit):
-    """Return the derivative along a unit vector at zero, by central differences of fourth order."""
-    near, far = (
-        function(k * DERIVATIVE_STEP * unit) - function(-k * DERIVATIVE_STEP * unit) for k in (1, 2)
-    )
-    return (8 * near - far) / (12 * DERIVATIVE_STEP)
+def _derivative_at_zero(function: Callable[[float], Matrix]) -> Matrix:
+    """Return the derivative of a function of one number, by central differences of fourth order."""
+    step = DERIVATIVE_STEP
+    near = function(step) - function(-step)
+    far = function(2 * step) - function(-2 * step)
+    return (8 * near - far) / (12 * step)
+
+
+def is_per_output(X: Any) -> bool:
+    """Return whether inputs are one array for each output."""
+    return isinstance(X, (list, tuple)) and len(X) > 0 and np.ndim(X[0]) == 2
 
 
 def as_shape(name: str, value: Any, shape) -> np.ndarray:
     """Return a parameter broadcast to its shape, or raise a ValueError with the expected shape."""
     value = np.array(value, dtype=float)
+    if value.shape == tuple(shape):
+        return value
     try:
         return np.array(np.broadcast_to(value, shape))
     except ValueError:
         raise ValueError(
-            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that "
-            f"broadcasts to it."
+            f"Got {name} of shape {value.shape}, but expected {tuple(shape)} or a shape that broadcasts to it."
         ) from None
-
-
-def frozen(array: Array) -> Array:
-    """Return an array of derived values, read-only from now on."""
-    array.setflags(write=False)
-    return array
 
 
 def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]) -> dict[str, Any]:
@@ -707,8 +632,8 @@ def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]
     """
     if not (given is None or isinstance(given, Mapping)):
         raise TypeError(
-            f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, such "
-            f"as {{{next(iter(defaults))!r}: (0.1, 10.0)}}."
+            f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, "
+            f"such as {{{next(iter(defaults))!r}: (0.1, 10.0)}}."
         )
     for name in given or {}:
         if name not in defaults:
@@ -728,49 +653,6 @@ def _equal(mine, theirs):
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
         return set(mine) == set(theirs) and all(_equal(mine[k], theirs[k]) for k in mine)
     return np.array_equal(mine, theirs)
-
-
-class FrozenBounds(Mapping):
-    """Bounds by the name of the parameter that cannot be set, with copies of the arrays."""
-
-    def __init__(self, bounds: Mapping[str, Any]) -> None:
-        self._bounds = {
-            name: pairs if isinstance(pairs, str) else frozen(np.array(pairs, dtype=float))
-            for name, pairs in bounds.items()
-        }
-
-    def __getitem__(self, name: str) -> Any:
-        return self._bounds[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._bounds)
-
-    def __len__(self) -> int:
-        return len(self._bounds)
-
-    def __repr__(self) -> str:
-        return _as_text(self)
-
-    def __reduce__(self):
-        return FrozenBounds, (self._bounds,)  # the arrays of a copy are read-only, too
-
-
-def _is_mutable(value):
-    """Return whether entries of a parameter can be set."""
-    if isinstance(value, np.ndarray):
-        return value.flags.writeable or value.base is not None  # a view of an array that can be
-    return isinstance(value, (list, Mapping)) and not isinstance(value, FrozenBounds)
-
-
-def _snapshot(value):
-    """Return the entries of a parameter, which compare as equal as long as none of them is set."""
-    if isinstance(value, np.ndarray):
-        return value.tobytes()
-    if isinstance(value, Mapping):
-        return {key: _snapshot(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_snapshot(entry) for entry in value]
-    return value
 
 
 def _as_text(value):
@@ -804,9 +686,15 @@ def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
         return values * factor.reshape(-1, *(1,) * (-1 - axis))
     except ValueError:
         raise ValueError(
-            f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, one for each "
-            f"output, along axis {axis}."
+            f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, "
+            f"one for each output, along axis {axis}."
         ) from None
+
+
+def numbered(free: Mask) -> Indices:
+    """Return the numbers 0, 1, 2, ... of the free entries, and -1 for the others."""
+    numbers = np.cumsum(free).reshape(free.shape) - 1
+    return np.where(free, numbers, -1)
 
 
 def hyperparameter(name: str) -> property:
@@ -823,11 +711,3 @@ def _as_hyperparameter(f):
     if f.fixed:
         return Hyperparameter(f.name, "numeric", "fixed", 1)
     return Hyperparameter(f.name, "numeric", f.pairs(), f.n_elements)
-
-
-def renumber(index: Indices, free):
-    """Return the index with the free entries renumbered 0, 1, 2, ... and -1 for the other entries."""
-    numbers = np.full(index.shape, -1)
-    free = np.broadcast_to(free, index.shape)
-    numbers[free] = np.unique(index[free], return_inverse=True)[1]
-    return numbers

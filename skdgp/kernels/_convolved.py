@@ -3,56 +3,97 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import clone
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import (
-    RowPairs,
-    column_scale,
-    constant_columns,
-    output_scale,
-)
-from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
+from skdgp._compute.linalg import column_scale, constant_columns, output_scale
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
-    FrozenBounds,
     MultiOutputKernel,
     as_shape,
     complete_bounds,
-    frozen,
     given_bounds,
     hyperparameter,
-    renumber,
+    numbered,
     rescaled_values,
 )
 from skdgp.kernels._gaussian_filters import FilterPair
 
-CONSTANT_LENGTH = 1e9  # length scale over the standard deviation of a regressor without effect:
-# it changes 1e-18 of the variance, below rounding
-ADDITIVE_AMPLITUDE = (
-    0.3  # starting amplitude of a term of few regressors, over the amplitude of a kernel of all
-)
+# Length scale of a regressor without effect, over its standard deviation: it changes 1e-18 of the
+# variance, below rounding
+CONSTANT_LENGTH = 1e9
 PARAMETERS = ("amplitude", "length_scale", "shift")
 # Bounds of a kernel that has values, and was not initialized from data
 DEFAULT_BOUNDS = {"amplitude": (-1e3, 1e3), "length_scale": (1e-3, 1e3), "shift": "fixed"}
 SPACING = "spacing"  # for length scales alone
-NOISE_AMPLITUDE = (
-    0.1  # below this fraction of its starting amplitude an output was explained as noise
-)
 COVARIANCE_TYPES = ("diag", "tied")
-TIE_BREAK = 1e-9  # added to correlations, so that rounding does not choose the principal directions
-# Fraction of an output's variance that starts in the shared latents (guess; 0.1 ends alike)
-SHARED_VARIANCE = 0.5
-WIDTHS = 0.05, 1e3  # bounds, over the standard deviation of the regressor
-# Largest width, over that, from which a fit of few rows may start the next: from wider ones, where
-# the likelihood is flat, it does not come back (a log keeps them)
-WIDEST_START = 10.0
-MOST_COUNTED = (
-    400  # samples for the smallest width: searches learn from a few hundred, however long the log
-)
+ROUNDING = 1e-9  # relative difference of tied length scales that counts as rounding
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """Starting values and bounds of filters that are estimated from data.
+
+    Amplitudes are over the scale of their output, widths over the standard deviation of the
+    regressor.
+    """
+
+    #: Fraction of the variance that starts in the shared latents (guess; 0.1 ends alike)
+    shared_variance: float = 0.5
+    #: Largest amplitude
+    largest_amplitude: float = 30.0
+    #: Smallest and largest width
+    width_bounds: tuple[float, float] = (0.05, 1e3)
+    #: Starting widths of the first and of the last shared latent, for one regressor
+    shared_widths: tuple[float, float] = (2.0, 0.8)
+    #: Starting width of the private latents, for one regressor
+    private_width: float = 1.2
+    #: Standard deviation of the logarithm of the widths of shared latents, to part them (guess)
+    width_scatter: float = 0.1
+    #: Added to correlations, so that rounding does not choose the principal directions
+    tie_break: float = 1e-9
+    #: Smallest variance of a direction, which parts from zero, where the gradient is zero (guess)
+    least_direction: float = 0.05
+    #: Standard deviation of the perturbation of each direction (guess)
+    direction_scatter: float = 0.05
+    #: Size of directions beyond the principal ones (guess)
+    random_direction: float = 0.5
+    #: Samples that count for "spacing": searches learn from a few hundred of any time series
+    most_counted: int = 400
+
+
+STARTS = StartSettings()
+
+
+class Filters(NamedTuple):
+    """Parameters of all filters, (M, P, ...), and the latents (M, P) that feed an output."""
+
+    feeds: Mask
+    amplitude: Matrix
+    length_scale: Array
+    shift: Array
+
+    def latents(self, i: int, j: int) -> Indices:
+        """Return the numbers of the latents that feed both outputs."""
+        return np.flatnonzero(self.feeds[:, i] & self.feeds[:, j])
+
+    def pair(self, i: int, j: int) -> FilterPair:
+        """Return equation 16 of outputs i and j."""
+        latents = self.latents(i, j)
+        amplitude = self.amplitude[latents]
+        width = self.length_scale[latents]
+        shift = self.shift[latents]
+        return FilterPair(
+            np.stack([amplitude[:, i], amplitude[:, j]]),
+            np.stack([width[:, i], width[:, j]]),
+            shift[:, i] - shift[:, j],
+        )
 
 
 class ConvolvedGaussian(MultiOutputKernel):
@@ -137,190 +178,112 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.shift = shift
         self.parameter_bounds = parameter_bounds
 
-    # -- shapes
-    # ----------------------------------------------------------------------------------------
-
-    def _arrays(self):
-        """Return a dict of the parameters broadcast to (M, P, ...) and of ``feeds`` (M, P)."""
+    @property
+    def filters(self) -> Filters:
+        """Parameters of all filters in their full shapes."""
         if self.covariance_type not in COVARIANCE_TYPES:
             raise ValueError(
-                f"Got covariance_type={self.covariance_type!r}, but expected one of "
-                f"{COVARIANCE_TYPES}."
+                f"Got covariance_type={self.covariance_type!r}, but expected one of {COVARIANCE_TYPES}."
             )
-        if self.amplitude is None or self.length_scale is None:
+        if not self.has_values():
             raise ValueError(
-                "ConvolvedGaussian has no values yet: give amplitude and length_scale, or let "
-                "DependentGPRegressor.fit estimate them from the data."
+                "ConvolvedGaussian has no values yet: give amplitude and length_scale, "
+                "or let DependentGPRegressor.fit estimate them from the data."
             )
-        w, lengths = (
-            np.asarray(self.amplitude, dtype=float),
-            np.asarray(self.length_scale, dtype=float),
-        )
-        P, d = w.shape[-1] if w.ndim else 1, lengths.shape[-1] if lengths.ndim else 1
-        feeds = self._feed_matrix(P)
-        M, others = len(feeds), self.without_effect(d)
-        if not (lengths > 0).all() or not np.isfinite(w).all():
+        amplitude = np.asarray(self.amplitude, dtype=float)
+        lengths = np.asarray(self.length_scale, dtype=float)
+        if not (lengths > 0).all() or not np.isfinite(amplitude).all():
             raise ValueError(
                 "Got a length_scale that is not positive or an amplitude that is not finite."
             )
-        lengths = as_shape("length_scale", lengths, (M, P, d))
-        lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
-        fed = feeds[..., None] > 0
-        least, most = np.where(fed, lengths, np.inf).min(1), np.where(fed, lengths, 0.0).max(1)
-        if self.covariance_type == "tied" and (least < (1 - 1e-9) * most).any():
-            raise ValueError(
-                "Got length scales that differ along the outputs with covariance_type='tied', but "
-                "expected equal ones: use covariance_type='diag', or give equal length scales."
-            )
-        arrays = {
-            "feeds": feeds,
-            "amplitude": as_shape("amplitude", w, (M, P)) * feeds,
-            "length_scale": lengths,
-            "shift": as_shape("shift", self.shift, (M, P, d)),
-        }
-        return {name: frozen(array) for name, array in arrays.items()}
+        P = amplitude.shape[-1] if amplitude.ndim else 1
+        d = lengths.shape[-1] if lengths.ndim else 1
+        feeds = self._feeds(P)
+        shape = (*feeds.shape, d)
+        lengths = as_shape("length_scale", lengths, shape)
+        if self.regressors is not None:
+            others = self.without_effect(d)
+            lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
+        if self.covariance_type == "tied":
+            check_tied(lengths, feeds)
+        return Filters(
+            feeds,
+            as_shape("amplitude", amplitude, feeds.shape) * feeds,
+            lengths,
+            as_shape("shift", self.shift, shape),
+        )
 
     def without_effect(self, d: int) -> Mask:
         """Return the mask (d,) of regressors that the outputs do not depend on."""
         if self.regressors is None:
             return np.zeros(d, dtype=bool)
         columns = np.asarray(self.regressors)
-        whole = columns.ndim == 1 and columns.dtype.kind in "iu" and len(columns) > 0
-        if not (whole and set(columns) <= set(range(d))):
+        is_list = columns.ndim == 1 and columns.dtype.kind in "iu" and len(columns) > 0
+        if not (is_list and columns.min() >= 0 and columns.max() < d):
             raise ValueError(
                 f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}."
             )
-        return ~np.isin(np.arange(d), columns)
+        others = np.ones(d, dtype=bool)
+        others[columns] = False
+        return others
 
-    def _feed_matrix(self, P):
-        """Return the matrix (M, P) that is one where a latent contributes to an output."""
+    def _feeds(self, P):
+        """Return whether each latent feeds each output, (M, P)."""
         return feed_matrix(self.n_latent, self.private_latents, P, self.feeds)
 
     hyperparameter_amplitude = hyperparameter("amplitude")
     hyperparameter_length_scale = hyperparameter("length_scale")
     hyperparameter_shift = hyperparameter("shift")
 
-    def value(self, name: str) -> Array:
-        return self._cached("arrays", self._arrays)[name]
+    def values(self) -> dict[str, Array]:
+        return self.filters._asdict()
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return rescaled_amplitude(self, factor, PARAMETERS)
 
     def bounds_from_data(self, name: str) -> bool:
         given = given_bounds(self, PARAMETERS).get(name)
-        return given is None or (isinstance(given, str) and given == SPACING)
+        return given is None or is_spacing(given)
 
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""
-        return self.value("amplitude").shape[1]
+        return self.filters.amplitude.shape[1]
 
     @property
     def n_features(self) -> int:
         """Number of regressors d."""
-        return self.value("length_scale").shape[2]
-
-    def _bounds_of_widths(self):
-        """Return the bounds on the widths as given, and whether the data decide on them."""
-        given = complete_bounds(self.parameter_bounds, dict.fromkeys(PARAMETERS))["length_scale"]
-        return given, given is None or (isinstance(given, str) and given == SPACING)
+        return self.filters.length_scale.shape[2]
 
     def _bounds(self, defaults):
         """Return the bounds of all parameters, the defaults where none were given."""
         bounds = complete_bounds(self.parameter_bounds, defaults)
-        if self._bounds_of_widths()[1]:
+        if is_spacing(bounds["length_scale"]):
             bounds["length_scale"] = defaults["length_scale"]
         return bounds
 
     def has_values(self) -> bool:
         return self.amplitude is not None and self.length_scale is not None
 
-    def initialize(
-        self,
-        X: Matrix,
-        Y: Matrix,
-        random_state: Seed,
-        singles: Sequence | None = None,
-        coarse: MultiOutputKernel | None = None,
-        width_factor: float = 1.0,
-    ) -> MultiOutputKernel:
-        others = self.without_effect(X.shape[1])
-        params = self.get_params()
-        feeds = self._feed_matrix(Y.shape[1])
-        for name, shape in (
-            ("amplitude", feeds.shape),
-            ("length_scale", (*feeds.shape, X.shape[1])),
-        ):
-            if params[name] is not None:
-                params[name] = as_shape(name, params[name], shape)
-        start, bounds = starting_values(feeds, X, Y, random_state, width_factor)
-        given, from_data = self._bounds_of_widths()
-        if given is not None and from_data:  # "spacing"
+    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
+        d = X.shape[1]
+        feeds = self._feeds(Y.shape[1])
+        others = self.without_effect(d)
+        values, bounds = starting_values(feeds, X, Y, random_state)
+        if is_spacing(given_bounds(self, PARAMETERS).get("length_scale")):
             smallest = bounds["length_scale"][..., 0]
             np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
-        params["parameter_bounds"] = FrozenBounds(self._bounds(bounds))
-        if singles:
-            start |= self._from_singles(start["amplitude"], start["length_scale"], singles)
-            if given is None:
-                widest = WIDEST_START * column_scale(X)
-                start["length_scale"] = np.minimum(start["length_scale"], widest)
-        if coarse:
-            start |= {name: coarse.value(name) for name in ("amplitude", "length_scale")}
+        params = self.get_params()
+        params["parameter_bounds"] = self._bounds(bounds)
         if self.covariance_type == "tied":
-            mean = np.log(start["length_scale"]).mean(axis=1, keepdims=True)
-            start["length_scale"] = np.exp(np.broadcast_to(mean, start["length_scale"].shape))
-        if others.any() and not singles and not coarse:
-            start["amplitude"] *= ADDITIVE_AMPLITUDE
-            start["length_scale"][..., ~others] *= np.sqrt(np.mean(~others))
-        for name, value in start.items():
+            values["length_scale"] = tied(values["length_scale"])
+        for name, value in values.items():
             if params[name] is None:
                 params[name] = value
-        params["length_scale"] = np.array(params["length_scale"])
+            else:
+                params[name] = as_shape(name, params[name], value.shape)
         params["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
-        for name in ("amplitude", "length_scale"):
-            frozen(params[name])
         return type(self)(**params)
-
-    def _from_singles(self, w, lengths, singles):
-        """Return starting values (M, P, ...) from separate fits of each output.
-
-        Private latents take the fitted widths. A shared latent takes their weighted geometric mean
-        for all outputs, because equal widths allow the strongest coupling; with very different
-        widths no coupling can be learned. An output that its separate fit explains as noise keeps
-        its default values: at zero amplitude the gradient is zero and a dependence on other outputs
-        cannot be found.
-        """
-        total = np.sqrt((w**2).sum(axis=0))
-        amplitude = np.array([abs(s.value("amplitude")[0, 0]) for s in singles])
-        explained = amplitude > NOISE_AMPLITUDE * total
-        widths = np.where(
-            explained[:, None],
-            np.stack([s.value("length_scale")[0, 0] for s in singles]),
-            lengths[-1],
-        )
-        weight = w**2 / (w**2).sum(axis=1, keepdims=True)
-        private = (weight == 1.0)[..., None]
-        return {
-            "amplitude": w * np.where(explained, amplitude / total, 1.0),
-            "length_scale": np.where(private, widths, np.exp(weight @ np.log(widths))[:, None, :]),
-        }
-
-    def coarse(self) -> MultiOutputKernel:
-        _, from_data = self._bounds_of_widths()
-        if self.covariance_type == "diag" and self.length_scale is None and from_data:
-            bounds = dict(self.parameter_bounds or {}, shift="fixed")
-            return clone(self).set_params(
-                covariance_type="tied", shift=0.0, parameter_bounds=bounds
-            )
-        return self
-
-    def single_output(self) -> MultiOutputKernel:
-        given, from_data = self._bounds_of_widths()
-        return ConvolvedGaussian(
-            0,
-            regressors=self.regressors,
-            parameter_bounds={"length_scale": given} if from_data else None,
-        )
 
     def term_regressors(self) -> list[tuple[int, ...]]:
         return [tuple(np.flatnonzero(~self.without_effect(self.n_features)).tolist())]
@@ -328,27 +291,19 @@ class ConvolvedGaussian(MultiOutputKernel):
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         if regressors in self.term_regressors():
             return self
-        return clone(self).set_params(amplitude=np.zeros_like(self.value("amplitude")))
+        return clone(self).set_params(amplitude=np.zeros_like(self.filters.amplitude))
 
     def free_parameters(self) -> list[FreeParameter]:
-        return self._cached("free", self._free_parameters)
-
-    def _free_parameters(self):
-        feeds = self.value("feeds").astype(bool)
-        M, P, d = self.value("shift").shape
-        latent, output = np.indices((M, P))
-        # One filter for each latent and output, or for each latent if "tied".
-        filters = latent * P + output
-        width = latent if self.covariance_type == "tied" else filters
+        d = np.atleast_1d(self.length_scale).shape[-1]
+        feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
         matters = ~self.without_effect(d)
-        shifted = feeds & (
-            output != feeds.argmax(axis=1)[:, None]
-        )  # only differences between outputs matter
+        is_tied = self.covariance_type == "tied"
+        amplitudes, lengths, shifts = numbers(
+            feeds.tobytes(), feeds.shape[1], matters.tobytes(), is_tied
+        )
         bounds = self._bounds(DEFAULT_BOUNDS)
-        lengths = renumber(width[..., None] * d + np.arange(d), feeds[..., None] & matters)
-        shifts = renumber(filters[..., None] * d + np.arange(d), shifted[..., None] & matters)
         return [
-            FreeParameter("amplitude", renumber(filters, feeds), False, bounds["amplitude"]),
+            FreeParameter("amplitude", amplitudes, False, bounds["amplitude"]),
             FreeParameter("length_scale", lengths, True, bounds["length_scale"]),
             FreeParameter("shift", shifts, False, bounds["shift"]),
         ]
@@ -359,103 +314,136 @@ class ConvolvedGaussian(MultiOutputKernel):
     @property
     def A(self) -> Array:
         """Diagonals of the filter precisions, (M, P, d)."""
-        return 2.0 / self.value("length_scale") ** 2
+        return 2.0 / self.filters.length_scale**2
 
     @property
     def mu(self) -> Array:
         """Filter shifts, (M, P, d)."""
-        return self.value("shift")
+        return self.filters.shift
 
     @property
     def v(self) -> Matrix:
         """Filter gains, (M, P), zero where a latent feeds no output: ``v = w |A|^(1/4) / pi^(d/4)``."""
-        return self.value("amplitude") * np.exp(0.25 * np.log(self.A / np.pi).sum(axis=-1))
+        return self.filters.amplitude * np.exp(0.25 * np.log(self.A / np.pi).sum(axis=-1))
 
     # -- the equations
     # ---------------------------------------------------------------------------------
 
     def pair(self, i: int, j: int) -> FilterPair:
         """Return equation 16 of outputs i and j."""
-        return self._cached((i, j), lambda: self._pair(i, j))
-
-    def _common(self, i, j):
-        """Return the numbers of the latents that feed both outputs."""
-        return np.flatnonzero(self.value("feeds")[:, [i, j]].all(axis=1))
-
-    def _pair(self, i, j):
-        latents = self._common(i, j)
-        w, widths, mu = (
-            np.stack([values[latents, i], values[latents, j]])
-            for values in map(self.value, PARAMETERS)
-        )
-        return FilterPair(w, widths, mu[0] - mu[1])
+        return self.filters.pair(i, j)
 
     def couples(self, i: int, j: int) -> bool:
-        return len(self.pair(i, j).gain) > 0
+        feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
+        return bool((feeds[:, i] & feeds[:, j]).any())
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         return self.pair(i, j).covariance(Xi, Xj)
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
-        return np.full(len(Xi), (self.value("amplitude")[:, i] ** 2).sum())
+        return np.full(len(Xi), np.sum(self.filters.amplitude[:, i] ** 2))
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        Xi, Xj, pair = np.asarray(Xi, float), np.asarray(Xj, float), self.pair(i, j)
-        slopes = np.zeros((Xi.shape[1], len(Xi), len(Xj)))
-        for gain, mu, Sigma in zip(pair.gain, pair.mu, pair.Sigma, strict=True):
-            apart = Xi.T[:, :, None] - Xj.T[:, None] - mu[:, None, None]
-            E = gain * np.exp(-0.5 * np.tensordot(Sigma, apart**2, 1))
-            slopes -= E * apart * Sigma[:, None, None]
-        return slopes
+        Xi = np.asarray(Xi, dtype=float)
+        Xj = np.asarray(Xj, dtype=float)
+        return self.pair(i, j).derivative(Xi, Xj)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        if not self.couples(i, j):
-            return np.zeros(self.n_dims)
-        return self._theta_gradient(i, j, self.pair(i, j).moments(Xi, Xj, W))
+        _, gradient = self.block_with_gradient(i, j, Xi, Xj)
+        return gradient(W)
 
-    def at_pairs(self, i: int, pairs: RowPairs) -> tuple[Vector, Callable[[Vector], Vector]]:
-        columns: Any = slice(None)  # needs no copy
-        if self.regressors is not None:
-            columns = np.flatnonzero(~self.without_effect(self.n_features))
-        values, moments = self.pair(i, i).at_pairs(pairs, columns)
-        return values, lambda w: self._theta_gradient(i, i, moments(w))
+    def block_with_gradient(
+        self, i: int, j: int, Xi: Matrix, Xj: Matrix
+    ) -> tuple[Matrix, Callable[[Matrix], Vector]]:
+        filters = self.filters
+        pair = filters.pair(i, j)
+        K, moments = pair.with_moments(Xi, Xj)
 
-    def _theta_gradient(self, i, j, moments):
-        """Return d/dtheta of sum(W * cov_ij), from the moments of W."""
-        latents = self._common(i, j)
-        by_w, by_widths, by_mu = self.pair(i, j).gradient(moments)
-        gradients = {name: np.zeros_like(self.value(name)) for name in PARAMETERS}
-        for k, output in enumerate((i, j)):
-            gradients["amplitude"][latents, output] += by_w[k]
-            gradients["length_scale"][latents, output] += by_widths[k]
-        gradients["shift"][latents, i] += by_mu
-        gradients["shift"][latents, j] -= by_mu
-        return self.theta_gradient(gradients)
+        def gradient(W: Matrix) -> Vector:
+            by_amplitude, by_width, by_shift = pair.gradient(moments(W))
+            latents = filters.latents(i, j)
+            amplitude = np.zeros_like(filters.amplitude)
+            length_scale = np.zeros_like(filters.length_scale)
+            shift = np.zeros_like(filters.shift)
+            for k, output in enumerate((i, j)):
+                amplitude[latents, output] += by_amplitude[k]
+                length_scale[latents, output] += by_width[k]
+            shift[latents, i] += by_shift
+            shift[latents, j] -= by_shift
+            return self.theta_gradient(
+                {"amplitude": amplitude, "length_scale": length_scale, "shift": shift}
+            )
+
+        return K, gradient
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
 
 
-def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None) -> Matrix:
-    """Return the matrix (M, P) that is one where a latent contributes to an output, or ``feeds`` if given."""
-    if feeds is None:
-        private = np.eye(P)[: P * bool(private_latents)]
-        feeds = np.concatenate([np.ones((n_latent, P)), private])
+def is_spacing(bounds: Any) -> bool:
+    """Return whether bounds of length scales are those of the spacing of the samples."""
+    return isinstance(bounds, str) and bounds == SPACING
+
+
+@lru_cache(maxsize=64)  # all kernels of a search have the same numbers
+def numbers(
+    fed: bytes, n_outputs: int, matters: bytes, is_tied: bool
+) -> tuple[Indices, Indices, Indices]:
+    """Return the numbers of the free amplitudes (M, P), length scales and shifts (M, P, d).
+
+    ``fed`` holds whether each latent feeds each output, ``matters`` whether each regressor has an
+    effect.
+    """
+    feeds = np.frombuffer(fed, dtype=bool).reshape(-1, n_outputs)
+    has_effect = np.frombuffer(matters, dtype=bool)
+    M, d = len(feeds), len(has_effect)
+    if is_tied:
+        # one filter for each latent
+        of_latents = numbered(np.broadcast_to(has_effect, (M, 1, d)))
+        lengths = np.where(feeds[..., None], of_latents, -1)
     else:
-        feeds = np.array(feeds, dtype=float)
-    if (
-        feeds.ndim != 2
-        or feeds.shape[1] != P
-        or not feeds.any(axis=1).all()
-        or not feeds.any(axis=0).all()
-    ):
+        lengths = numbered(feeds[..., None] & has_effect)
+    # only differences between outputs matter: the first one of each latent is not shifted
+    shifted = feeds.copy()
+    shifted[np.arange(M), feeds.argmax(axis=1)] = False
+    return numbered(feeds), lengths, numbered(shifted[..., None] & has_effect)
+
+
+def check_tied(lengths: Array, feeds: Mask) -> None:
+    """Raise a ValueError if length scales (M, P, d) differ between the outputs that a latent feeds."""
+    fed = feeds[..., None]
+    smallest = np.where(fed, lengths, np.inf).min(axis=1)
+    largest = np.where(fed, lengths, 0.0).max(axis=1)
+    if (smallest < (1 - ROUNDING) * largest).any():
         raise ValueError(
-            f"Got feeds {feeds.astype(int).tolist()}, but expected (M, {P}) with at least one "
-            f"latent for every output, and at least one output for every latent: raise n_latent, "
+            "Got length scales that differ along the outputs with covariance_type='tied', "
+            "but expected equal ones: use covariance_type='diag', or give equal length scales."
+        )
+
+
+def tied(lengths: Array) -> Array:
+    """Return length scales (M, P, d) with their geometric mean over the outputs."""
+    mean = np.log(lengths).mean(axis=1, keepdims=True)
+    return np.exp(np.broadcast_to(mean, lengths.shape))
+
+
+def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None) -> Mask:
+    """Return whether each latent contributes to each output, (M, P), as in ``feeds`` if given."""
+    if feeds is None:
+        matrix = np.ones((n_latent, P), dtype=bool)
+        if private_latents:
+            return np.vstack([matrix, np.eye(P, dtype=bool)])
+    else:
+        matrix = np.array(feeds, dtype=bool)
+    is_matrix = matrix.ndim == 2 and matrix.shape[1] == P
+    if not (is_matrix and matrix.any(axis=1).all() and matrix.any(axis=0).all()):
+        raise ValueError(
+            f"Got feeds {matrix.astype(int).tolist()}, but expected (M, {P}) with at least one latent "
+            "for every output, and at least one output for every latent: raise n_latent, "
             "or set private_latents=True."
         )
-    return feeds
+    return matrix
 
 
 def rescaled_amplitude(
@@ -488,25 +476,26 @@ def independent_processes(variance: Vector, length_scale: Vector) -> ConvolvedGa
 
 
 # -- starting values from the data
-# ------------------------------------------------------------------------------------
 
 
-def spacing(X, Y, matters):
+def spacing(X: Matrix, Y: Matrix, matters: Mask, settings: StartSettings = STARTS) -> float:
     """Return the smallest width n^(-1/d) for samples X (rows, columns) and targets Y (rows, P), NaN allowed.
 
-    n are the samples of the most observed output, at most ``MOST_COUNTED``, d the regressors that
+    n are the samples of the most observed output, at most ``most_counted``, d the regressors that
     ``matters`` marks and that are not constant. n samples spread evenly over d regressors are 3.5
-    times as far apart, in their deviations.
+    times as far apart, in their standard deviations.
     """
     n_axes = max(1, int(np.sum(matters & ~constant_columns(X))))
-    n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, MOST_COUNTED)
+    n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, settings.most_counted)
     return float(n) ** (-1.0 / n_axes)
 
 
-def starting_values(feeds, X, Y, random_state, width_factor=1.0):
+def starting_values(
+    feeds: Mask, X: Matrix, Y: Matrix, random_state: Seed, settings: StartSettings = STARTS
+) -> tuple[dict[str, Array], dict[str, Any]]:
     """Return values and bounds by name for samples X (n, d) and targets Y (n, P), NaN allowed.
 
-    ``feeds`` (M, P) is one where a latent contributes to an output. Shared latents start along the
+    ``feeds`` (M, P) is whether a latent contributes to an output. Shared latents start along the
     principal directions of the correlation matrix of the outputs, so correlated outputs share a
     latent from the start. Latents start with different widths: with equal widths they would have
     equal gradients and remain equal.
@@ -514,60 +503,64 @@ def starting_values(feeds, X, Y, random_state, width_factor=1.0):
     rng = check_random_state(random_state)
     M, P = feeds.shape
     d = X.shape[1]
-    x_scale, y_scale = column_scale(X), output_scale(Y)
+    x_scale = column_scale(X)
+    y_scale = output_scale(Y)
     shared = feeds.sum(axis=1) > 1
     n_shared = int(shared.sum())
-    weight = (
-        np.where(shared[:, None], SHARED_VARIANCE, 1.0 - SHARED_VARIANCE) * np.ones((1, P)) * feeds
-    )
+
     directions = np.ones((M, P))
-    directions[shared] = _directions(Y, n_shared, rng)
-    weight *= directions**2
-    amplitude = np.sign(directions) * np.sqrt(weight / weight.sum(axis=0)) * y_scale
+    directions[shared] = _directions(Y, n_shared, rng, settings)
+    fraction = np.where(shared, settings.shared_variance, 1.0 - settings.shared_variance)
+    variance = fraction[:, None] * feeds * directions**2
+    amplitude = np.sign(directions) * np.sqrt(variance / variance.sum(axis=0)) * y_scale
+
     # The first latents explain most of the variance and start wide, the last ones narrow.
-    spread = np.full(M, 1.2)
-    spread[shared] = np.geomspace(2.0, 0.8, n_shared)
+    width = np.full(M, settings.private_width)
+    width[shared] = np.geomspace(*settings.shared_widths, n_shared)
     varies = ~constant_columns(X)  # the others change nothing
-    apart = np.zeros((M, 1, d))
-    apart[..., varies] = 0.1 * shared[:, None, None] * rng.normal(size=(M, 1, varies.sum()))
-    lengths = (
-        width_factor
-        * np.sqrt(max(1, varies.sum()))
-        * spread[:, None, None]
-        * x_scale
-        * np.exp(apart)
-    )
+    n_varying = varies.sum()
+    scatter = np.zeros((M, d))
+    scatter[:, varies] = rng.normal(size=(M, 1, n_varying))[:, 0]
+    scatter[~shared] = 0.0
+    lengths = np.sqrt(max(1, n_varying)) * width[:, None] * x_scale
+    lengths = lengths * np.exp(settings.width_scatter * scatter)
+
+    largest = np.broadcast_to(settings.largest_amplitude * y_scale, (M, P))
+    widths = np.multiply.outer(x_scale, settings.width_bounds)
     values = {
         "amplitude": amplitude,
-        "length_scale": np.broadcast_to(lengths, (M, P, d)).copy(),
+        "length_scale": np.repeat(lengths[:, None], P, axis=1),
     }
-    amplitudes = np.broadcast_arrays(-30 * y_scale, 30 * y_scale * np.ones((M, 1)))
-    widths = np.broadcast_to(np.multiply.outer(x_scale, WIDTHS), (M, P, d, 2)).copy()
-    return values, {
-        "amplitude": np.stack(amplitudes, axis=-1),
-        "length_scale": widths,
+    bounds = {
+        "amplitude": np.stack([-largest, largest], axis=-1),
+        "length_scale": np.array(np.broadcast_to(widths, (M, P, d, 2))),
         "shift": DEFAULT_BOUNDS["shift"],
     }
+    return values, bounds
 
 
-def _directions(Y, n_latent, rng):
+def _directions(Y, n_latent, rng, settings):
     """Return directions (n_latent, P), first principal ones, then random ones; squares sum to one over the latents."""
     P = Y.shape[1]
+    if n_latent == 0:
+        return np.empty((0, P))
     observed = np.isfinite(Y)
-    Z = np.where(
-        observed, Y - np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0), 0.0
-    ) / column_scale(Y)
+    mean = np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0)
+    Z = np.where(observed, Y - mean, 0.0) / column_scale(Y)
     counts = np.maximum(observed.T.astype(float) @ observed, 1.0)
-    order = np.diag(TIE_BREAK * np.arange(P, 0, -1))
+    order = np.diag(settings.tie_break * np.arange(P, 0, -1))
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
-    side = (
-        np.sqrt(np.arange(2, P + 2)) @ vectors
-    )  # the sign of an eigenvector depends on LAPACK: choose one
+    # The sign of an eigenvector depends on LAPACK: choose one.
+    side = np.sqrt(np.arange(2, P + 2)) @ vectors
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
-    rows = (vectors * np.sqrt(np.maximum(values, 0.05))).T[::-1][:n_latent]  # principal ones
+    sizes = np.sqrt(np.maximum(values, settings.least_direction))
+    principal = (vectors * sizes).T[::-1]
+    rows = principal[:n_latent]
     if n_latent > P:
-        rows = np.concatenate([rows, 0.5 * rng.normal(size=(n_latent - P, P))])
+        further = settings.random_direction * rng.normal(size=(n_latent - P, P))
+        rows = np.concatenate([rows, further])
     # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of
     # the amplitude, so that outputs of the other sign start, and end, as the same model.
-    rows = rows + 0.05 * rng.normal(size=rows.shape) * np.where(rows < 0, -1.0, 1.0)
-    return rows / np.sqrt((rows**2).sum(axis=0, keepdims=True)) if n_latent else rows
+    perturbation = settings.direction_scatter * rng.normal(size=rows.shape)
+    rows = rows + perturbation * np.where(rows < 0, -1.0, 1.0)
+    return rows / np.sqrt(np.sum(rows**2, axis=0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,15 +13,14 @@ from sklearn.gaussian_process.kernels import Sum as SklearnSum
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
-    FrozenBounds,
     MultiOutputKernel,
     Sum,
     as_shape,
     complete_bounds,
-    frozen,
     given_bounds,
     hyperparameter,
-    renumber,
+    is_per_output,
+    numbered,
 )
 from skdgp.kernels._convolved import (
     DEFAULT_BOUNDS,
@@ -98,38 +97,42 @@ class Coregionalized(MultiOutputKernel):
     # -- shapes and values
     # ---------------------------------------------------------------------------------
 
-    def _feed_matrix(self, P):
-        """Return the matrix (M, P) that is one where a process contributes to an output."""
+    def _feeds(self, P):
+        """Return whether each process contributes to each output, (M, P)."""
         if P == 1:  # several processes of one output would be one
-            return np.ones((1, 1))
+            return np.ones((1, 1), dtype=bool)
         return feed_matrix(self.n_latent, self.private_latents, P)
 
-    def _arrays(self):
-        """Return the amplitudes W, the matrix B, and where W can differ from zero."""
+    @property
+    def weights(self) -> Matrix:
+        """W, (M, P)."""
         check_kernel(self.kernel)
         if self.amplitude is None:
             raise ValueError(
-                "Coregionalized has no values yet: give amplitude, or let "
-                "DependentGPRegressor.fit estimate it from the data."
+                "Coregionalized has no values yet: give amplitude, "
+                "or let DependentGPRegressor.fit estimate it from the data."
             )
-        w = np.array(self.amplitude, dtype=float)
-        feeds = self._feed_matrix(w.shape[-1] if w.ndim else 1)
-        w = as_shape("amplitude", w, feeds.shape) * feeds
-        return {"amplitude": frozen(w), "B": frozen(w.T @ w), "coupled": feeds.T @ feeds > 0}
+        w = np.asarray(self.amplitude, dtype=float)
+        feeds = self._feeds(w.shape[-1] if w.ndim else 1)
+        return as_shape("amplitude", w, feeds.shape) * feeds
 
-    def _array(self, name):
-        return self._cached("coregionalization", self._arrays)[name]
+    @property
+    def B(self) -> Matrix:
+        """Covariance of the outputs for a unit kernel, (P, P)."""
+        w = self.weights
+        return w.T @ w
 
-    def value(self, name: str) -> Array:
-        if name.startswith(PREFIX):
-            inner = self.kernel.get_params(deep=True)[name.removeprefix(PREFIX)]
-            return np.atleast_1d(np.asarray(inner, dtype=float))
-        return self._array(name)
+    def values(self) -> dict[str, Array]:
+        inner = self.kernel.get_params(deep=True)
+        values = {"amplitude": self.weights}
+        for h in self.kernel.hyperparameters:
+            values[PREFIX + h.name] = np.atleast_1d(np.asarray(inner[h.name], dtype=float))
+        return values
 
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""
-        return self._array("amplitude").shape[1]
+        return self.weights.shape[1]
 
     @property
     def n_features(self) -> int:
@@ -137,8 +140,8 @@ class Coregionalized(MultiOutputKernel):
         d = self._known_features()
         if d is None:
             raise ValueError(
-                "Coregionalized has no number of regressors yet: give n_regressors, or let "
-                "DependentGPRegressor.fit set it."
+                "Coregionalized has no number of regressors yet: give n_regressors, "
+                "or let DependentGPRegressor.fit set it."
             )
         return d
 
@@ -152,39 +155,28 @@ class Coregionalized(MultiOutputKernel):
 
     def split(self, X: Matrix) -> list[np.ndarray]:
         if self._known_features() is None:  # an isotropic kernel takes any number
-            first = X[0] if isinstance(X, (list, tuple)) and np.ndim(X[0]) == 2 else X
-            d = np.shape(first)[-1]
+            d = np.shape(X[0] if is_per_output(X) else X)[-1]
             return clone(self).set_params(n_regressors=d).split(X)
         return super().split(X)
 
     def has_values(self) -> bool:
         return self.amplitude is not None
 
-    def initialize(
-        self,
-        X: Matrix,
-        Y: Matrix,
-        random_state: Seed,
-        singles: Sequence | None = None,
-        coarse: MultiOutputKernel | None = None,
-        width_factor: float = 1.0,
-    ) -> MultiOutputKernel:
+    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         d = X.shape[1]
         if self._known_features() not in (None, d):
             raise ValueError(
-                f"Got data of {d} regressors, but expected {self.n_features}, as many as the kernel "
-                f"{self.kernel!r} has."
+                f"Got data of {d} regressors, but expected {self.n_features}, "
+                f"as many as the kernel {self.kernel!r} has."
             )
-        feeds = self._feed_matrix(Y.shape[1])
+        feeds = self._feeds(Y.shape[1])
         values, bounds = starting_values(feeds, X, Y, random_state)
-        amplitude = values["amplitude"]
-        if self.amplitude is not None:
-            amplitude = as_shape("amplitude", self.amplitude, feeds.shape)
-        complete = complete_bounds(self.parameter_bounds, {"amplitude": bounds["amplitude"]})
+        amplitude = values["amplitude"] if self.amplitude is None else self.amplitude
+        defaults = {"amplitude": bounds["amplitude"]}
         return clone(self).set_params(
             n_regressors=d,
-            amplitude=frozen(amplitude),
-            parameter_bounds=FrozenBounds(complete),
+            amplitude=as_shape("amplitude", amplitude, feeds.shape),
+            parameter_bounds=complete_bounds(self.parameter_bounds, defaults),
         )
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
@@ -196,29 +188,26 @@ class Coregionalized(MultiOutputKernel):
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
         if regressors in self.term_regressors():
             return self
-        return clone(self).set_params(amplitude=np.zeros_like(self.value("amplitude")))
+        return clone(self).set_params(amplitude=np.zeros_like(self.weights))
 
     # -- theta: amplitudes, then the theta of the kernel
     # ----------------------------------------------------------------------
 
     def free_parameters(self) -> list[FreeParameter]:
-        w = self.value("amplitude")
-        feeds = self._feed_matrix(w.shape[1]) > 0
-        index = renumber(np.arange(w.size).reshape(w.shape), feeds)
-        amplitude_bounds = {"amplitude": DEFAULT_BOUNDS["amplitude"]}
-        bounds = complete_bounds(self.parameter_bounds, amplitude_bounds)["amplitude"]
-        inner = [
-            FreeParameter(PREFIX + h.name, np.arange(h.n_elements), True, h.bounds)
-            for h in self.kernel.hyperparameters
-        ]
-        return [FreeParameter("amplitude", index, False, bounds), *inner]
+        feeds = self._feeds(self.n_outputs)
+        defaults = {"amplitude": DEFAULT_BOUNDS["amplitude"]}
+        bounds = complete_bounds(self.parameter_bounds, defaults)
+        parameters = [FreeParameter("amplitude", numbered(feeds), False, bounds["amplitude"])]
+        for h in self.kernel.hyperparameters:
+            index = np.arange(h.n_elements)
+            parameters.append(FreeParameter(PREFIX + h.name, index, True, h.bounds))
+        return parameters
 
     @property
     def theta(self):
         """Free amplitudes, then the theta of ``kernel``, (n_theta,)."""
         amplitude, *_ = self.free_parameters()
-        values = amplitude.elements(self.value("amplitude"))
-        return np.concatenate([values, self.kernel.theta])
+        return np.concatenate([amplitude.elements(self.weights), self.kernel.theta])
 
     @theta.setter
     def theta(self, theta: Vector | None):
@@ -228,33 +217,34 @@ class Coregionalized(MultiOutputKernel):
         expected = n + self.kernel.n_dims
         if theta.shape != (expected,):
             raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
-        w = self.value("amplitude").copy()
+        w = self.weights
         if n:
             free = amplitude.index >= 0
             w[free] = theta[:n][amplitude.index[free]]
-        self.amplitude = frozen(w)
+        self.amplitude = w
         self.kernel = self.kernel.clone_with_theta(theta[n:])
 
     # -- the equation
     # --------------------------------------------------------------------------------------
 
     def couples(self, i: int, j: int) -> bool:
-        return bool(self._array("coupled")[i, j])
+        feeds = self._feeds(self.n_outputs)
+        return bool((feeds[:, i] & feeds[:, j]).any())
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
-        return self._array("B")[i, j] * self.kernel(Xi, Xj)
+        return self.B[i, j] * self.kernel(Xi, Xj)
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
-        return self._array("B")[i, i] * self.kernel.diag(Xi)
+        return self.B[i, i] * self.kernel.diag(Xi)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        w = self.value("amplitude")
+        w = self.weights
         k, slopes = self._inner_gradient(Xi, Xj)
         by_B = np.sum(W * k)
         by_amplitude = np.zeros_like(w)
         by_amplitude[:, i] += w[:, j] * by_B
         by_amplitude[:, j] += w[:, i] * by_B
-        by_theta = self._array("B")[i, j] * np.einsum("ab,abt->t", W, slopes)
+        by_theta = self.B[i, j] * np.einsum("ab,abt->t", W, slopes)
         gradients = {"amplitude": by_amplitude}
         start = 0
         for h in self.kernel.hyperparameters:
@@ -287,8 +277,8 @@ def as_multi_output(kernel: Kernel) -> MultiOutputKernel:
         if isinstance(kernel, SklearnSum):
             return Sum(as_multi_output(kernel.k1), as_multi_output(kernel.k2))
         raise TypeError(
-            f"Got {kernel!r}, a product or power of a multi-output kernel, but such kernels can "
-            "only be added. Multiply scikit-learn's kernels inside Coregionalized."
+            f"Got {kernel!r}, a product or power of a multi-output kernel, but such kernels can only be added. "
+            "Multiply scikit-learn's kernels inside Coregionalized."
         )
     check_kernel(kernel)
     return Coregionalized(kernel)
@@ -298,14 +288,12 @@ def check_kernel(kernel: Any) -> None:
     """Raise TypeError unless this is a kernel of scikit-learn for one output, without white noise."""
     if not isinstance(kernel, Kernel) or isinstance(kernel, (MultiOutputKernel, CompoundKernel)):
         raise TypeError(
-            f"Got the kernel {kernel!r}, but expected a kernel of scikit-learn for one output, "
-            "such as RBF()."
+            f"Got the kernel {kernel!r}, but expected a kernel of scikit-learn for one output, such as RBF()."
         )
     if any(isinstance(part, WhiteKernel) for part in _parts(kernel)):
         raise TypeError(
-            f"Got {kernel!r} as the kernel of several outputs, but expected one without "
-            "WhiteKernel. Leave out measurement noise: DependentGPRegressor learns it for each "
-            "output (noise_variance_)."
+            f"Got {kernel!r} as the kernel of several outputs, but expected one without WhiteKernel. "
+            "Leave out measurement noise: DependentGPRegressor learns it for each output (noise_variance_)."
         )
 
 

@@ -7,11 +7,10 @@ features. Columns of X, which scikit-learn calls features, are called regressors
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from functools import reduce, singledispatch
-from itertools import pairwise
+from collections.abc import Sequence
+from functools import cached_property, reduce, singledispatch
 from operator import add
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -21,7 +20,7 @@ from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._base import MultiOutputKernel, Rescaled, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
-from skdgp.kernels._gaussian_filters import CovarianceColumns
+from skdgp.kernels._gaussian_filters import GaussianBasis
 from skdgp.kernels._trend import LinearTrend
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
@@ -55,7 +54,10 @@ class PathBundle(ABC):
 
     def mixed(self, others: list[PathBundle], member: np.ndarray) -> MixedPaths:
         """Return S functions with outputs of this bundle, where ``member`` (S, P) is 0, or of another."""
-        taken = [bundle.take((member == k).any(axis=1)) for k, bundle in enumerate([self, *others])]
+        taken = []
+        for k, bundle in enumerate([self, *others]):
+            needed = (member == k).any(axis=1)
+            taken.append(bundle.take(needed))
         return MixedPaths(taken, member)
 
     def values(self, X: Array) -> np.ndarray:
@@ -72,16 +74,16 @@ def _in_chunks(function, X, doubles):
     step = max(1, CHUNK_BYTES // max(1, 8 * doubles))
     if X.shape[1] <= step:
         return function(X)
-    return np.concatenate(
-        [function(X[:, a : a + step]) for a in range(0, X.shape[1], step)], axis=1
-    )
+    chunks = [function(X[:, a : a + step]) for a in range(0, X.shape[1], step)]
+    return np.concatenate(chunks, axis=1)
 
 
 class SumPaths(PathBundle):
     """Sums of the paths of independent processes."""
 
     def __init__(self, first: PathBundle, second: PathBundle):
-        self.first, self.second = first, second
+        self.first = first
+        self.second = second
 
     def take(self, index):
         return SumPaths(self.first.take(index), self.second.take(index))
@@ -102,7 +104,8 @@ class RescaledPaths(PathBundle):
     """Paths whose outputs are multiplied by factors (P,)."""
 
     def __init__(self, paths: PathBundle, factor: Vector):
-        self.paths, self.factor = paths, factor
+        self.paths = paths
+        self.factor = factor
 
     def take(self, index):
         return RescaledPaths(self.paths.take(index), self.factor)
@@ -125,38 +128,52 @@ class MixedPaths(PathBundle):
     """
 
     def __init__(self, bundles: list[PathBundle], member: np.ndarray):
-        self.bundles, self.member = bundles, member
+        self.bundles = bundles
+        self.member = member
         self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
 
     def doubles(self, same_points):
-        return max(
-            b.doubles(same_points)
-            for b, rows in zip(self.bundles, self.rows, strict=True)
-            if len(rows)
-        )
+        needed = zip(self.bundles, self.rows, strict=True)
+        return max(bundle.doubles(same_points) for bundle, rows in needed if len(rows))
 
     def each(self, X):
-        return self._assembled(X, (), "each")
+        values = np.empty((len(self.member), X.shape[1], self.member.shape[1]))
+        return self._fill(values, X, [bundle.each for bundle in self.bundles])
 
     def gradient(self, X):
-        return self._assembled(X, X.shape[-1:], "gradient")
+        slopes = np.empty((len(self.member), X.shape[1], *self.member.shape[1:], X.shape[-1]))
+        return self._fill(slopes, X, [bundle.gradient for bundle in self.bundles])
 
-    def _assembled(self, X, slopes, name):
-        values = np.empty((len(self.member), X.shape[1], self.member.shape[1], *slopes))
-        for k, (bundle, rows) in enumerate(zip(self.bundles, self.rows, strict=True)):
+    def _fill(self, values, X, functions):
+        """Set the outputs of all functions, each from the bundle that it is taken from."""
+        for k, (evaluate, rows) in enumerate(zip(functions, self.rows, strict=True)):
             if len(rows):
-                found = getattr(bundle, name)(X if len(X) == 1 else X[rows])
+                of_bundle = evaluate(X if len(X) == 1 else X[rows])
                 function, output = np.nonzero(self.member[rows] == k)
-                values[rows[function], :, output] = found[function, :, output]
+                values[rows[function], :, output] = of_bundle[function, :, output]
         return values
+
+
+class Basis(Protocol):
+    """Functions of the regressors, of which paths are sums."""
+
+    def __call__(self, X: Matrix) -> Matrix:
+        """Return all functions at X (n, d), (n, C)."""
+
+    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
+        """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
+
+        ``weights`` (S, c) are those of the functions in the columns of each output.
+        """
 
 
 class FeaturePaths(PathBundle):
     """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
 
-    def __init__(self, features, coefficients):
-        self.features, self.coefficients = features, coefficients
-        self._rows, variables = features.rows()
+    def __init__(self, features: Features, coefficients: Matrix) -> None:
+        self.features = features
+        self.coefficients = coefficients
+        self._basis, variables = features.basis()
         self._columns = consecutive(variables)
         self._weights = [np.ascontiguousarray(coefficients[:, own]) for own in variables]
 
@@ -171,32 +188,20 @@ class FeaturePaths(PathBundle):
         return (1 if same_points else len(self.coefficients)) * self._columns[-1].stop
 
     def each(self, X):
-        A = _unflatten_points(self._rows(X.reshape(-1, X.shape[-1])), X)
-        pairs = zip(self._columns, self._weights, strict=True)
-        return np.stack([contract(A[..., columns], c) for columns, c in pairs], axis=-1)
+        A = self._basis(X.reshape(-1, X.shape[-1]))
+        A = A.reshape(*X.shape[:2], A.shape[-1])
+        outputs = zip(self._columns, self._weights, strict=True)
+        return np.stack([contract(A[..., columns], c) for columns, c in outputs], axis=-1)
 
     def gradient(self, X):
-        if isinstance(self._rows, CovarianceColumns):
-            A = _unflatten_points(self._rows(X.reshape(-1, X.shape[-1])), X)
-            pairs = zip(self._columns, self._weights, strict=True)
-            sums = [self._rows.slopes(X, A[..., own] * c[:, None], own) for own, c in pairs]
-            return np.stack(sums, axis=2)
-        slopes = []
-        for i in range(len(self._columns)):
-            D = _unflatten_points(self.features.Kfu_derivative(i, X.reshape(-1, X.shape[-1])), X)
-            c = self.coefficients[:, self.features.columns(i)]
-            slopes.append(np.moveaxis(contract(D, c), 0, -1))
-        return np.stack(slopes, axis=2)
+        return self._basis.slopes(X, self._weights, self._columns)
 
 
-def _unflatten_points(A, X):
-    """Return A (..., S n, C), computed from the rows of X, in the shape (..., S, n, C)."""
-    return A.reshape(*A.shape[:-2], *X.shape[:2], A.shape[-1])
-
-
-def contract(A, c):
+def contract(A: Array, c: Matrix) -> Array:
     """Return the sums over the last axis of A (..., S, n, C), or (..., 1, n, C), times c (S, C): (..., S, n)."""
-    return c @ A[..., 0, :, :].swapaxes(-2, -1) if A.shape[-3] == 1 else (A @ c[..., None])[..., 0]
+    if A.shape[-3] == 1:
+        return c @ A[..., 0, :, :].swapaxes(-2, -1)
+    return (A @ c[..., None])[..., 0]
 
 
 # -- samples of the prior: sums of waves with random frequencies
@@ -210,8 +215,11 @@ class Waves(PathBundle):
     """
 
     def __init__(self, omega, phase, weights):
-        self.omega, self.phase, self.weights = omega, phase, weights
-        self._half = 0.5 * omega, 0.5 * phase
+        self.omega = omega
+        self.phase = phase
+        self.weights = weights
+        self._half_omega = 0.5 * omega
+        self._half_phase = 0.5 * phase
         self._sum = weights.sum(axis=1, keepdims=True)
 
     def take(self, index):
@@ -221,9 +229,8 @@ class Waves(PathBundle):
         return len(self.omega) * self.omega.shape[2]
 
     def each(self, X):
-        omega, phase = self._half
-        square = X @ omega
-        square += phase
+        square = X @ self._half_omega
+        square += self._half_phase
         np.tan(square, out=square)  # vectorised in NumPy, and ten times as fast as its cosine
         square *= square
         square += 1.0
@@ -251,33 +258,39 @@ def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
     path has new frequencies, so paths have the moments of the prior for any number of
     frequencies, at least c.
     """
-    feeds, waves = kernel.value("feeds"), []
-    S, F = n_paths, max(n_frequencies, int(feeds.sum(axis=1).max()))
-    for m, i in enumerate(map(np.flatnonzero, feeds)):
-        amplitude, shift, lengths = (
-            kernel.value(name)[m, i] for name in ("amplitude", "shift", "length_scale")
-        )
+    filters = kernel.filters
+    unit = np.eye(filters.feeds.shape[1])
+    S = n_paths
+    F = max(n_frequencies, int(filters.feeds.sum(axis=1).max()))
+    omegas, phases, weights = [], [], []
+    for m, feeds in enumerate(filters.feeds):
+        i = np.flatnonzero(feeds)
+        amplitude = filters.amplitude[m, i]
+        shift = filters.shift[m, i]
+        lengths = filters.length_scale[m, i]
         c, d = shift.shape
         component = np.arange(F) % c
         omega = random_state.standard_normal((S, F, d)) / lengths[component]
         log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
-        log_mixture = logsumexp(
-            log_density, axis=2, b=np.bincount(component), keepdims=True
-        )  # log(F q)
+        counts = np.bincount(component)
+        log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
         gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
-        gain *= random_state.rayleigh(
-            size=(S, F, 1)
-        )  # the length of (g, g'); the phase is its direction
-        turn = omega @ shift.T
+        # the length of (g, g'); the phase is its direction
+        gain *= random_state.rayleigh(size=(S, F, 1))
         # the phase of the first output, and differences of the others
+        turn = omega @ shift.T
         phase = random_state.uniform(0.0, 2 * np.pi, (S, F)) - turn[..., 0]
         turn -= turn[..., :1].copy()
-        unit = np.eye(len(feeds.T))[i]
-        waves.append((omega, phase, (gain * np.cos(turn)) @ unit))
+        omegas.append(omega)
+        phases.append(phase)
+        weights.append((gain * np.cos(turn)) @ unit[i])
         if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
-            waves.append((omega, phase - 0.5 * np.pi, (gain * np.sin(turn)) @ unit))
-    omega, phase, weights = (np.concatenate(part, 1) for part in zip(*waves, strict=True))
-    return Waves(omega.swapaxes(1, 2).copy(), phase[:, None], weights)
+            omegas.append(omega)
+            phases.append(phase - 0.5 * np.pi)
+            weights.append((gain * np.sin(turn)) @ unit[i])
+    omega = np.concatenate(omegas, axis=1).swapaxes(1, 2).copy()
+    phase = np.concatenate(phases, axis=1)[:, None]
+    return Waves(omega, phase, np.concatenate(weights, axis=1))
 
 
 # -- paths of a kernel
@@ -305,8 +318,8 @@ def prior_paths(
     PathBundle
     """
     raise NotImplementedError(
-        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths. Use sample_y, or "
-        "register paths of this class with skdgp.kernels.prior_paths."
+        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths. "
+        "Use sample_y, or register paths of this class with skdgp.kernels.prior_paths."
     )
 
 
@@ -335,9 +348,10 @@ def _(kernel: Sum, n_paths, n_frequencies, random_state):
     return first + prior_paths(kernel.k2, n_paths, n_frequencies, random_state)
 
 
-# variance of white noise in the inducing variables, over their variance; the bound remains a bound
+# Variance of white noise in the inducing variables, over their variance; the bound remains a bound
 JITTER = 1e-6
-ADDITIVE_POINTS = 8  # inducing inputs of a term of a single regressor
+# Inducing inputs of a term of a single regressor
+ADDITIVE_POINTS = 8
 
 
 class Features(ABC):
@@ -380,21 +394,58 @@ class Features(ABC):
     ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
-    def rows(self) -> tuple[Callable[[Matrix], Matrix], list[Indices]]:
-        """Return a function X (n, d) -> A (n, C) for few samples at a time, and the variable of each column.
+    @abstractmethod
+    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
+        """Return dKfu / dX, (d, n, c_i)."""
 
-        A holds the columns of the first output, then of the second; ``variables[i]`` has the
-        variable of each column of output i. Columns of one variable and output add up to Kfu.
+    def basis(self) -> tuple[Basis, list[Indices]]:
+        """Return the functions of the regressors that Kfu is made of, and the variable of each, for each output.
+
+        Functions of the first output come first, then those of the second. Functions of one
+        variable and output add up to its column of Kfu.
         """
-        outputs = range(self.kernel.n_outputs)
-        return (
-            lambda X: np.hstack([self.Kfu(i, X) for i in outputs]),
-            [self.columns(i) for i in outputs],
-        )
+        n_outputs = self.kernel.n_outputs
+        return FeatureBasis(self, n_outputs), [self.columns(i) for i in range(n_outputs)]
 
     def paths(self, coefficients: Matrix) -> PathBundle:
         """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
         return FeaturePaths(self, coefficients)
+
+
+class FeatureBasis:
+    """The columns of Kfu of all outputs, as their features compute them."""
+
+    def __init__(self, features: Features, n_outputs: int) -> None:
+        self.features = features
+        self.outputs = range(n_outputs)
+
+    def __call__(self, X: Matrix) -> Matrix:
+        return np.hstack([self.features.Kfu(i, X) for i in self.outputs])
+
+    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
+        points = X.reshape(-1, X.shape[-1])
+        slopes = []
+        for i, w in zip(self.outputs, weights, strict=True):
+            D = self.features.Kfu_derivative(i, points)
+            of_output = contract(D.reshape(len(D), *X.shape[:2], D.shape[-1]), w)
+            slopes.append(np.moveaxis(of_output, 0, -1))
+        return np.stack(slopes, axis=2)
+
+
+class LinearBasis:
+    """Linear functions x^T slopes + constant, with ``slopes`` (d, C)."""
+
+    def __init__(self, slopes: Matrix, constant: Vector) -> None:
+        self.matrix = slopes
+        self.constant = constant
+
+    def __call__(self, X: Matrix) -> Matrix:
+        return X @ self.matrix + self.constant
+
+    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
+        slopes = [w @ self.matrix[:, own].T for w, own in zip(weights, columns, strict=True)]
+        of_outputs = np.stack(slopes, axis=1)[:, None]
+        return np.repeat(of_outputs, X.shape[1], axis=1)
 
 
 class ValueFeatures(Features):
@@ -412,22 +463,23 @@ class ValueFeatures(Features):
         joint: MultiOutputKernel | None = None,
     ) -> None:
         first = 0 if joint is None else kernel.n_outputs
-        joint = joint or kernel
-        outputs = range(first, joint.n_outputs)
-        self.kernel, self.joint, self.outputs, self.arguments = kernel, joint, outputs, (Z,)
+        self.kernel = kernel
+        self.joint = joint or kernel
+        self.arguments = (Z,)
         self.Z = [np.asarray(z, dtype=float) for z in Z]
-        edges = np.cumsum([0, *map(len, self.Z)])
-        self.size = int(edges[-1])
-        self._variables = [np.arange(*ends) for ends in pairwise(edges)]
+        self.outputs = range(first, first + len(self.Z))
+        self.size = sum(map(len, self.Z))
+        self._variables = [np.arange(place.start, place.stop) for place in consecutive(self.Z)]
         self.blocks = [list(range(len(self.Z)))] * kernel.n_outputs
 
     def columns(self, i: int) -> Indices:
         return np.concatenate([np.arange(0), *(self._variables[f] for f in self.blocks[i])])
 
     def Kuu(self) -> Matrix:
-        K, blocks = np.zeros((self.size, self.size)), list(zip(self.outputs, self.Z, strict=True))
-        for (f, z), rows in zip(blocks, self._variables, strict=True):
-            for (g, x), columns in zip(blocks, self._variables, strict=True):
+        K = np.zeros((self.size, self.size))
+        blocks = list(zip(self.outputs, self.Z, self._variables, strict=True))
+        for f, z, rows in blocks:
+            for g, x, columns in blocks:
                 if self.joint.couples(f, g):
                     K[np.ix_(rows, columns)] = self.joint.block(f, g, z, x)
         np.einsum("ii->i", K)[:] *= 1.0 + JITTER
@@ -439,33 +491,42 @@ class ValueFeatures(Features):
 
     def Kfu_derivative(self, i: int, X: Matrix) -> Array:
         """Return dKfu / dX, (d, n, c_i)."""
-        blocks = [
-            self.joint.block_derivative(i, self.outputs[f], X, self.Z[f]) for f in self.blocks[i]
-        ]
-        return np.concatenate([np.empty((*np.shape(X)[::-1], 0)), *blocks], axis=2)
+        slopes = [np.empty((*np.shape(X)[::-1], 0))]
+        for f in self.blocks[i]:
+            slopes.append(self.joint.block_derivative(i, self.outputs[f], X, self.Z[f]))
+        return np.concatenate(slopes, axis=2)
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
-        values = {key: paths.values(z[None]) for key, z in {id(z): z for z in self.Z}.items()}
-        u = np.hstack([values[id(z)][..., f] for f, z in zip(self.outputs, self.Z, strict=True)])
-        variance = [self.joint.block_diag(f, z) for f, z in zip(self.outputs, self.Z, strict=True)]
-        u += np.sqrt(JITTER * np.concatenate(variance)) * random_state.standard_normal(u.shape)
+        blocks = list(zip(self.outputs, self.Z, strict=True))
+        # blocks with the same inputs share the values of all outputs there
+        values = {id(z): paths.values(z[None]) for z in {id(z): z for z in self.Z}.values()}
+        u = np.hstack([values[id(z)][..., f] for f, z in blocks])
+        variance = np.concatenate([self.joint.block_diag(f, z) for f, z in blocks])
+        u += np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)
         return paths, u
 
-    def rows(self) -> tuple[Callable[[Matrix], Matrix], list[Indices]]:
+    def basis(self) -> tuple[Basis, list[Indices]]:
         if not isinstance(self.joint, ConvolvedGaussian):
-            return super().rows()
-        pairs, variables = [], []
+            return super().basis()
+        bases, variables = [], []
         for i, blocks in enumerate(self.blocks):
-            of_output = [self.joint.pair(i, self.outputs[f]) for f in blocks]
-            pairs += [(pair, self.Z[f]) for pair, f in zip(of_output, blocks, strict=True)]
-            tiles = zip(blocks, of_output, strict=True)
-            tiled = [np.tile(self._variables[f], len(pair.gain)) for f, pair in tiles]
-            variables.append(np.concatenate([np.arange(0), *tiled]))
-        columns = CovarianceColumns(self.kernel.n_features, pairs)
-        return super().rows() if columns.far else (columns, variables)
+            bases.append(self._basis_of(i))
+            own = [np.arange(0)]
+            for f in blocks:
+                n_latents = len(self.joint.filters.latents(i, self.outputs[f]))
+                own.append(np.tile(self._variables[f], n_latents))
+            variables.append(np.concatenate(own))
+        return GaussianBasis.joined(self.kernel.n_features, bases), variables
+
+    def _basis_of(self, i):
+        """Return the functions of output i of a convolved Gaussian."""
+        joint = cast(ConvolvedGaussian, self.joint)
+        filters = joint.filters
+        parts = [filters.pair(i, self.outputs[f]).basis(self.Z[f]) for f in self.blocks[i]]
+        return GaussianBasis.joined(self.kernel.n_features, parts)
 
 
 class LatentFeatures(ValueFeatures):
@@ -479,17 +540,28 @@ class LatentFeatures(ValueFeatures):
     """
 
     def __init__(self, kernel: ConvolvedGaussian, Z: Sequence[Matrix], width: Matrix) -> None:
-        unit = np.eye(len(width))
-        further = {"amplitude": unit, "feeds": unit, "length_scale": width}
+        filters = kernel.filters
+        windows = np.eye(len(width))
+        further = {"amplitude": windows, "feeds": windows, "length_scale": width}
         arrays: dict[str, Any] = {}
-        for name in ("amplitude", "length_scale", "shift", "feeds"):
-            value = kernel.value(name)
-            shape = len(value), len(value), *value.shape[2:]
-            added = np.broadcast_to(further.get(name, 0.0), shape)
+        for name, value in filters._asdict().items():
+            added = np.zeros((len(width), len(width), *value.shape[2:]))
+            added[:] = further.get(name, 0.0)
             arrays[name] = np.concatenate([value, added], axis=1)
         super().__init__(kernel, Z, ConvolvedGaussian(**arrays))
         self.arguments = Z, width
-        self.blocks = [np.flatnonzero(fed).tolist() for fed in kernel.value("feeds").T]
+        self.blocks = [np.flatnonzero(fed).tolist() for fed in filters.feeds.T]
+
+    def __reduce__(self):
+        return LatentFeatures, (self.kernel, *self.arguments)  # without the bases
+
+    @cached_property
+    def _bases(self) -> list[GaussianBasis]:
+        """The functions of each output, one for each variable, as a variable has a single latent."""
+        return [self._basis_of(i) for i in range(self.kernel.n_outputs)]
+
+    def Kfu(self, i: int, X: Matrix) -> Matrix:
+        return self._bases[i](X)
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
@@ -516,11 +588,11 @@ class TrendFeatures(Features):
     def Kfu(self, i, X):
         return self.kernel.basis(i, X)
 
-    def rows(self):
+    def basis(self):
         outputs = range(self.kernel.n_outputs)
         slopes = np.hstack([self.kernel.basis_slopes(i)[:, 0] for i in outputs])
-        constant = np.hstack([self.Kfu(i, np.zeros((1, len(slopes)))) for i in outputs])
-        return lambda X: X @ slopes + constant, [self.columns(i) for i in outputs]
+        constant = np.hstack([self.Kfu(i, np.zeros((1, len(slopes))))[0] for i in outputs])
+        return LinearBasis(slopes, constant), [self.columns(i) for i in outputs]
 
     def Kfu_derivative(self, i, X):
         slopes = self.kernel.basis_slopes(i)
@@ -535,7 +607,8 @@ class SumFeatures(Features):
     """The features of both terms of a sum."""
 
     def __init__(self, first: Features, second: Features):
-        self.first, self.second = first, second
+        self.first = first
+        self.second = second
         self.kernel = first.kernel + second.kernel
         self.size = first.size + second.size
 
@@ -554,8 +627,13 @@ class SumFeatures(Features):
     def Kfu(self, i, X):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
 
+    def Kfu_derivative(self, i, X):
+        first = self.first.Kfu_derivative(i, X)
+        return np.concatenate([first, self.second.Kfu_derivative(i, X)], axis=-1)
+
     def prior_paths(self, *args):
-        (first, u), (second, v) = self.first.prior_paths(*args), self.second.prior_paths(*args)
+        first, u = self.first.prior_paths(*args)
+        second, v = self.second.prior_paths(*args)
         return first + second, np.hstack([u, v])
 
     def paths(self, coefficients):
@@ -567,7 +645,8 @@ class RescaledFeatures(Features):
     """The features of a kernel whose outputs are multiplied by factors."""
 
     def __init__(self, kernel: Rescaled, features: Features):
-        self.kernel, self.features = kernel, features
+        self.kernel = kernel
+        self.features = features
         self.size = features.size
 
     def rebuild(self, kernel):
@@ -583,8 +662,7 @@ class RescaledFeatures(Features):
         return self.kernel.factor[i] * self.features.Kfu(i, X)
 
     def Kfu_derivative(self, i, X):
-        features: Any = self.features
-        return self.kernel.factor[i] * features.Kfu_derivative(i, X)
+        return self.kernel.factor[i] * self.features.Kfu_derivative(i, X)
 
     def prior_paths(self, n_paths, n_frequencies, random_state):
         paths, u = self.features.prior_paths(n_paths, n_frequencies, random_state)
@@ -607,12 +685,13 @@ def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
 
 @inducing_features.register
 def _(kernel: ConvolvedGaussian, Z):
-    w = kernel.value("amplitude")
-    weight = np.maximum(w**2, 1e-12) * kernel.value("feeds")
+    filters = kernel.filters
+    # windows of the mean width of the filters, by the variance that they explain
+    weight = np.maximum(filters.amplitude**2, 1e-12) * filters.feeds
     weight /= weight.sum(axis=1, keepdims=True)
-    width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(kernel.value("length_scale"))))
+    width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(filters.length_scale)))
     Z = _thinned(Z, kernel.without_effect(Z.shape[1]))
-    return LatentFeatures(kernel, [Z] * len(w), width)
+    return LatentFeatures(kernel, [Z] * len(width), width)
 
 
 @inducing_features.register
@@ -645,15 +724,16 @@ def covariance_paths(
     kernel: MultiOutputKernel, X: Sequence[Matrix], coefficients: Matrix
 ) -> PathBundle:
     """Return the functions cov(y, y(X)) c, with inputs X (n_j, d) for each output and coefficients c (S, N)."""
-    by_output = np.split(coefficients, np.cumsum([len(x) for x in X])[:-1], axis=1)
-
-    def of_term(term):
-        if not isinstance(term, LinearTrend):
-            return ValueFeatures(term, X).paths(coefficients)
-        weights = [c @ term.basis(i, x) for i, (x, c) in enumerate(zip(X, by_output, strict=True))]
-        return TrendFeatures(term).paths(np.hstack(weights))
-
-    return reduce(add, map(of_term, kernel.summands()))
+    paths: list[PathBundle] = []
+    for term in kernel.summands():
+        if isinstance(term, LinearTrend):
+            weights = []
+            for i, (x, own) in enumerate(zip(X, consecutive(X), strict=True)):
+                weights.append(coefficients[:, own] @ term.basis(i, x))
+            paths.append(TrendFeatures(term).paths(np.hstack(weights)))
+        else:
+            paths.append(ValueFeatures(term, X).paths(coefficients))
+    return reduce(add, paths)
 
 
 @prior_paths.register

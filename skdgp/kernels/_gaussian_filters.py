@@ -12,36 +12,127 @@ covariance of outputs i and j is
 
 The amplitude w = v pi^(d/4) |A|^(-1/4) replaces v, so that cov_ii(0) = sum_m w_mi^2. The factor of
 the exponential is then the gain w_mi w_mj c, where c depends on the two widths alone and is 1 for
-equal ones. A is diagonal, so Sigma is too; it is used through its root F. The first axis of all
-arrays runs over the latent processes, (m, ...).
+equal ones. A is diagonal, so Sigma is too. The first axis of all arrays runs over the latent
+processes, (m, ...).
 
-Exponentials of squared distances and their sums are computed in strips of rows that fit the cache.
+As a function of s, each latent adds a Gaussian function with the gain, the precision Sigma and the
+centre s' + mu. A `GaussianBasis` of such functions evaluates covariances, their gradients, means,
+slopes and sample paths alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
-from skdgp._compute.linalg import RowPairs
 from skdgp._compute.typing import Array, Matrix, Vector
 
-STRIP = 3 * 2**16  # doubles in one strip; fewer strips mean less waiting between threads
-FAR = 1e9  # |a|^2 / 2 or |b|^2 / 2 above which cancellation, about 1e-16 of them, becomes visible
+STRIP = 3 * 2**16  # numbers of one strip of rows, which fit the cache
+FAR = 1e9  # exponent above which cancellation, about 1e-16 of it, becomes visible
+
+
+class GaussianBasis:
+    r"""Gaussian functions of the regressors.
+
+    .. math:: g_c(x) = \gamma_c \exp\left(-\frac{1}{2} \sum_k \Sigma_{ck} (x_k - z_{ck})^2\right)
+
+    The exponents of all functions are one matrix product, (x^2, x, 1) M, with x and z relative to
+    the mean of the centres, which avoids cancellation.
+
+    Parameters
+    ----------
+    gain : array (C,)
+    precision : array (C, d)
+        Diagonals of Sigma.
+    centres : array (C, d)
+        z.
+    """
+
+    def __init__(self, gain: Vector, precision: Matrix, centres: Matrix) -> None:
+        self.gain = gain
+        self.precision = precision
+        self.centres = centres
+        self.middle = np.add.reduce(centres, axis=0) / max(len(centres), 1)
+        self._centred = centres - self.middle
+        linear = precision * self._centred
+        constant = -0.5 * np.einsum("ck,ck->c", linear, self._centred)
+        self._matrix = np.vstack([-0.5 * precision.T, linear.T, constant])
+        self._far = -constant.min(initial=0.0) > FAR
+
+    @classmethod
+    def joined(cls, n_features: int, parts: Sequence[GaussianBasis]) -> GaussianBasis:
+        """Return the functions of several bases of ``n_features`` regressors, one after another."""
+        none = np.empty((0, n_features))
+        return cls(
+            np.concatenate([np.empty(0), *(part.gain for part in parts)]),
+            np.concatenate([none, *(part.precision for part in parts)]),
+            np.concatenate([none, *(part.centres for part in parts)]),
+        )
+
+    def __call__(self, X: Matrix) -> Matrix:
+        """Return all functions at X (n, d), (n, C)."""
+        if self._far:
+            values = self._exponents_of_differences(X)
+        else:
+            values = self._powers(X) @ self._matrix
+        np.exp(values, out=values)
+        values *= self.gain
+        return values
+
+    def _powers(self, X):
+        """Return (x^2, x, 1), (n, 2 d + 1)."""
+        x = X - self.middle
+        return np.hstack([x * x, x, np.ones((len(x), 1))])
+
+    def _exponents_of_differences(self, X):
+        """Return the exponents (n, C) of centres so far apart that expanded squares would cancel."""
+        exponents = np.zeros((len(X), len(self.gain)))
+        for x, centre, precision in zip(X.T, self.centres.T, self.precision.T, strict=True):
+            exponents -= 0.5 * precision * np.subtract.outer(x, centre) ** 2
+        return exponents
+
+    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
+        """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
+
+        ``weights`` (S, c) are those of the functions in the columns of each output.
+        """
+        n_functions, n, d = X.shape
+        values = self(X.reshape(-1, d)).reshape(n_functions, n, len(self.gain))
+        slopes = []
+        for w, own in zip(weights, columns, strict=True):
+            sums = (values[..., own] * w[:, None]) @ self._matrix[:, own].T
+            slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
+        return np.stack(slopes, axis=2)
+
+    def moments(self, X: Matrix, G: Matrix) -> Moments:
+        """Return the moments of weights G (n, C) about the centre of each function."""
+        d = X.shape[1]
+        sums = G.T @ self._powers(X)
+        z = self._centred
+        zeroth = sums[:, -1]
+        of_x = sums[:, d:-1]
+        first = of_x - z * zeroth[:, None]
+        second = sums[:, :d] - z * (2.0 * of_x - z * zeroth[:, None])
+        return Moments(zeroth, first, second)
 
 
 class Moments(NamedTuple):
-    """Sums of G = W * exp(...) over all pairs of rows, for each latent: of G, G (delta - mu), G (delta - mu)^2.
-
-    ``zeroth`` (m,), ``first`` (m, d), ``second`` (m, d).
-    """
+    """Sums over rows x of weights G: of G, (m,), of G (x - z) and of G (x - z)^2, (m, d)."""
 
     zeroth: Vector
     first: Matrix
     second: Matrix
+
+    def of_latents(self, m: int) -> Moments:
+        """Return the sums over the functions of each of m latents, which stand one after another."""
+        n, d = len(self.zeroth) // max(m, 1), self.first.shape[1]
+        return Moments(
+            self.zeroth.reshape(m, n).sum(axis=1),
+            self.first.reshape(m, n, d).sum(axis=1),
+            self.second.reshape(m, n, d).sum(axis=1),
+        )
 
 
 class FilterPair:
@@ -60,77 +151,67 @@ class FilterPair:
     ----------
     c, gain : array (m,)
         Factor of the exponential for unit amplitudes, and for the amplitudes w.
-    F, Sigma : array (m, d)
-        Diagonals of the root of Sigma, and of Sigma.
+    Sigma : array (m, d)
+        Diagonals of Sigma.
     """
 
     def __init__(self, w: Array, widths: Array, mu: Matrix) -> None:
-        self.w, self.widths, self.mu = w, widths, mu
+        self.w = w
+        self.widths = widths
+        self.mu = mu
         li, lj = widths
         self.squares = li**2 + lj**2
         self.c = np.sqrt(2 * li * lj / self.squares).prod(axis=1)
-        self.F = np.sqrt(2 / self.squares)
-        self.Sigma = self.F**2
+        self.Sigma = 2 / self.squares
         self.gain = self.c * w[0] * w[1]
 
-    def exponents(self, Xi: Matrix, Xj: Matrix) -> list[Exponent]:
-        """Return -1/2 (delta - mu)^T Sigma (delta - mu) of each latent."""
-        middle = _middle(Xj)
-        b = Xj - middle
-        return [
-            Exponent.between((Xi - (mu + middle)) * F, b * F)
-            for mu, F in zip(self.mu, self.F, strict=True)
-        ]
+    def basis(self, Z: Matrix, gain: Vector | None = None) -> GaussianBasis:
+        """Return the covariances with output j at Z (k, d), of each latent in turn, (m k) functions."""
+        gain = self.gain if gain is None else gain
+        m, d = self.mu.shape
+        precision = np.repeat(self.Sigma, len(Z), axis=0)
+        centres = (self.mu[:, None] + Z).reshape(m * len(Z), d)
+        return GaussianBasis(np.repeat(gain, len(Z)), precision, centres)
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
-        total = np.zeros((len(Xi), len(Xj)))
-        terms = list(zip(self.gain, self.exponents(Xi, Xj), strict=True))
-        buffer = _strip_buffer(*total.shape)
-        for rows in strips(*total.shape):
-            out = total[rows]
-            E = buffer[: out.size].reshape(out.shape)
-            for gain, exponent in terms:
-                exponent.exponential(rows, E)
-                E *= gain
-                out += E
+        basis = self.basis(Xj)
+        total = np.empty((len(Xi), len(Xj)))
+        for rows in strips(len(Xi), len(basis.gain)):
+            terms = basis(Xi[rows]).reshape(rows.stop - rows.start, len(self.gain), len(Xj))
+            np.sum(terms, axis=1, out=total[rows])
         return total
 
-    def at_pairs(
-        self, pairs: RowPairs, columns: slice | Array
-    ) -> tuple[Vector, Callable[[Vector], Moments]]:
-        """Return equation 16 at pairs of rows, (n_pairs,), for mu = 0.
-
-        Also return the function from weights (n_pairs,) to moments. ``columns`` are the regressors
-        that matter.
-        """
-        squares = pairs.squares[columns]
-        exponentials = -0.5 * self.F[:, columns] ** 2 @ squares
-        np.exp(exponentials, out=exponentials)
-
-        def moments(W: Vector) -> Moments:
-            G = exponentials * W
-            first, second = np.zeros((2, *self.mu.shape))
-            second[:, columns] = G @ squares.T
-            return Moments(G.sum(axis=1), first, second)
-
-        return self.gain @ exponentials, moments
+    def derivative(self, Xi: Matrix, Xj: Matrix) -> Array:
+        """Return the derivative of equation 16 by the rows of Xi, (d, n_i, n_j)."""
+        basis = self.basis(Xj)
+        values = basis(Xi)
+        shape = len(Xi), len(self.gain), len(Xj)
+        slopes = np.empty((Xi.shape[1], len(Xi), len(Xj)))
+        for k, (x, z, Sigma) in enumerate(
+            zip(Xi.T, basis.centres.T, basis.precision.T, strict=True)
+        ):
+            of_functions = values * Sigma * np.subtract.outer(-x, -z)
+            slopes[k] = of_functions.reshape(shape).sum(axis=1)
+        return slopes
 
     # -- derivatives by the parameters
-    # -----------------------------------------------------------------------------------
 
-    def moments(self, Xi: Matrix, Xj: Matrix, W: Matrix) -> Moments:
-        """Return the moments of weights W (n_i, n_j)."""
-        middle = _middle(Xj)
-        b = Xj - middle
-        sums = weighted_sums(self.exponents(Xi, Xj), W, b)
-        parts = []
-        for mu, (rows, columns, Gb) in zip(self.mu, sums, strict=True):
-            a = Xi - (mu + middle)
-            first = rows @ a - columns @ b
-            second = rows @ (a * a) + columns @ (b * b) - 2 * np.einsum("ak,ak->k", a, Gb)
-            parts.append((rows.sum(), first, second))
-        return Moments(*(np.array(part) for part in zip(*parts, strict=True)))
+    def with_moments(self, Xi: Matrix, Xj: Matrix) -> tuple[Matrix, Callable[[Matrix], Moments]]:
+        """Return equation 16 at all pairs of rows, and the function from weights (n_i, n_j) to moments.
+
+        The moments are of the weights times the exponential of each latent.
+        """
+        m = len(self.gain)
+        shape = len(Xi), m, len(Xj)
+        basis = self.basis(Xj, gain=np.ones(m))
+        exponentials = basis(Xi).reshape(shape)
+
+        def moments(W: Matrix) -> Moments:
+            G = exponentials * W[:, None]
+            return basis.moments(Xi, G.reshape(len(Xi), m * len(Xj))).of_latents(m)
+
+        return np.einsum("m,nmk->nk", self.gain, exponentials), moments
 
     def gradient(self, moments: Moments) -> tuple[Array, Array, Matrix]:
         """Return the derivatives of sum(W * cov_ij) by the parameters of both outputs, from the moments of W.
@@ -139,126 +220,17 @@ class FilterPair:
         mu_j (m, d).
         """
         by_w = self.c * moments.zeroth * self.w[::-1]
-        zeroth = self.gain * moments.zeroth
+        gain = self.gain[:, None]
         li, lj = self.widths
         # of -delta^2 / (l_i^2 + l_j^2), and of the factor sqrt(2 l_i l_j / (l_i^2 + l_j^2))
-        by_exponent = 2 * (self.gain[:, None] * moments.second) / self.squares**2
-        by_factor = 0.5 * zeroth[:, None] * (lj**2 - li**2) / self.squares
-        by_widths = np.stack([by_exponent * li**2 + by_factor, by_exponent * lj**2 - by_factor])
-        return by_w, by_widths, self.Sigma * (self.gain[:, None] * moments.first)
-
-
-def _middle(X):
-    """Return the mean of the data; subtracting it avoids cancellation in the expanded square."""
-    return np.add.reduce(X, axis=0) / max(len(X), 1)  # five times as fast as np.mean for few rows
-
-
-# -- exponentials of squared distances
-# --------------------------------------------------------------------------------
-
-
-class Exponent(NamedTuple):
-    """Factors with left @ right.T = -|a - b|^2 / 2 for all rows a and b: one matrix product.
-
-    Far from the origin the product would lose digits; ``far`` then selects explicit differences.
-    """
-
-    left: np.ndarray
-    right: np.ndarray
-    far: bool
-
-    @classmethod
-    def between(cls, a: Matrix, b: Matrix) -> Exponent:
-        """Return the exponent of rows a (n_i, d) and b (n_j, d)."""
-        left = np.empty((len(a), a.shape[1] + 2))
-        right = np.empty((len(b), b.shape[1] + 2))
-        left[:, :-2], right[:, :-2] = a, b
-        left[:, -1], right[:, -2] = 1.0, 1.0
-        np.einsum("nk,nk->n", a, a, out=left[:, -2])
-        np.einsum("nk,nk->n", b, b, out=right[:, -1])
-        left[:, -2] *= -0.5
-        right[:, -1] *= -0.5
-        far = bool(len(a) and len(b) and max(-left[:, -2].min(), -right[:, -1].min()) > FAR)
-        return cls(left, right, far)
-
-    def exponential(self, rows: slice, out: Matrix) -> Matrix:
-        """Return the exponentials of some rows, written to ``out``."""
-        if self.far:
-            squares = cdist(self.left[rows, :-2], self.right[:, :-2], "sqeuclidean")
-            out[:] = -0.5 * squares
-        else:
-            np.matmul(self.left[rows], self.right.T, out=out)
-        return np.exp(out, out=out)
+        by_exponent = 2 * gain * moments.second / self.squares**2
+        by_factor = 0.5 * gain * moments.zeroth[:, None] * (lj**2 - li**2) / self.squares
+        by_li = by_exponent * li**2 + by_factor
+        by_lj = by_exponent * lj**2 - by_factor
+        return by_w, np.stack([by_li, by_lj]), self.Sigma * gain * moments.first
 
 
 def strips(n_rows: int, n_columns: int) -> Iterator[slice]:
-    """Return slices of the rows with about STRIP entries each."""
+    """Return slices of the rows with about STRIP numbers each."""
     step = max(8, STRIP // max(n_columns, 1))
     return (slice(a, min(a + step, n_rows)) for a in range(0, n_rows, step))
-
-
-def _strip_buffer(n_rows, n_columns):
-    return np.empty(min(n_rows * n_columns, STRIP + 8 * n_columns))
-
-
-def weighted_sums(
-    exponents: list[Exponent], W: Matrix, b: Matrix
-) -> list[tuple[Vector, Vector, Matrix]]:
-    """Return row sums (n_i,), column sums (n_j,) and G b (n_i, d) of G = W * exp(exponent), for each exponent.
-
-    These are enough for the moments: the (n_i, n_j, d) array of separations is not needed.
-    """
-    (n_i, n_j), d = W.shape, b.shape[1]
-    padded = np.column_stack([b, np.ones(n_j)])
-    ones = np.ones(n_i)
-    products = np.empty((len(exponents), n_i, d + 1))
-    columns = np.zeros((len(exponents), n_j))
-    buffer = _strip_buffer(n_i, n_j)
-    for rows in strips(n_i, n_j):
-        strip = W[rows]
-        G = buffer[: strip.size].reshape(strip.shape)
-        for k, exponent in enumerate(exponents):
-            exponent.exponential(rows, G)
-            np.multiply(G, strip, out=G)
-            np.matmul(G, padded, out=products[k, rows])
-            columns[k] += ones[rows] @ G
-    return [(p[:, d], c, p[:, :d]) for p, c in zip(products, columns, strict=True)]
-
-
-class CovarianceColumns:
-    """Equation 16 of all outputs with given values of others, term by term, for few rows at a time.
-
-    ``pairs`` are (FilterPair, Z) of an output and another one at inputs Z (k, d); each latent of a
-    pair has k columns of its own, gain exp(-1/2 |F (x - mu - z)|^2). With x relative to a central
-    point, the exponents of all columns are one product: of x^2, x and 1 with a matrix.
-    """
-
-    def __init__(self, n_features: int, pairs: list[tuple[FilterPair, Matrix]]) -> None:
-        pairs = [(pair, Z) for pair, Z in pairs if len(Z)]
-        self.middle = _middle(np.concatenate([np.empty((0, n_features)), *(Z for _, Z in pairs)]))
-        terms = [(pair, m, Z) for pair, Z in pairs for m in range(len(pair.gain))]
-        columns = [np.empty((0, 2 * n_features + 1))]
-        for pair, m, Z in terms:
-            b = Z - self.middle + pair.mu[m]
-            linear = b * pair.Sigma[m]
-            squares = np.broadcast_to(-0.5 * pair.Sigma[m], Z.shape)
-            constant = -0.5 * np.einsum("kd,kd->k", b, linear)
-            columns.append(np.column_stack([squares, linear, constant]))
-        self.matrix = np.concatenate(columns).T
-        self.far = -self.matrix[-1].min(initial=0.0) > FAR
-        gains = [np.full(len(Z), pair.gain[m]) for pair, m, Z in terms]
-        self.gain = np.concatenate([np.empty(0), *gains])
-
-    def __call__(self, X: Matrix) -> Matrix:
-        """Return all columns at X (n, d), (n, C)."""
-        x = X - self.middle
-        E = np.hstack([x * x, x, np.ones((len(x), 1))]) @ self.matrix
-        np.exp(E, out=E)
-        E *= self.gain
-        return E
-
-    def slopes(self, X: Array, weighted: Array, columns: slice) -> Array:
-        """Return d/dX, (..., n, d), of sums over some columns, ``weighted`` (..., n, c) at X (..., n, d)."""
-        d = X.shape[-1]
-        sums = weighted @ self.matrix[:, columns].T
-        return sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle)

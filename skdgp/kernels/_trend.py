@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,22 +14,41 @@ from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
-    FrozenBounds,
     MultiOutputKernel,
     as_shape,
     complete_bounds,
-    frozen,
     given_bounds,
     hyperparameter,
     rescaled_values,
 )
 
-# Bounds on ``slope_scale``, in standard deviations of the output for one of the regressor (trials)
-SLOPE_BOUNDS = 0.05, 1e2
-# Lower bound of few rows n: FEW_ROWS / n, at most LARGEST_BOUND. A smaller prior scale makes slopes
-# that are not significant too certain there (benchmark ``coverage``).
-FEW_ROWS, LARGEST_BOUND = 6.0, 0.3
 
+@dataclass(frozen=True)
+class TrendSettings:
+    """Bounds of the prior standard deviations that are estimated from data.
+
+    Intercepts are over the standard deviation of their output, slopes in standard deviations of the
+    output for one of the regressor.
+    """
+
+    #: Bounds of intercepts
+    intercept_bounds: tuple[float, float] = (1e-3, 1e2)
+    #: Bounds of slopes (trials)
+    slope_bounds: tuple[float, float] = (0.05, 1e2)
+    #: Rows n of which the lower bound of slopes is this number over n: a smaller one makes slopes
+    #: that are not significant too certain (benchmark ``coverage``)
+    few_rows: float = 6.0
+    #: Largest lower bound of few rows
+    largest_bound: float = 0.3
+
+    def least_slope(self, n_rows: int) -> float:
+        """Return the lower bound of slopes that are learned from so many rows."""
+        of_few = min(self.few_rows / n_rows, self.largest_bound)
+        return max(self.slope_bounds[0], of_few)
+
+
+SETTINGS = TrendSettings()
+DEFAULT_BOUNDS = {"intercept_scale": (1e-5, 1e5), "slope_scale": (1e-5, 1e5)}
 OUTPUT_AXES = {"intercept_scale": -1, "slope_scale": -2}  # axis of the outputs of each parameter
 
 
@@ -96,81 +116,68 @@ class LinearTrend(MultiOutputKernel):
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         factor = np.asarray(factor, dtype=float)
-        values = {
-            name: rescaled_values(name, getattr(self, name), factor, axis)
-            for name, axis in OUTPUT_AXES.items()
-        }
+        given = self.get_params()
+        params: dict[str, Any] = {}
         bounds = given_bounds(self, OUTPUT_AXES)
-        for name in OUTPUT_AXES.keys() & bounds.keys():
-            axis = OUTPUT_AXES[name] - 1  # the last axis of bounds is the pair
-            bounds[name] = rescaled_values(f"bounds of {name}", bounds[name], factor, axis)
-        return clone(self).set_params(**values, parameter_bounds=bounds or None)
+        for name, axis in OUTPUT_AXES.items():
+            params[name] = rescaled_values(name, given[name], factor, axis)
+            if name in bounds:
+                # the last axis of bounds is the pair
+                pairs = rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)
+                bounds[name] = pairs
+        return clone(self).set_params(**params, parameter_bounds=bounds or None)
 
     def bounds_from_data(self, name: str) -> bool:
         return name not in given_bounds(self, OUTPUT_AXES)
 
-    def value(self, name: str) -> Array:
-        return self._cached("arrays", self._arrays)[name]
-
-    def _arrays(self):
+    def values(self) -> dict[str, Array]:
         if not self.has_values():
             raise ValueError(
-                f"{type(self).__name__} has no values yet: give intercept_scale and slope_scale, "
-                f"or let "
-                "DependentGPRegressor.fit estimate them from the data."
+                "LinearTrend has no values yet: give intercept_scale and slope_scale, "
+                "or let DependentGPRegressor.fit estimate them from the data."
             )
         slope = np.atleast_2d(np.array(self.slope_scale, dtype=float))
         intercept = as_shape("intercept_scale", np.ravel(self.intercept_scale), (len(slope),))
         center = np.zeros(1) if self.center is None else np.array(self.center, dtype=float)
-        arrays = {"slope_scale": slope, "intercept_scale": intercept, "center": center}
-        return {name: frozen(array) for name, array in arrays.items()}
+        return {"slope_scale": slope, "intercept_scale": intercept, "center": center}
 
     def has_values(self) -> bool:
         return self.intercept_scale is not None and self.slope_scale is not None
 
     def initialize(
-        self,
-        X: Matrix,
-        Y: Matrix,
-        random_state: Seed,
-        singles: Sequence | None = None,
-        coarse: MultiOutputKernel | None = None,
-        width_factor: float = 1.0,
+        self, X: Matrix, Y: Matrix, random_state: Seed, settings: TrendSettings = SETTINGS
     ) -> MultiOutputKernel:
         P, d = Y.shape[1], X.shape[1]
-        unit = column_scale(Y)[:, None] / column_scale(X)
-        intercept, slope = column_scale(Y), unit
-        if singles:
-            intercept = np.concatenate([s.value("intercept_scale") for s in singles])
-            slope = np.concatenate([s.value("slope_scale") for s in singles])
-        if coarse:
-            intercept, slope = coarse.value("intercept_scale"), coarse.value("slope_scale")
-        n = np.isfinite(Y).sum(axis=0).max()
-        least = max(SLOPE_BOUNDS[0], min(FEW_ROWS / n, LARGEST_BOUND))
-        slope = np.maximum(slope, least * unit)
-        given = self.get_params()
-        start = {
-            "intercept_scale": intercept,
-            "slope_scale": slope,
+        y_scale = column_scale(Y)
+        unit = y_scale[:, None] / column_scale(X)
+        n_rows = np.isfinite(Y).sum(axis=0).max()
+        least = settings.least_slope(n_rows)
+        bounds: dict[str, Any] = {
+            "intercept_scale": np.multiply.outer(y_scale, settings.intercept_bounds),
+            "slope_scale": np.multiply.outer(unit, (least, settings.slope_bounds[1])),
+        }
+        values = {
+            "intercept_scale": y_scale,
+            "slope_scale": np.maximum(unit, least * unit),
             "center": np.mean(X, axis=0),
         }
-        bounds: dict[str, Any] = {
-            "intercept_scale": np.multiply.outer(column_scale(Y), [1e-3, 1e2]),
-            "slope_scale": np.multiply.outer(unit, (least, SLOPE_BOUNDS[1])),
-        }
         if d > len(X):  # too few rows for a scale of each slope: one for all, by ridge regression
-            start["slope_scale"] = ridge_scale(X, Y)[:, None] / column_scale(X)
+            values["slope_scale"] = ridge_scale(X, Y)[:, None] / column_scale(X)
             bounds["slope_scale"] = "fixed"
-        params = {name: start[name] if given[name] is None else given[name] for name in start}
-        for name, shape in (("intercept_scale", (P,)), ("slope_scale", (P, d)), ("center", (d,))):
-            params[name] = frozen(as_shape(name, params[name], shape))
-        params["parameter_bounds"] = FrozenBounds(complete_bounds(self.parameter_bounds, bounds))
-        return clone(self).set_params(**params)
+        params = self.get_params()
+        shapes = {"intercept_scale": (P,), "slope_scale": (P, d), "center": (d,)}
+        for name, shape in shapes.items():
+            value = values[name] if params[name] is None else params[name]
+            params[name] = as_shape(name, value, shape)
+        params["parameter_bounds"] = complete_bounds(self.parameter_bounds, bounds)
+        return LinearTrend(**params)
 
     def basis(self, i: int, X: Matrix) -> Matrix:
         """Return the basis (n, d + 1) that maps the standardised weights of output i to its trend at X."""
-        columns = (X - self.value("center")) * self.value("slope_scale")[i]
-        return np.column_stack([np.full(len(X), self.value("intercept_scale")[i]), columns])
+        values = self.values()
+        constant = np.full(len(X), values["intercept_scale"][i])
+        linear = (X - values["center"]) * values["slope_scale"][i]
+        return np.column_stack([constant, linear])
 
     def basis_slopes(self, i: int) -> Array:
         """Return dbasis / dX, (d, 1, d + 1), which is constant."""
@@ -180,10 +187,11 @@ class LinearTrend(MultiOutputKernel):
         return [(), *((k,) for k in range(self.n_features))]
 
     def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        kept = np.array([(k,) == regressors for k in range(self.n_features)])
-        intercept, slope = self.value("intercept_scale"), self.value("slope_scale")
+        values = self.values()
+        has_slope = [(k,) == regressors for k in range(self.n_features)]
         return clone(self).set_params(
-            intercept_scale=intercept * (regressors == ()), slope_scale=slope * kept
+            intercept_scale=values["intercept_scale"] * (regressors == ()),
+            slope_scale=values["slope_scale"] * has_slope,
         )
 
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
@@ -193,7 +201,8 @@ class LinearTrend(MultiOutputKernel):
         for y in residual.T:
             rows = np.isfinite(y)
             if rows.sum() > 2 * basis.shape[1]:
-                y[rows] -= basis[rows] @ np.linalg.lstsq(basis[rows], y[rows], rcond=None)[0]
+                weights = np.linalg.lstsq(basis[rows], y[rows], rcond=None)[0]
+                y[rows] -= basis[rows] @ weights
         return residual
 
     def couples(self, i: int, j: int) -> bool:
@@ -217,20 +226,13 @@ class LinearTrend(MultiOutputKernel):
         )
 
     def free_parameters(self) -> list[FreeParameter]:
-        return self._cached("free", self._free_parameters)
-
-    def _free_parameters(self):
-        bounds = complete_bounds(
-            self.parameter_bounds, {"intercept_scale": (1e-5, 1e5), "slope_scale": (1e-5, 1e5)}
-        )
-        values = {name: self.value(name) for name in bounds}
-        return [
-            FreeParameter(name, np.arange(v.size).reshape(v.shape), True, bounds[name])
-            for name, v in values.items()
-        ]
-
-    def single_output(self) -> MultiOutputKernel:
-        return LinearTrend()
+        bounds = complete_bounds(self.parameter_bounds, DEFAULT_BOUNDS)
+        values = self.values()
+        parameters = []
+        for name in DEFAULT_BOUNDS:
+            index = np.arange(values[name].size).reshape(values[name].shape)
+            parameters.append(FreeParameter(name, index, True, bounds[name]))
+        return parameters
 
 
 def ridge_scale(X: Matrix, Y: Matrix) -> Vector:
@@ -239,8 +241,9 @@ def ridge_scale(X: Matrix, Y: Matrix) -> Vector:
     The slopes are of the regressors over their standard deviations. X (n, d), Y (n, P) with NaN.
     """
     inputs = (X - X.mean(axis=0)) / column_scale(X)
-    rows = np.isfinite(Y)
-    fits = [
-        BayesianRidge().fit(inputs[known], y[known]) for y, known in zip(Y.T, rows.T, strict=True)
-    ]
-    return np.array([1.0 / np.sqrt(fit.lambda_) for fit in fits])
+    scales = []
+    for y in Y.T:
+        rows = np.isfinite(y)
+        fit = BayesianRidge().fit(inputs[rows], y[rows])
+        scales.append(1.0 / np.sqrt(fit.lambda_))
+    return np.array(scales)

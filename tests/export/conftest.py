@@ -12,7 +12,6 @@ import pytest
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
-from skdgp._regressor import _estimator
 from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.export import portable_model
 from skdgp.identification import _identification, identify, make_identification_pipeline
@@ -105,7 +104,8 @@ def identified(once, first_minute, cut_short):
     def write(folder):
         with cut_short(), warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
             warnings.simplefilter("ignore")  # of few rows
-            patch.setattr(_estimator, "SEARCHES", 2)
+            settings = replace(DependentGPRegressor.settings, n_searches=2)
+            patch.setattr(DependentGPRegressor, "settings", settings)
             mechanics = FlightMechanics(note="Left out.")
             patch.setattr(_identification, "flight_mechanics", lambda *_: mechanics)
             fit_identified(folder, first_minute())

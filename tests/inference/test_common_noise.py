@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, log_likelihood
-from skdgp.inference._search import Objective
+from skdgp.inference import Data, Objective, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
 
 STD = 0.1, 0.01
@@ -13,7 +12,7 @@ STD = 0.1, 0.01
 
 
 @pytest.fixture(scope="module")
-def log():
+def time_series():
     """Two noisy regressors, which two outputs that share nothing else both feel."""
     rng = np.random.default_rng(0)
     x = rng.uniform(-2, 2, (800, 2))
@@ -21,8 +20,8 @@ def log():
     return x + rng.normal(0, STD, x.shape), Y + rng.normal(0, 0.02, Y.shape)
 
 
-def test_the_objective_keeps_or_neglects_it(log):
-    X, Y = log[0][:40], log[1][:40]
+def test_the_objective_keeps_or_neglects_it(time_series):
+    X, Y = time_series[0][:40], time_series[1][:40]
     kernel = ConvolvedGaussian(0).initialize(X, Y, np.random.RandomState(0))
     loading = np.random.default_rng(1).normal(size=(40, 2, 1))
     data, noise = Data.from_table(X, Y, loading), np.array([0.1, 0.2, 0.3])
@@ -37,8 +36,8 @@ def test_the_objective_keeps_or_neglects_it(log):
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_the_noise_of_each_regressor_is_found(log, inference):
-    X, Y = log if inference == "sparse" else (part[:150] for part in log)
+def test_the_noise_of_each_regressor_is_found(time_series, inference):
+    X, Y = time_series if inference == "sparse" else (part[:150] for part in time_series)
     model = DependentGPRegressor(
         n_latent=0, structure="joint", inference=inference, random_state=0, max_iter=30
     ).fit(X, Y, time=0.1 * np.arange(len(X)))

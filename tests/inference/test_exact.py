@@ -8,7 +8,14 @@ from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
 from skdgp._compute import parallel
-from skdgp.inference import Data, ExactPosterior, _likelihood, _posterior, log_likelihood
+from skdgp.inference import (
+    Data,
+    ExactPosterior,
+    PosteriorSettings,
+    SinglePosterior,
+    TileSettings,
+    log_likelihood,
+)
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -61,9 +68,7 @@ class TestLikelihood:
         assert np.isfinite(gradient).all()
         assert everything[-3:].all()
 
-    @pytest.mark.parametrize("paired", [0, 1000])
-    def test_of_outputs_that_are_not_coupled_adds_up(self, one_problem, paired, monkeypatch):
-        monkeypatch.setattr(_likelihood, "PAIRED", paired)
+    def test_of_outputs_that_are_not_coupled_adds_up(self, one_problem):
         rng = np.random.default_rng(7)
         kernel = LinearTrend(np.ones(3), np.ones((3, 2)), np.zeros(2)) + ConvolvedGaussian(
             0, amplitude=np.diag([0.5, 1.0, 2.0]), length_scale=rng.uniform(0.5, 1.5, (3, 3, 2))
@@ -157,14 +162,14 @@ class TestTiles:
             posterior.covariance(NEW),
             posterior.gradient(NEW),
         )
-        monkeypatch.setattr(_likelihood, "TILE", tile)
-        monkeypatch.setattr(_likelihood, "HALF", 2)
-        monkeypatch.setattr(_posterior, "CHUNK_BYTES", 100)
+        monkeypatch.setattr(SinglePosterior, "settings", PosteriorSettings(chunk_bytes=100))
         monkeypatch.setattr(parallel, "SMALL", 0)
         with threadpool_limits(threads, user_api="blas"):
+            tiles = TileSettings(tile, 2)
             again, again_gradient = log_likelihood(
-                problem.kernel, problem.noise, problem.data, eval_gradient=True
+                problem.kernel, problem.noise, problem.data, eval_gradient=True, tiles=tiles
             )
+            one_value = log_likelihood(problem.kernel, problem.noise, problem.data, tiles=tiles)
             posterior = posterior_of(problem)
             got = (
                 posterior.predict(NEW, True),
@@ -172,6 +177,7 @@ class TestTiles:
                 posterior.gradient(NEW),
             )
         assert again == pytest.approx(value, rel=1e-12)
+        assert one_value == pytest.approx(value, rel=1e-12)
         np.testing.assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
         for a, b in zip((*got[0], *got[1:]), (*expected[0], *expected[1:]), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
@@ -202,7 +208,8 @@ class TestMemory:
         assert matrix <= used < 3 * matrix
 
     def test_of_predictions_does_not_grow_with_their_number(self, large, monkeypatch):
-        monkeypatch.setattr(_posterior, "CHUNK_BYTES", 2**19)
+        settings = PosteriorSettings(chunk_bytes=2**19)
+        monkeypatch.setattr(SinglePosterior, "settings", settings)
         kernel, noise, data = large
         few_data = Data([x[:80] for x in data.X], [y[:80] for y in data.y])
         posterior = ExactPosterior(kernel, noise, few_data)
@@ -215,5 +222,5 @@ class TestMemory:
                 lambda call=call: call(few)
             )
             assert (
-                grown < 2 * times * results + _posterior.CHUNK_BYTES
+                grown < 2 * times * results + settings.chunk_bytes
             )  # which threads need not hold at the same time

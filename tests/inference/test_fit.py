@@ -7,7 +7,14 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from skdgp import listening
-from skdgp.inference import Data, _search, fit_exact, fit_sparse, log_likelihood
+from skdgp.inference import (
+    Data,
+    SearchSettings,
+    fit_exact,
+    fit_sparse,
+    log_likelihood,
+    some_rows,
+)
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 OPTIONS = {"optimizer": "fmin_l_bfgs_b", "max_iter": 100, "random_state": 0}
@@ -59,13 +66,13 @@ class TestFit:
         assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
 
     @pytest.mark.parametrize("threads", [1, 2])
-    def test_seed_decides_and_threads_do_not(self, fit, drawn, threads, monkeypatch):
-        monkeypatch.setattr(_search, "SINGLE_ITERATIONS", 3)
+    def test_seed_decides_and_threads_do_not(self, fit, drawn, threads):
         X, Y, *_ = drawn
         X, Y = X[::3], Y[::3]
-        once = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior
+        options = OPTIONS | {"max_iter": 2, "settings": SearchSettings(single_iterations=3)}
+        once = fit(ConvolvedGaussian(1), X, Y, **options).posterior
         with threadpool_limits(threads, user_api="blas"):
-            again = fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 2})).posterior
+            again = fit(ConvolvedGaussian(1), X, Y, **options).posterior
         np.testing.assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
 
     def test_stages_are_told(self, fit, drawn):
@@ -129,7 +136,7 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
     for k in range(3):
         Y[50 * k : 50 * k + 50, k] = np.nan
     Y[20:, 12] = np.nan  # of one output hardly anything is known
-    rows = _search.some_rows(Y, np.random.RandomState(0))
+    rows = some_rows(Y, np.random.RandomState(0))
     of_output = np.isfinite(Y[rows]).sum(axis=0)
     assert len(np.unique(rows)) == len(rows)
     assert of_output[12] == 20
@@ -137,13 +144,12 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
     assert of_output.sum() <= 1.02 * 1800 + 20 * 12
 
 
-def test_a_rare_output_survives_the_subset_of_the_sparse_start(monkeypatch):
-    monkeypatch.setattr(_search, "SEARCH_VALUES", (60, 60))
+def test_a_rare_output_survives_the_subset_of_the_sparse_start():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(900, 1))
     Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))
     Y[:4, 1] = np.cos(X[:4, 0])
-    options = OPTIONS | {"max_iter": 2}
+    options = OPTIONS | {"max_iter": 2, "settings": SearchSettings(values=(60, 60))}
     posterior = fit_sparse(ConvolvedGaussian(1), X, Y, n_inducing=10, **options).posterior
     assert np.isfinite(posterior.predict(X[:5], True)).all()
 

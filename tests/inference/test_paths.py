@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from skdgp.inference import Data, ExactPosterior, SparsePosterior
+from skdgp.inference import (
+    Data,
+    ExactPosterior,
+    PosteriorSettings,
+    SinglePosterior,
+    SparsePosterior,
+)
 from skdgp.kernels import inducing_features
 
 N_PATHS = 4000
@@ -40,8 +46,7 @@ def assert_moments(posterior, X, n_paths=N_PATHS, bound=5.0):
 @pytest.fixture(autouse=True)
 def _few_waves(monkeypatch):
     """Moments over paths do not depend on how many waves a path has."""
-    for module in ("_posterior", "_sparse"):
-        monkeypatch.setattr(f"skdgp.inference.{module}.FREQUENCIES", 6)
+    monkeypatch.setattr(SinglePosterior, "settings", PosteriorSettings(frequencies=6))
 
 
 @pytest.fixture(params=[exact, sparse])

@@ -1,10 +1,10 @@
-"""Neighbours in a log that repeat each other."""
+"""Neighbours in a time series that repeat each other."""
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from skdgp.inference import _search, autocorrelation_time, fit_sparse
+from skdgp.inference import SearchSettings, autocorrelation_time, fit_sparse
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -19,12 +19,6 @@ def test_is_never_less_than_one(values):
     assert autocorrelation_time(values) == 1.0
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    monkeypatch.setattr(_search, "SEARCH_VALUES", (600, 600))
-    monkeypatch.setattr(_search, "SINGLE_VALUES", 300)
-
-
 def fitted(X, Y):
     return fit_sparse(
         ConvolvedGaussian(0),
@@ -35,6 +29,7 @@ def fitted(X, Y):
         max_iter=15,
         random_state=0,
         ordered=True,
+        settings=SearchSettings(values=(600, 600), single_values=300),
     )
 
 

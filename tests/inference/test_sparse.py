@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
 from skdgp._compute import parallel
-from skdgp.inference import ExactPosterior, SparsePosterior, _sparse, log_likelihood
+from skdgp.inference import ExactPosterior, ShareSettings, SparsePosterior, log_likelihood
 from skdgp.kernels import inducing_features
 
 NEW = np.random.default_rng(5).normal(size=(6, 2))
@@ -105,10 +105,10 @@ class TestRows:
             posterior.log_marginal_likelihood,
             *posterior.predict(NEW, True),
         )
-        monkeypatch.setattr(_sparse, "ROWS", 3)
         monkeypatch.setattr(parallel, "SMALL", 0)
+        whole = posterior.kernel, posterior.features, posterior.noise, posterior.data
         with threadpool_limits(threads, user_api="blas"):
-            again = sparse(problem)
+            again = SparsePosterior(*whole, share_settings=ShareSettings(rows=3))
             got = again.log_marginal_likelihood, *again.predict(NEW, True)
         for a, b in zip(got, expected, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)

@@ -64,18 +64,6 @@ class TestOpenKernels:
         assert np.isfinite(found.theta).all()
         assert np.isfinite(found(X[:4])).all()
 
-    def test_what_outputs_found_alone_is_adopted(self, kernel, data):
-        """What outputs found alone is what the joint kernel starts from, and it stays a covariance."""
-        X, Y = data[0], np.nan_to_num(data[1])
-        joint = kernel.initialize(X, Y, 0)
-        singles = [kernel.single_output().initialize(X, Y[:, i : i + 1], 0) for i in range(3)]
-        assert [single.n_outputs for single in singles] == [1, 1, 1]
-        found = kernel.initialize(X, Y, 0, singles)
-        assert found.n_dims == joint.n_dims
-        for i, single in enumerate(singles):
-            np.testing.assert_allclose(found.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
-        assert np.linalg.eigvalsh(found(X[:8])).min() > -1e-9 * found.diag(X[:8]).max()
-
 
 class TestGivenValues:
     def test_stay(self, data):
@@ -114,16 +102,6 @@ class TestGivenValues:
     def test_of_another_shape_are_refused(self, kernel, message, data):
         with pytest.raises(ValueError, match=message):
             kernel.initialize(*data, 0)
-
-
-def test_a_search_does_not_start_where_the_likelihood_is_flat(data):
-    X, Y = data
-    for bounds, widest in ((None, 10.0), ("spacing", 500.0)):
-        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
-        singles = [kernel.single_output().initialize(X, Y[:, [i]], 0) for i in range(3)]
-        wide = [single.set_params(length_scale=500.0 * X.std(axis=0)) for single in singles]
-        widths = kernel.initialize(X, Y, 0, wide).length_scale / X.std(axis=0)
-        np.testing.assert_allclose(widths.max(), widest)
 
 
 class TestSpacing:

@@ -99,4 +99,4 @@ def test_inducing_inputs_far_from_each_other_lose_no_digits():
     kernel, Z = make_kernel(), np.array([[0.0, 0.0], [1e8, -1e8]])
     features, X = inducing_features(kernel, Z), Z + 0.3
     expected = np.hstack([features.Kfu(i, X) for i in range(kernel.n_outputs)])
-    np.testing.assert_allclose(features.rows()[0](X), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(features.basis()[0](X), expected, rtol=1e-6, atol=1e-9)

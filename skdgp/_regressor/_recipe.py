@@ -1,0 +1,266 @@
+"""What the estimator is asked for, as a value: the kernel of all terms, and the fit of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from sklearn.base import clone
+from sklearn.gaussian_process.kernels import Kernel
+from sklearn.utils import check_random_state
+
+from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._regressor import _checks
+from skdgp.inference import (
+    Data,
+    Fit,
+    KnownNoise,
+    Posterior,
+    SearchSettings,
+    as_exact,
+    average,
+    fit_exact,
+    fit_sparse,
+    mean_of,
+    n_searched,
+    stratified,
+)
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_multi_output
+
+
+@dataclass(frozen=True)
+class RegressorSettings:
+    """What the estimator chooses where a parameter is not given."""
+
+    #: Searches of a time series, each from other rows (docs/results.md, pairs of flights)
+    n_searches: int = 2
+    #: Fewest and most shared latents; more take more time
+    n_latent: tuple[int, int] = (2, 4)
+    #: Iterations for a time series
+    time_series_iterations: int = 60
+    #: Iterations for other data, of at most so many values; of more values, as many as take the
+    #: same time
+    iterations: int = 150
+    iterated_values: int = 1500
+    #: Most observed values of which inference="auto" is exact
+    exact_values: int = 6000
+    #: The same of a time series
+    exact_time_series_values: int = 1000
+    #: Largest prior variance that inducing variables leave unexplained, over the noise variance
+    most_neglected: float = 0.3
+    #: Most samples of a time series of which an average has main effects (docs/theory.md)
+    additive_samples: int = 5000
+    #: Largest misfit, over misfit and noise
+    largest_misfit: float = 0.99
+    #: Of each search
+    search: SearchSettings = field(default_factory=SearchSettings)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a kernel is made and fitted.
+
+    ``time_series`` is whether the rows are in the order of recording, with errors that last. The
+    other fields are parameters of DependentGPRegressor.
+    """
+
+    kernel: Kernel | None
+    n_latent: int | None
+    structure: str
+    trend: str | None
+    inference: str
+    n_inducing: int
+    input_noise: Any
+    optimizer: str | None
+    max_iter: int | None
+    random_state: Seed
+    time_series: bool
+    settings: RegressorSettings = field(default_factory=RegressorSettings)
+
+    # -- the kernel
+
+    def check(self) -> None:
+        """Raise a ValueError if parameters contradict each other."""
+        if self.structure == "trend" and (self.kernel is not None or self.trend != "linear"):
+            raise ValueError(
+                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
+                "kernel=None and trend='linear', or structure='joint' for a given kernel."
+            )
+        if self.structure == "additive" and self.kernel is not None:
+            raise ValueError(
+                f"Got structure='additive' with kernel={self.kernel!r}, but expected kernel=None. "
+                "Use structure='joint', and add ConvolvedGaussian(0, regressors=[k]) to the kernel."
+            )
+        if self.n_latent is not None and self.kernel is not None:
+            raise ValueError(
+                f"Got n_latent={self.n_latent} with kernel={self.kernel!r}, but expected one of them: leave out "
+                f"n_latent, and give it to the kernel, such as ConvolvedGaussian({self.n_latent})."
+            )
+
+    def make_kernel(self, X: Matrix, Z: Matrix) -> MultiOutputKernel:
+        """Return the kernel of all terms, in the units of the outputs."""
+        self.check()
+        n, d = X.shape
+        # one centre for all searches and components
+        trend = LinearTrend(center=X.mean(axis=0)) if self.trend == "linear" else None
+        if self.kernel is not None:
+            given = as_multi_output(clone(self.kernel))
+            has_trend = any(term.n_processes == 0 for term in given.summands())
+            return given if trend is None or has_trend else trend + given
+        averaged = self.structure == "average" and trend is not None
+        if trend is not None and (self.structure == "trend" or (averaged and d > n)):
+            return trend  # with fewer rows than regressors a process would have no weight
+        kernel = self._processes(X, Z, averaged)
+        return kernel if trend is None else trend + kernel
+
+    def _processes(self, X, Z, averaged):
+        """Return the joint processes, and those of each regressor alone."""
+        n, d = X.shape
+        bounds = {"length_scale": "spacing"} if self.time_series else None
+        kernel: MultiOutputKernel
+        kernel = ConvolvedGaussian(self._number_of_latents(Z), parameter_bounds=bounds)
+        few = n <= self.settings.additive_samples
+        averages_effects = self.time_series and averaged and d > 1 and few
+        if self.structure == "additive" or averages_effects:
+            for k in range(d):
+                kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel
+        return kernel
+
+    def _number_of_latents(self, Z):
+        """Return the number of shared latents, more where they can fill what is missing."""
+        if self.n_latent is not None:
+            return self.n_latent
+        fewest, most = self.settings.n_latent
+        if self.time_series or np.isfinite(Z).all():
+            return fewest
+        return int(np.clip(Z.shape[1] // 2, fewest, most))
+
+    # -- the fit
+
+    @property
+    def n_searches(self) -> int:
+        """Number of searches whose averages a fit is the mean of."""
+        several = self.time_series and self._averages
+        return self.settings.n_searches if several else 1
+
+    @property
+    def _averages(self):
+        return self.structure == "average" and self.optimizer is not None
+
+    def inference_of(self, n_values: int) -> str:
+        """Return "exact" or "sparse", for so many observed values."""
+        if self.inference != "auto":
+            return self.inference
+        settings = self.settings
+        most = settings.exact_time_series_values if self.time_series else settings.exact_values
+        return "exact" if n_values <= most else "sparse"
+
+    def most_iterations(self, Y: Matrix) -> int:
+        """Return the largest number of iterations of the search for hyperparameters, which learns from N values.
+
+        Where it is not given, 60 of a time series, else 150, or :math:`150 (1500 / N)^3`, as N^3 is
+        the time of an iteration.
+        """
+        if self.max_iter is not None:
+            return self.max_iter
+        settings = self.settings
+        if self.time_series:
+            return settings.time_series_iterations
+        fraction = min(settings.iterated_values / n_searched(Y, settings.search), 1.0)
+        return int(settings.iterations * fraction**3)
+
+    def learns_input_noise(self, known: KnownNoise) -> bool:
+        """Return whether the fit has noise of the regressors."""
+        if known.loading is not None:
+            return False
+        if known.input_std is not None:
+            return True
+        if not isinstance(self.input_noise, str):
+            return False
+        return self.input_noise == "learned" or self.time_series
+
+    def fit(self, kernel: MultiOutputKernel, X: Matrix, Z: Matrix, known: KnownNoise) -> Fit:
+        """Return the fit to X (n, d) and centred and scaled targets Z (n, P).
+
+        ``kernel`` has all terms, and ``known`` is the noise, of the scaled targets.
+        """
+        random_state = check_random_state(self.random_state)
+        fits: list[Fit] = []
+        data = Data.from_table(X, Z, known.loading)  # one copy for all
+        for _ in range(self.n_searches):
+            fits.append(self._searched(kernel, X, Z, data, known, random_state))
+            if fits[-1].learned.interrupted:
+                return fits[0].cut_short()
+        return mean_of(fits)
+
+    def _searched(self, kernel, X, Z, data, known, random_state):
+        """Return the fit of one search."""
+        options = {
+            "known": known,
+            "data": data,
+            "optimizer": self.optimizer,
+            "max_iter": self.most_iterations(Z),
+            "input_noise": self.learns_input_noise(known),
+            "random_state": random_state.randint(2**31 - 1),
+            "settings": self.settings.search,
+        }
+        if self.inference_of(data.n_values) == "exact":
+            fit = fit_exact(kernel, X, Z, **options)
+        else:
+            options |= {"n_inducing": self.n_inducing, "ordered": self.time_series}
+            fit = fit_sparse(kernel, X, Z, **options)
+            if self._is_neglectful(fit):
+                rows = stratified(np.arange(len(X)), self._exact_rows(X, Z), random_state)
+                X, Z, known = X[rows], Z[rows], known.of_rows(rows)
+                data = fit.learned.noisy(Data.from_table(X, Z, known.loading))
+                fit = as_exact(fit.learned, X, Z, data, known)
+        if not self._averages or fit.learned.interrupted:
+            return fit
+        return average(fit, X, Z, None if self.time_series else random_state, known)
+
+    def _is_neglectful(self, fit):
+        """Return whether exact inference on fewer values replaces a sparse fit; warn if it neglects much."""
+        if self.time_series or fit.learned.interrupted or fit.learned.input_std is not None:
+            return False
+        posterior = fit.posterior
+        neglected = float(np.max(posterior.unexplained_variance / posterior.noise))
+        if neglected <= self.settings.most_neglected:
+            return False
+        is_auto = self.inference == "auto"
+        n_exact = self.settings.exact_values if is_auto else None
+        _checks.warn_of_approximation(neglected, self.n_inducing, n_exact)
+        return is_auto
+
+    def _exact_rows(self, X, Z):
+        """Return the number of rows with as many values as exact inference takes."""
+        return self.settings.exact_values * len(X) // np.isfinite(Z).sum()
+
+
+def weights_of(posterior: Posterior) -> dict[str, Vector]:
+    """Return the weight (P,) of each kind of member of a posterior, by its name."""
+    weights: dict[str, Vector] = {}
+    for member, weight in zip(posterior.members, posterior.mixture, strict=True):
+        name = _name(member.kernel)
+        weights[name] = weights.get(name, 0.0) + weight
+    return weights
+
+
+def _name(kernel):
+    """Return the structure that a member of an average has."""
+    terms = [term for term in kernel.summands() if not isinstance(term, LinearTrend)]
+    if not terms:
+        return "trend"
+    if kernel.n_features == 1 or any(len(term.term_regressors()[0]) > 1 for term in terms):
+        return "joint"
+    return "additive"
+
+
+def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
+    """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
+
+    Its errors are noise, where an average still has a part of the errors of the other members.
+    """
+    means = np.array([member.predict(X) for member in posterior.members])
+    likeliest = posterior.mixture.argmax(axis=0)
+    return np.take_along_axis(means, likeliest[None, None], axis=0)[0]

@@ -1,0 +1,132 @@
+"""What is known of the noise before a fit, and where noise that is learned starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp.inference._likelihood import Data
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Starting values and bounds of noise that is learned."""
+
+    #: Bounds of the noise variance, over the variance of the output
+    bounds: tuple[float, float] = (1e-6, 1e2)
+    #: Starting noise variance, over the variance of the residual of the trend
+    start: float = 0.2
+    #: Bounds of the noise variance of a regressor, over the variance of the regressor
+    input_bounds: tuple[float, float] = (1e-7, 0.3)
+    #: Fraction of the noise of the outputs that starts as noise of the regressors
+    input_fraction: float = 0.5
+
+
+SETTINGS = NoiseSettings()
+
+
+class KnownNoise(NamedTuple):
+    """What is known of the noise before the fit.
+
+    ``variance`` (P,) are starting values within ``bounds`` (P, 2); equal bounds keep a value. None:
+    both from the data. ``loading`` (n, P, P), or None, is a root of the noise covariance of each
+    sample that is known beside. ``input_std`` (d,), or None, are known standard deviations of the
+    noise of the regressors.
+    """
+
+    variance: Vector | None = None
+    bounds: Matrix | None = None
+    loading: Array | None = None
+    input_std: Vector | None = None
+
+    @classmethod
+    def of_values(cls, variance: Matrix) -> KnownNoise:
+        """Return the noise of known variances of all values, (n, P), as scikit-learn's ``alpha``.
+
+        The smallest variance of each output is its white noise, the rest differs between samples.
+        """
+        white = variance.min(axis=0)
+        root = np.sqrt(variance - white)
+        loading = root[:, :, None] * np.eye(len(white))
+        return cls(white, np.column_stack([white, white]), loading)
+
+    @property
+    def is_learned(self) -> Any:
+        """Whether the variance of each output is learned, (P,), or one value for all."""
+        return np.bool_(True) if self.bounds is None else self.bounds[:, 0] < self.bounds[:, 1]
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether all variances keep their values."""
+        return not np.any(self.is_learned)
+
+    @property
+    def weights(self) -> Matrix | None:
+        """Inverse variances of the values, (n, P), where they differ between samples."""
+        if self.loading is None or self.variance is None:
+            return None
+        return 1.0 / (self.variance + np.einsum("npp->np", self.loading) ** 2)
+
+    def of_rows(self, rows: Any) -> KnownNoise:
+        """Return the same of some samples."""
+        return self._replace(loading=None if self.loading is None else self.loading[rows])
+
+    def in_units(self, scale: Vector) -> KnownNoise:
+        """Return the same of outputs over ``scale`` (P,)."""
+        return KnownNoise(
+            None if self.variance is None else self.variance / scale**2,
+            None if self.bounds is None else self.bounds / scale[:, None] ** 2,
+            None if self.loading is None else self.loading / scale[:, None],
+            self.input_std,
+        )
+
+    def start(
+        self, residual: Matrix, scale: Vector, settings: NoiseSettings = SETTINGS
+    ) -> tuple[Vector, Matrix]:
+        """Return the starting noise variances (P,) and their bounds (P, 2).
+
+        Without known ones: a fifth of the variance of the ``residual`` (n, P), and bounds relative
+        to the ``scale`` (P,) of the outputs.
+        """
+        bounds = self.bounds
+        if bounds is None:
+            bounds = np.multiply.outer(scale**2, settings.bounds)
+        variance = self.variance
+        if variance is None:
+            variance = settings.start * np.nanvar(residual, axis=0)
+        return np.clip(variance, *bounds.T), bounds
+
+
+UNKNOWN = KnownNoise()
+
+
+def initial_input_noise(
+    noise: Vector,
+    data: Data,
+    scale: Vector,
+    known: KnownNoise,
+    settings: NoiseSettings = SETTINGS,
+) -> tuple[Vector, Matrix]:
+    """Return the noise vector with factors s (d,) of the regressors' noise variances, and bounds of s.
+
+    Known standard deviations, over the ``scale`` (d,) of the regressors, keep their values. At the
+    start of others, half of each output's noise comes from the regressors, with equal factors s.
+    ``data`` has the loadings of errors of the size of ``scale``.
+    """
+    least, most = settings.input_bounds
+    if known.input_std is not None:
+        fixed = np.maximum((known.input_std / scale) ** 2, least)
+        return np.concatenate([noise, fixed]), np.column_stack([fixed, fixed])
+    fractions = []
+    propagating: Any = data.sample_noise
+    for variance, G in zip(noise, propagating.loading, strict=True):
+        if len(G):
+            propagated = np.mean(np.sum(G**2, axis=1))
+            fractions.append(variance / max(propagated, 1e-12))
+    factor = settings.input_fraction * float(np.median(fractions))
+    start = np.full(len(scale), np.clip(factor, 10 * least, most / 10))
+    noise = (1 - settings.input_fraction) * noise
+    return np.concatenate([noise, start]), np.tile(settings.input_bounds, (len(scale), 1))

@@ -1,0 +1,206 @@
+"""Where the stages of a search start: simpler kernels to fit first, and the values that a stage hands on to the next.
+
+The kernel of a search has missing values. ``initialize`` estimates them from the data, and the
+functions here replace these estimates by those of earlier stages. Given values do not change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from sklearn.base import clone
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Array, Matrix, Seed
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, tied
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """Values that a stage of the search starts from."""
+
+    #: Amplitude of a term of few regressors, over the amplitude of a kernel of all
+    additive_amplitude: float = 0.3
+    #: Fraction of its starting amplitude below which an output was explained as noise
+    noise_amplitude: float = 0.1
+    #: Largest width of a start from fits of few rows, in standard deviations of the regressor: from
+    #: wider ones, where the likelihood is flat, a search does not come back
+    widest: float = 10.0
+
+
+SETTINGS = StartSettings()
+
+
+def starting_kernel(
+    kernel: MultiOutputKernel,
+    X: Matrix,
+    Y: Matrix,
+    random_state: Seed,
+    singles: Sequence[MultiOutputKernel] | None = None,
+    settings: StartSettings = SETTINGS,
+) -> MultiOutputKernel:
+    """Return the kernel with missing values from the data, or from fits of each output alone.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+        With missing values.
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    random_state : int, RandomState or None
+    singles : sequence of MultiOutputKernel or None
+        Fits of ``single_output(kernel)``.
+    settings : StartSettings
+
+    Returns
+    -------
+    MultiOutputKernel
+    """
+    start = kernel.initialize(X, Y, random_state)
+    if singles is None:
+        return _of_terms(partial(_from_data, settings), kernel, start)
+    return _of_terms(partial(_from_singles, settings, X), kernel, start, *singles)
+
+
+def single_output(kernel: MultiOutputKernel) -> MultiOutputKernel | None:
+    """Return a kernel without values for a separate fit of one output; None: outputs are fitted jointly alone."""
+    if not all(isinstance(term, (ConvolvedGaussian, LinearTrend)) for term in kernel.summands()):
+        return None
+    return _of_terms(_single_output, kernel)
+
+
+def coarse(kernel: MultiOutputKernel) -> MultiOutputKernel:
+    """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
+    return _of_terms(_coarse, kernel)
+
+
+def from_coarse(
+    kernel: MultiOutputKernel, start: MultiOutputKernel, fitted: MultiOutputKernel
+) -> MultiOutputKernel:
+    """Return a start with missing values from the fit of the coarse kernel."""
+    return _of_terms(_from_coarse, kernel, start, fitted)
+
+
+def narrowed(
+    kernel: MultiOutputKernel, start: MultiOutputKernel, factor: float
+) -> MultiOutputKernel:
+    """Return a start whose estimated widths are multiplied by a factor."""
+    return _of_terms(partial(_narrowed, factor), kernel, start)
+
+
+# -- terms of a sum
+
+
+def _of_terms(function: Callable, kernel: MultiOutputKernel, *others: Any) -> MultiOutputKernel:
+    """Return the sum of a function of each term of a kernel, and of the terms of others of the same shape."""
+    if not isinstance(kernel, Sum):
+        return function(kernel, *others)
+    first = _of_terms(function, kernel.k1, *(other.k1 for other in others))
+    return Sum(first, _of_terms(function, kernel.k2, *(other.k2 for other in others)))
+
+
+def _with_missing(term, start, values: Mapping[str, Array]):
+    """Return a start with the values of those parameters that a term does not have."""
+    given = term.get_params(deep=False)
+    missing = {name: value for name, value in values.items() if given[name] is None}
+    return clone(start).set_params(**missing)
+
+
+def _single_output(term):
+    if isinstance(term, LinearTrend):
+        return LinearTrend()
+    bounds = None
+    if term.bounds_from_data("length_scale") and term.parameter_bounds is not None:
+        bounds = {"length_scale": term.parameter_bounds.get("length_scale")}
+    return ConvolvedGaussian(0, regressors=term.regressors, parameter_bounds=bounds)
+
+
+def _coarse(term):
+    if (
+        not isinstance(term, ConvolvedGaussian)
+        or term.covariance_type != "diag"
+        or term.length_scale is not None
+        or not term.bounds_from_data("length_scale")
+    ):
+        return term
+    bounds = {**(term.parameter_bounds or {}), "shift": "fixed"}
+    return clone(term).set_params(covariance_type="tied", shift=0.0, parameter_bounds=bounds)
+
+
+def _from_data(settings, term, start):
+    """Return the start of a term, of smaller amplitudes and widths if it has few regressors."""
+    if not isinstance(term, ConvolvedGaussian) or term.regressors is None:
+        return start
+    filters = start.filters
+    others = term.without_effect(start.n_features)
+    if not others.any():
+        return start
+    lengths = filters.length_scale
+    lengths[..., ~others] *= np.sqrt(np.mean(~others))
+    amplitude = settings.additive_amplitude * filters.amplitude
+    return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})
+
+
+def _narrowed(factor, term, start):
+    if not isinstance(term, ConvolvedGaussian):
+        return start
+    lengths = start.filters.length_scale
+    lengths[..., ~term.without_effect(start.n_features)] *= factor
+    return _with_missing(term, start, {"length_scale": lengths})
+
+
+def _from_coarse(term, start, fitted):
+    if isinstance(term, ConvolvedGaussian):
+        names = ("amplitude", "length_scale")
+    elif isinstance(term, LinearTrend):
+        names = ("intercept_scale", "slope_scale")
+    else:
+        return start
+    values = fitted.values()
+    return _with_missing(term, start, {name: values[name] for name in names})
+
+
+def _from_singles(settings, X, term, start, *singles):
+    if isinstance(term, ConvolvedGaussian):
+        return _filters_from_singles(settings, X, term, start, singles)
+    if start.n_features > len(X):  # one prior scale of all slopes, which is not learned
+        return start
+    intercept = np.concatenate([single.value("intercept_scale") for single in singles])
+    slope = np.concatenate([single.value("slope_scale") for single in singles])
+    return _with_missing(term, start, {"intercept_scale": intercept, "slope_scale": slope})
+
+
+def _filters_from_singles(settings, X, term, start, singles):
+    """Return the start of filters from separate fits of each output.
+
+    Private latents take the fitted widths. A shared latent takes their weighted geometric mean for
+    all outputs, because equal widths allow the strongest coupling; with very different widths no
+    coupling can be learned. An output that its separate fit explains as noise keeps its default
+    values: at zero amplitude the gradient is zero and a dependence on other outputs cannot be found.
+    """
+    filters = start.filters
+    w = filters.amplitude
+    fits = [single.filters for single in singles]
+    fitted = np.array([abs(fit.amplitude[0, 0]) for fit in fits])
+    total = np.sqrt(np.sum(w**2, axis=0))
+    explained = fitted > settings.noise_amplitude * total
+    amplitude = w * np.where(explained, fitted / total, 1.0)
+
+    widths = np.stack([fit.length_scale[0, 0] for fit in fits])
+    widths = np.where(explained[:, None], widths, filters.length_scale[-1])
+    weight = w**2 / np.sum(w**2, axis=1, keepdims=True)
+    private = (weight == 1.0)[..., None]
+    mean = np.exp(weight @ np.log(widths))[:, None, :]
+    lengths = np.where(private, widths, mean)
+    if (term.parameter_bounds or {}).get("length_scale") is None:
+        lengths = np.minimum(lengths, settings.widest * column_scale(X))
+    if term.covariance_type == "tied":
+        lengths = tied(lengths)
+    others = term.without_effect(start.n_features)
+    lengths[..., others] = filters.length_scale[..., others]
+    return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})

@@ -1,0 +1,89 @@
+"""Where the stages of a search start."""
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process.kernels import RBF
+
+from skdgp.inference import coarse, from_coarse, narrowed, single_output, starting_kernel
+from skdgp.kernels import ConvolvedGaussian, Coregionalized, LinearTrend
+
+KERNELS = {
+    "diag": ConvolvedGaussian(2),
+    "tied": ConvolvedGaussian(2, covariance_type="tied"),
+    "private alone": ConvolvedGaussian(0),
+    "trend": LinearTrend(),
+    "trend + dependent": LinearTrend() + ConvolvedGaussian(1),
+    "additive": ConvolvedGaussian(0, regressors=[1]) + ConvolvedGaussian(1),
+}
+
+
+@pytest.fixture
+def data():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
+    Z = (X - X.mean(axis=0)) / X.std(axis=0)
+    Y = np.column_stack([np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2]])
+    return X, Y
+
+
+def singles_of(kernel, X, Y):
+    alone = single_output(kernel)
+    return [starting_kernel(alone, X, Y[:, [i]], 0) for i in range(Y.shape[1])]
+
+
+@pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
+def test_what_outputs_found_alone_is_adopted(kernel, data):
+    """The joint kernel starts from it, and stays a covariance."""
+    X, Y = data
+    singles = singles_of(kernel, X, Y)
+    assert [single.n_outputs for single in singles] == [1, 1, 1]
+    start = starting_kernel(kernel, X, Y, 0, singles)
+    assert start.n_dims == kernel.initialize(X, Y, 0).n_dims
+    for i, single in enumerate(singles):
+        np.testing.assert_allclose(start.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
+    assert np.linalg.eigvalsh(start(X[:8])).min() > -1e-9 * start.diag(X[:8]).max()
+
+
+@pytest.mark.parametrize(("bounds", "widest"), [(None, 10.0), ("spacing", 500.0)])
+def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, data):
+    X, Y = data
+    kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
+    scale = X.std(axis=0)
+    wide = [single.set_params(length_scale=500.0 * scale) for single in singles_of(kernel, X, Y)]
+    start = starting_kernel(kernel, X, Y, 0, wide)
+    np.testing.assert_allclose(np.max(start.length_scale / scale), widest)
+
+
+def test_given_values_stay(data):
+    X, Y = data
+    lengths = np.full((4, 3, 3), 2.5)
+    kernel = ConvolvedGaussian(1, length_scale=lengths)
+    start = starting_kernel(kernel, X, Y, 0)
+    starts = (
+        narrowed(kernel, start, 0.1),
+        starting_kernel(kernel, X, Y, 0, singles_of(kernel, X, Y)),
+    )
+    for start in starts:
+        np.testing.assert_array_equal(start.length_scale, lengths)
+    assert coarse(kernel) is kernel
+
+
+def test_a_narrowed_start_has_narrower_widths_of_regressors_with_an_effect(data):
+    X, Y = data
+    kernel = LinearTrend() + ConvolvedGaussian(1, regressors=[0, 2])
+    start = starting_kernel(kernel, X, Y, 0)
+    ratio = narrowed(kernel, start, 0.1).k2.length_scale / start.k2.length_scale
+    np.testing.assert_allclose(ratio, np.broadcast_to([0.1, 1.0, 0.1], ratio.shape))
+
+
+def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(data):
+    X, Y = data
+    kernel = LinearTrend() + ConvolvedGaussian(2)
+    fitted = starting_kernel(coarse(kernel), X, Y, 1)
+    start = from_coarse(kernel, starting_kernel(kernel, X, Y, 0), fitted)
+    assert fitted.n_dims < start.n_dims
+    np.testing.assert_allclose(start(X[:5]), fitted(X[:5]))
+
+
+def test_other_kernels_are_not_fitted_to_single_outputs():
+    assert single_output(LinearTrend() + Coregionalized(RBF())) is None

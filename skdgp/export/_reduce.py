@@ -96,15 +96,15 @@ class _Choice:
         self.part = part = model.parts[j]
         component, i = divmod(j, len(model.outputs))
         self.weight = model.mixture[component, i]
-        self.spread = model._moments(check, True)[1][:, i]
+        self.spread = model.moments(i, check, model.trend(check), True)[1]
         self.p = model.trend(check)
         g = part.basis(check)
-        self.mean = g @ part.readout.weights
-        self.variance = part.variance(self.p, g @ part.readout.root)
+        self.mean = g @ part.readout.weights[part.used]
+        self.variance = part.variance(self.p, part.explained(g))
 
         p = model.trend(Z)
         g = part.basis(Z)
-        explained = g @ part.readout.root
+        explained = part.explained(g)
         own = 1.0 / np.sqrt(part.variance(p, explained))[:, None]
         places = [(t, k) for t, term in enumerate(part.terms) for k in range(len(term.centres))]
         candidates = np.array(places[:: -(-len(places) // MAX_CANDIDATES) or 1]).reshape(-1, 2)
@@ -117,7 +117,8 @@ class _Choice:
         self.chosen = candidates[order[: self.sizes[-1]]]
         columns = np.hstack([own * p, functions[:, order[: self.sizes[-1]]]])
         Q, self.R = qr(columns, mode="economic")
-        self.targets = Q.T @ (own * np.column_stack([g @ part.readout.weights, explained]))
+        mean = g @ part.readout.weights[part.used]
+        self.targets = Q.T @ (own * np.column_stack([mean, explained]))
         self.checked = np.hstack([self.p, self._functions(check, self.chosen)])
 
     def _functions(self, Z: Matrix, places: Indices) -> Matrix:

@@ -212,7 +212,11 @@ class Part:
 
     def mean(self, p: Any, g: Any) -> Any:
         """Return mu from p (n, d + 1) and the basis (n, k)."""
-        return p @ self.trend_weights + g @ self.readout.weights[self.used]
+        return p @ self.trend_weights + self.functions_mean(g)
+
+    def functions_mean(self, g: Any) -> Any:
+        """Return w^T g from the basis (n, k)."""
+        return g @ self.readout.weights[self.used]
 
     def explained(self, g: Any) -> Any:
         """Return U^T g from the basis (n, k)."""

@@ -143,33 +143,37 @@ def _header(model: PortableModel) -> dict[str, Any]:
 
 
 def _source(model: PortableModel) -> dict[str, Any]:
-    parts = model.parts
-    readouts = model.readouts
-    numbers = [readouts.index(part.readout) for part in parts]
-    places = range(len(parts))
-    rows, used = _terms(model)
+    terms, used = _terms(model)
     texts = [_array("aero_limits", model.limits, "const double")]
     for name, table in _tables(model).items():
         texts.append(_array(name, table))
-    first_term = np.cumsum([0, *(len(part.terms) for part in parts)])
     texts += [
         _array("used", used or [0], "static const unsigned char"),
-        _list("term terms", rows or ["{0, 0, 0, 0, used, roots, centres, 0}"], ",\n"),
-        _array("first_term", first_term),
-        _array("n_functions", [len(part.readout.weights) for part in parts]),
-        _array("n_columns", [part.trend_root.shape[1] for part in parts]),
-        _array("n_prior", [part.trend_prior.shape[1] for part in parts]),
-        _list("double *const weights", [f"weights_{k}" for k in numbers]),
-        _list("double *const root", [f"root_{k}" for k in numbers]),
-        _list("double *const trend_prior", [f"trend_prior_{j}" for j in places]),
-        _list("double *const trend_root", [f"trend_root_{j}" for j in places]),
+        _structs("term terms", terms or ["0, 0, 0, 0, used, roots, centres, 0"]),
+        _structs("posterior parts", _parts(model)),
     ]
+    largest = max(len(readout.weights) for readout in model.readouts)
     return {
         "components": len(model.mixture),
-        "functions": max(1, *(len(readout.weights) for readout in readouts)),
+        "functions": max(1, largest),
         "tables": "\n".join(texts),
         "formulas": "\n".join(_formulas(model)),
     }
+
+
+def _parts(model: PortableModel) -> list[str]:
+    """Return the rows of the table of parts."""
+    readouts = model.readouts
+    rows = []
+    first = 0
+    for j, part in enumerate(model.parts):
+        k = readouts.index(part.readout)
+        last = first + len(part.terms)
+        columns = f"{part.trend_root.shape[1]}, {part.trend_prior.shape[1]}"
+        arrays = f"weights_{k}, root_{k}, trend_prior_{j}, trend_root_{j}"
+        rows.append(f"{first}, {last}, {len(part.readout.weights)}, {columns}, {arrays}")
+        first = last
+    return rows
 
 
 def _terms(model: PortableModel) -> tuple[list[str], list[int]]:
@@ -182,7 +186,7 @@ def _terms(model: PortableModel) -> tuple[list[str], list[int]]:
         size, rank = term.centres.shape
         n = len(term.regressors)
         places = f"used + {len(used)}, roots + {root}, centres + {centre}"
-        rows.append(f"{{{term.first}, {size}, {n}, {rank}, {places}, {term.gain!r}}}")
+        rows.append(f"{term.first}, {size}, {n}, {rank}, {places}, {term.gain!r}")
         used += term.regressors
         root += n * rank
         centre += size * rank
@@ -266,5 +270,6 @@ def _braces(values: Array) -> str:
     return "{" + ",\n".join(lines) + "}"
 
 
-def _list(declaration: str, items: list[str], separator: str = ", ") -> str:
-    return f"static const {declaration}[{len(items)}] = {{{separator.join(items)}}};"
+def _structs(declaration: str, rows: list[str]) -> str:
+    lines = "},\n{".join(rows)
+    return f"static const {declaration}[] = {{{{{lines}}}}};"

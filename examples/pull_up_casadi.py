@@ -134,9 +134,10 @@ def main(arguments=None):
         elevator_range = flown_range["elevator"]
         controls, mean = planned(motion, start, steady, limits - kept, elevator_range)
         fly = pipeline, flights.aircraft, steady, controls, density, options.paths
-        values = flown(*fly, seed=1000 + number)  # other aircraft than those of the margin
+        # Other aircraft than those of the margin
+        values = flown(*fly, seed=1000 + number)
         share = 100 * np.mean((values > limits).any(axis=(1, 2)))
-        title = f"plan {number + 1}: {share:.1f} % of {options.paths} aircraft exceed a limit"
+        title = f"plan {number + 1}: {share:.0f} % of aircraft exceed a limit"
         print(title)
         draw(values, mean, limits, title, axes[:, number])
         kept = margin(flown(*fly, seed=number), mean)

@@ -27,19 +27,18 @@ from skdgp.plotting import TimeHistoryDisplay
 
 # Responses that are drawn
 SHOWN = ("alpha", "airspeed", "phi", "beta")
-DEGREES = (float(np.rad2deg(1.0)), "deg")
 CREW = (
     '<div class="sign"><p>Date</p><p>Place, aircraft</p><p>Pilot</p><p>Ground station</p>'
     "<p>Wind, mass</p><p>Go or no-go</p><p>Signed</p></div>"
 )
-ENTRY = (
-    "Fly in calm air: the limits were checked without gusts. Trim at the values of the table, hands "
-    "off, for the pause.",
-    "Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock, in "
-    "MANUAL (ArduPilot) or Manual (PX4). A mode that holds attitude makes the responses smaller.",
-    "Leave the other controls at their trim while the inputs run.",
-    "At any limit: inputs off, and back to the trim by hand. Hold it until the pause is over.",
-)
+ENTRY = """<ol>
+<li>Fly in calm air: the limits were checked without gusts. Trim at the values of the table, hands
+off, for the pause.</li>
+<li>Start the inputs: the autopilot's switch, or the steps by hand on the count of the clock, in
+MANUAL (ArduPilot) or Manual (PX4). A mode that holds attitude makes the responses smaller.</li>
+<li>Leave the other controls at their trim while the inputs run.</li>
+<li>At any limit: inputs off, and back to the trim by hand. Hold it until the pause is over.</li>
+</ol>"""
 
 
 def write_flight_card(
@@ -60,10 +59,8 @@ def write_flight_card(
     for k in kinds.index:
         body.append(_manoeuvre(plan, k, full or {}))
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
-    now = datetime.now().astimezone()
-    meta = (
-        f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds · planned {now:%d %B %Y, %H:%M}"
-    )
+    now = datetime.now().astimezone().strftime("%d %B %Y, %H:%M")
+    meta = f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds · planned {now}"
     colophon = "Made by skdgp. Elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
     page = render_page("Flight card", title, meta, "\n".join(body), colophon)
     return write_atomically(path, text_writer(page))
@@ -76,11 +73,10 @@ def _entry(plan: Plan) -> str:
     pause = number(plan.manoeuvres["start"].iloc[0], ".1f")
     head = ["", *map(_heading, states), "pause<br>[s]"]
     row = ["", *(_shown(name, value) for name, value in states.items()), pause]
-    steps = "".join(f"<li>{step}</li>" for step in ENTRY)
     caption = "Trim, as the model expects it; controls are positions, not deviations."
     if plan.servo_lag > 0:
         caption += f" Surfaces follow these inputs {1e3 * plan.servo_lag:.0f} ms late."
-    return _section("Trim and entry", f"{table(head, [row], caption=caption)}<ol>{steps}</ol>")
+    return _section("Trim and entry", table(head, [row], caption=caption) + ENTRY)
 
 
 def _limits(plan: Plan) -> str:
@@ -96,9 +92,9 @@ def _limits(plan: Plan) -> str:
         f"mean of the model in calm air; responses {plan.margin:.0%} larger are still inside until "
         f"1 s after the inputs, with the controls held."
     )
-    is_free = np.isinf(plan.abort_limits).all(axis=None)
-    warning = "<p><b>Nothing limits this flight, not even a floor.</b></p>" if is_free else ""
-    return _section("Abort limits", warning + table(head, rows, caption=caption))
+    if np.isinf(plan.abort_limits).all(axis=None):
+        caption = f"<b>Nothing limits this flight, not even a floor.</b> {caption}"
+    return _section("Abort limits", table(head, rows, caption=caption))
 
 
 def _order(plan: Plan) -> str:
@@ -134,8 +130,7 @@ def _manoeuvre(plan: Plan, k: int, full: Mapping[str, float]) -> str:
             for time, level in zip(signal.edges, [*signal.levels, 0.0], strict=True):
                 position = _shown(axis, plan.trim.controls[axis] + level)
                 stick = percent(level / full.get(axis, np.nan), ".0f")
-                row = [_heading(axis), number(time), _shown(axis, level), position, stick]
-                rows.append(row)
+                rows.append([_heading(axis), number(time), _shown(axis, level), position, stick])
     body = "<p><b>By the autopilot.</b></p>"
     if rows:
         head = ["", "at [s]", "by", "to", "of full<br>[%]"]
@@ -164,17 +159,15 @@ def _section(title: str, body: str, kind: str = "") -> str:
 
 def _unit(name: str) -> tuple[float, str]:
     """Return the factor from SI to the displayed unit, and that unit."""
-    return DEGREES if name == "bank" else display_unit(name)
+    return display_unit("phi" if name == "bank" else name)
 
 
 def _heading(name: str) -> str:
     unit = _unit(name)[1]
-    words = text(name.replace("_", " "))
-    return f"{words}<br>[{unit}]" if unit else words
+    return text(name.replace("_", " ")) + (f"<br>[{unit}]" if unit else "")
 
 
 def _shown(name: str, value: float) -> str:
     """Return a value in the displayed unit, a dash where there is none."""
     factor, unit = _unit(name)
-    digits = ".1f" if unit else ".2f"
-    return number(factor * value, digits) if np.isfinite(value) else DASH
+    return number(factor * value, ".1f" if unit else ".2f") if np.isfinite(value) else DASH

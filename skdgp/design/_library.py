@@ -132,28 +132,40 @@ def library(
 ) -> dict[str, Inputs]:
     """Return manoeuvres by name, as large as the limits of the axes allow."""
     manoeuvres: dict[str, Inputs] = {}
-    shortest = SAMPLES_PER_PERIOD / settings.rate  # period that the autopilot can set [s]
     for axis, limit in limits.items():
-        row: Any = bands.loc[axis]
-        for factor in settings.widths:
-            width = max(factor * row["doublet"], 0.5 * shortest)
-            manoeuvres[f"{axis} doublet {width:.2f} s"] = {axis: doublet(width, limit)}
-            width = max(factor * row["three_two_one_one"], 0.5 * shortest)
-            manoeuvres[f"{axis} 3-2-1-1 {width:.2f} s"] = {axis: three_two_one_one(width, limit)}
-    groups = [[axis] for axis in limits]
+        manoeuvres |= _pulses(axis, limit, bands.loc[axis], settings)
+        manoeuvres |= _multisines({axis: limit}, bands.loc[[axis]], settings)
     if len(limits) > 1:
-        groups.append(list(limits))
-    for group in groups:
-        low = float(bands.loc[group, "lowest"].min())
-        high = min(float(bands.loc[group, "highest"].max()), 1.0 / shortest)
-        for duration in settings.multisines:
-            n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
-            tones = min(settings.most_tones, n // len(group))
-            if tones > 1:
-                chosen = {axis: limits[axis] for axis in group}
-                inputs = orthogonal_multisines(chosen, duration, (low, high), n_tones=tones)
-                manoeuvres[f"{'+'.join(group)} multisine {duration:g} s"] = {**inputs}
+        manoeuvres |= _multisines(limits, bands, settings)
     return manoeuvres
+
+
+def _pulses(axis: str, limit: float, band: Any, settings: PlanSettings) -> dict[str, Inputs]:
+    """Return doublets and 3-2-1-1s of an axis, with pulses that the autopilot can set."""
+    shortest = 0.5 * SAMPLES_PER_PERIOD / settings.rate
+    pulses: dict[str, Inputs] = {}
+    for factor in settings.widths:
+        width = max(factor * band["doublet"], shortest)
+        pulses[f"{axis} doublet {width:.2f} s"] = {axis: doublet(width, limit)}
+        width = max(factor * band["three_two_one_one"], shortest)
+        pulses[f"{axis} 3-2-1-1 {width:.2f} s"] = {axis: three_two_one_one(width, limit)}
+    return pulses
+
+
+def _multisines(
+    limits: Mapping[str, float], bands: pd.DataFrame, settings: PlanSettings
+) -> dict[str, Inputs]:
+    """Return multisines on some axes at once, up to a frequency that the autopilot can set."""
+    low = float(bands["lowest"].min())
+    high = min(float(bands["highest"].max()), settings.rate / SAMPLES_PER_PERIOD)
+    multisines: dict[str, Inputs] = {}
+    for duration in settings.multisines:
+        n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
+        tones = min(settings.most_tones, n // len(limits))
+        if tones > 1:
+            inputs = orthogonal_multisines(limits, duration, (low, high), n_tones=tones)
+            multisines[f"{'+'.join(limits)} multisine {duration:g} s"] = {**inputs}
+    return multisines
 
 
 def scaled(inputs: Mapping[str, Signal], factor: float) -> Inputs:

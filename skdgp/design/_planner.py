@@ -420,22 +420,11 @@ class _Planner:
 
     def _library(self) -> list[_Manoeuvre]:
         """Return the manoeuvres that fit into the time, each as large as the envelope allows."""
-        modes = linearize(self.model, self.aircraft, self.point, thrust=self.thrust).modes()
-        bands = input_bands(modes, self.limits, self.settings.band)
-        longest = self.seconds - self.pause - self.settings.response
-        full = {}
-        for name, inputs in library(bands, self.limits, self.settings).items():
-            if duration_of(inputs) <= longest:
-                full[name] = inputs
-        if not full:
-            raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:.3g} s is that "
-                f"short: give more seconds."
-            )
+        full = self._candidates()
         centre = self._trimmed_channels()
         scales = dict.fromkeys(full, 1.0)
         inside = []
-        causes = ""
+        cause = ""
         while scales:
             sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
             flights = self._flights(sized)
@@ -449,15 +438,33 @@ class _Planner:
                 if scales[name] < self.settings.least_scale:
                     del scales[name]
                     cause = str(room.idxmin())
-                    option = option_of(cause, self.aerodynamics)
-                    causes = f"{cause.replace(GROWTH, 'flown ')} ({option})"
         if not inside:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves even at "
-                f"{self.settings.least_scale:.0%} of the limits; the last one leaves it by {causes}: "
-                f"widen this limit, or fly another airspeed or altitude."
+                f"{self.settings.least_scale:.0%} of the limits; the last one leaves it by "
+                f"{self._named(cause)}: widen this limit, or fly another airspeed or altitude."
             )
         return inside
+
+    def _candidates(self) -> dict[str, Inputs]:
+        """Return the manoeuvres that fit into the time, as large as the limits of the axes."""
+        modes = linearize(self.model, self.aircraft, self.point, thrust=self.thrust).modes()
+        bands = input_bands(modes, self.limits, self.settings.band)
+        longest = self.seconds - self.pause - self.settings.response
+        candidates = {}
+        for name, inputs in library(bands, self.limits, self.settings).items():
+            if duration_of(inputs) <= longest:
+                candidates[name] = inputs
+        if not candidates:
+            raise ValueError(
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:.3g} s is that "
+                f"short: give more seconds."
+            )
+        return candidates
+
+    def _named(self, limit: str) -> str:
+        """Return the words and the option of a limit."""
+        return f"{limit.replace(GROWTH, 'flown ')} ({option_of(limit, self.aerodynamics)})"
 
     def _manoeuvre(
         self, name: str, inputs: Inputs, scale: float, flight: pd.DataFrame
@@ -506,9 +513,8 @@ class _Planner:
             if centre[name] < low or centre[name] > high:
                 raise ValueError(
                     f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and "
-                    f"{self.point.altitude:.0f} m leaves by {name.replace(GROWTH, 'flown ')} "
-                    f"({option_of(name, self.aerodynamics)}): widen this limit, or choose another "
-                    f"airspeed or altitude."
+                    f"{self.point.altitude:.0f} m leaves by {self._named(name)}: widen this limit, or "
+                    f"choose another airspeed or altitude."
                 )
         return centre.to_numpy()
 

@@ -497,12 +497,26 @@ class PortableModel:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name, as :func:`skdgp.export.save_portable` writes them."""
         values = vars(self)
-        d = len(self.regressors)
         arrays: dict[str, Any] = {name: values[name] for name in NUMBERS_OF_MODEL}
         arrays["trend_weights"] = np.array([part.trend_weights for part in self.parts])
         arrays["prior_variance"] = np.array([part.prior_variance for part in self.parts])
         readouts = self.readouts
         arrays["readout_of"] = np.array([readouts.index(part.readout) for part in self.parts])
+        arrays |= self._term_arrays()
+        for j, part in enumerate(self.parts):
+            arrays[f"trend_prior_{j}"] = part.trend_prior
+            arrays[f"trend_root_{j}"] = part.trend_root
+        for k, readout in enumerate(readouts):
+            arrays[f"weights_{k}"] = readout.weights
+            arrays[f"root_{k}"] = packed(readout.root)
+        if self.reference is not None:
+            for name, array in vars(self.reference).items():
+                arrays[REFERENCE + name] = array
+        return arrays
+
+    def _term_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of all terms, one after another."""
+        d = len(self.regressors)
         places = []
         gains = []
         roots = []
@@ -515,48 +529,16 @@ class PortableModel:
                 gains.append(term.gain)
                 roots.append(np.pad(term.root, wide))
                 centres.append(np.pad(term.centres, wide))
-            arrays[f"trend_prior_{j}"] = part.trend_prior
-            arrays[f"trend_root_{j}"] = part.trend_root
-        arrays["term_place"] = np.array(places, dtype=np.int64).reshape(-1, 3)
-        arrays["term_gain"] = np.array(gains)
-        arrays["term_root"] = np.array(roots).reshape(-1, d, d)
-        arrays["centres"] = np.concatenate(centres)
-        for k, readout in enumerate(readouts):
-            arrays[f"weights_{k}"] = readout.weights
-            arrays[f"root_{k}"] = packed(readout.root)
-        if self.reference is not None:
-            for name, array in vars(self.reference).items():
-                arrays[REFERENCE + name] = array
-        return arrays
+        return {
+            "term_place": np.array(places, dtype=np.int64).reshape(-1, 3),
+            "term_gain": np.array(gains),
+            "term_root": np.array(roots).reshape(-1, d, d),
+            "centres": np.concatenate(centres),
+        }
 
     @classmethod
     def from_arrays(cls, head: dict[str, Any], arrays: dict[str, np.ndarray]) -> PortableModel:
         """Return the model of a head and arrays."""
-        readout_of = arrays["readout_of"]
-        readouts = []
-        for k in range(int(readout_of.max()) + 1):
-            weights = arrays[f"weights_{k}"]
-            readouts.append(Readout(weights, unpacked(arrays[f"root_{k}"], len(weights))))
-        terms: list[list[Term]] = [[] for _ in readout_of]
-        begin = 0
-        for t, (j, first, k) in enumerate(arrays["term_place"].tolist()):
-            root = arrays["term_root"][t]
-            used = root.any(axis=0)
-            centres = arrays["centres"][begin : begin + k, used]
-            begin += k
-            terms[j].append(Term(first, float(arrays["term_gain"][t]), root[:, used], centres))
-        parts = []
-        for j, own in enumerate(terms):
-            parts.append(
-                Part(
-                    terms=tuple(own),
-                    readout=readouts[readout_of[j]],
-                    trend_weights=arrays["trend_weights"][j],
-                    trend_prior=arrays[f"trend_prior_{j}"],
-                    trend_root=arrays[f"trend_root_{j}"],
-                    prior_variance=float(arrays["prior_variance"][j]),
-                )
-            )
         reference = None
         if REFERENCE + "mean" in arrays:
             names = ("regressors", "mean", "std")
@@ -569,7 +551,7 @@ class PortableModel:
             regressors=tuple(regressors),
             outputs=tuple(head["outputs"]),
             aircraft=Aircraft.from_dict(head["aircraft"]),
-            parts=tuple(parts),
+            parts=_parts_of(arrays),
             provenance=head["provenance"],
             reference=reference,
             **{name: arrays[name] for name in NUMBERS_OF_MODEL},
@@ -602,6 +584,36 @@ NUMBERS_OF_MODEL = (
 )
 # Prefix of the arrays of a `Reference`
 REFERENCE = "reference_"
+
+
+def _parts_of(arrays: dict[str, np.ndarray]) -> tuple[Part, ...]:
+    """Return the parts of a model from its arrays."""
+    readout_of = arrays["readout_of"]
+    readouts = []
+    for k in range(int(readout_of.max()) + 1):
+        weights = arrays[f"weights_{k}"]
+        readouts.append(Readout(weights, unpacked(arrays[f"root_{k}"], len(weights))))
+    terms: list[list[Term]] = [[] for _ in readout_of]
+    begin = 0
+    for t, (j, first, k) in enumerate(arrays["term_place"].tolist()):
+        root = arrays["term_root"][t]
+        used = root.any(axis=0)
+        centres = arrays["centres"][begin : begin + k, used]
+        begin += k
+        terms[j].append(Term(first, float(arrays["term_gain"][t]), root[:, used], centres))
+    parts = []
+    for j, own in enumerate(terms):
+        parts.append(
+            Part(
+                terms=tuple(own),
+                readout=readouts[readout_of[j]],
+                trend_weights=arrays["trend_weights"][j],
+                trend_prior=arrays[f"trend_prior_{j}"],
+                trend_root=arrays[f"trend_root_{j}"],
+                prior_variance=float(arrays["prior_variance"][j]),
+            )
+        )
+    return tuple(parts)
 
 
 def _weighted_sum(weights: list[float], values: list[Any]) -> Any:

@@ -16,25 +16,12 @@ from skdgp.design import (
     wavetrain,
     write_flight_card,
 )
-from skdgp.dynamics import Aerodynamics, Aircraft, trim
-
-NAMES = ("alpha", "q_hat", "elevator", "rudder")
+from skdgp.dynamics import Aircraft, trim
 
 
 @pytest.fixture(scope="module")
-def plan():
+def plan(uav, textbook):
     """Return a plan of two kinds of manoeuvres, one of them flown twice, whose numbers are all known."""
-    aircraft = Aircraft(
-        mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55, name="<uav>"
-    )
-
-    def linear(X):
-        alpha, q, elevator, rudder = X.T
-        lift = 0.3 + 4.5 * alpha
-        moment = 0.02 - 0.6 * alpha - 9 * q - elevator
-        return np.stack([-0.02 * lift, 0 * q, -lift, 0 * q, moment, -0.06 * rudder], axis=-1)
-
-    model = Aerodynamics(linear, NAMES)
     pulse = {"elevator": doublet(0.5, np.deg2rad(4.0))}
     sines = dict(orthogonal_multisines({"elevator": 0.05, "rudder": 0.05}, 5.0, (0.4, 2.0)))
     rows = pd.DataFrame({
@@ -45,17 +32,17 @@ def plan():
     wave = np.deg2rad(6.0) * np.sin(time)
     one = pd.DataFrame({"time": time, "alpha": wave, "beta": 0.0, "phi": wave, "airspeed": 20.0})
     one = one.assign(altitude=100.0, az=-9.80665)
-    bounds = Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(model)
+    bounds = Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(textbook)
     limits = pd.DataFrame(bounds, index=["low", "high"]).T
     limits.loc["growth of alpha"] = [-0.05, 0.3]
     return Plan(
         train=wavetrain([pulse, sines, pulse], pause=2.0),
-        trim=trim(model, aircraft, 20.0, altitude=100.0),
+        trim=trim(textbook, uav, 20.0, altitude=100.0),
         manoeuvres=rows,
         flight=pd.concat([one.assign(flight=k) for k in range(3)]),
         errors=pd.DataFrame({"before": [0.5, 0.4], "promised": [0.1, 0.2]}, ["Cm_alpha", "Cm_q"]),
         limits=limits,
-        aircraft=aircraft,
+        aircraft=Aircraft.from_dict(uav.to_dict() | {"name": "<uav>"}),
         margin=0.3,
         servo_lag=0.047,
     )
@@ -103,8 +90,8 @@ def test_the_crew_reads_limits_order_and_steps(plan, written):
     assert all(name in words for name in ("Date", "Pilot", "MANUAL (ArduPilot) or Manual (PX4)"))
 
 
-def test_a_flight_without_limits_says_so(plan, written):
-    bounds = Envelope(growth=np.inf).bounds(Aerodynamics(lambda X: 0 * X, NAMES))
+def test_a_flight_without_limits_says_so(plan, written, textbook):
+    bounds = Envelope(growth=np.inf).bounds(textbook)
     free = pd.DataFrame(bounds, ["low", "high"]).T
     warning = "Nothing limits this flight, not even a floor"
     assert warning in words_of(written(replace(plan, limits=free)))

@@ -107,9 +107,9 @@ def main(arguments=None):
         if number < options.rounds:
             planned = plan(
                 model, aircraft, trim(model, aircraft, SPEED, altitude=ALTITUDE), seconds=options.seconds,
-                axes=list(AXES), goal=GOAL, limits=AXES, envelope=ENVELOPE, random_state=number,
+                axes=list(AXES), goal=GOAL, limits=AXES, envelope=ENVELOPE,
             )  # fmt: skip
-            print(planned.manoeuvres[["start", "name", "scale", "risk"]].round(2))
+            print(planned.manoeuvres[["start", "name", "scale"]].round(2))
             trains.append(planned.train)
             flights.append(fly(truth, aircraft, trains[-1], options.seconds, number + 1))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self, TypeAlias
 
@@ -10,28 +10,33 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.fft import irfft
-from scipy.optimize import minimize, newton
+from scipy.optimize import newton
 
-from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.checks import check_names, check_number
 
-EDGE = 1e-5  # a sample this little before a step counts as after it [s]: clocks are rounded
-ROUNDING = 1e-9  # relative excess over a limit that is rounding
-MOST_PERIODS = 5000  # periods of a multisine: 100 s at 50 Hz
-POWERS = (4, 8, 16, 32, 64, 128, 256)  # norms that approach the peak in the search for phases
-SEARCH_SAMPLES = 32  # samples per period of the highest harmonic in the search for phases
-PEAK_SAMPLES = 200  # samples per period of the highest harmonic for a peak
-MOST_STEPS = 200  # steps of the search for phases at each norm
-LEAST_COVERAGE = (
-    0.7  # fraction of a band that evenly spaced harmonics cover, or else they are uneven
-)
-SAMPLES_PER_PERIOD = (
-    10  # in the shortest period: held for one, a signal is late by a twentieth of it
-)
+# A sample this little before a step counts as after it [s]: clocks are rounded
+EDGE = 1e-5
+# Relative excess over a limit that is rounding
+ROUNDING = 1e-9
+# Periods of a multisine: 100 s at 50 Hz
+MOST_PERIODS = 5000
+# Samples per period of the highest harmonic for a peak
+PEAK_SAMPLES = 200
+# Fraction of a band that evenly spaced harmonics cover, or else they are uneven
+LEAST_COVERAGE = 0.7
+# In the shortest period: held for one, a signal is late by a twentieth of it
+SAMPLES_PER_PERIOD = 10
 AXES = (
-    "elevator", "aileron", "rudder", "throttle", "elevon_left", "elevon_right", "propeller_speed", "thrust",
-)  # fmt: skip
+    "elevator",
+    "aileron",
+    "rudder",
+    "throttle",
+    "elevon_left",
+    "elevon_right",
+    "propeller_speed",
+    "thrust",
+)
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,8 @@ class Steps:
     levels: Sequence[float]
 
     def __post_init__(self) -> None:
-        freeze(self, float, "durations", "levels")
+        object.__setattr__(self, "durations", tuple(map(float, self.durations)))
+        object.__setattr__(self, "levels", tuple(map(float, self.levels)))
         numbers = np.array([*self.durations, *self.levels])
         is_complete = 0 < len(self.levels) == len(self.durations)
         if not (is_complete and np.isfinite(numbers).all() and min(self.durations) > 0):
@@ -122,12 +128,6 @@ def three_two_one_one(width: float, amplitude: float) -> Steps:
     return Steps([3 * width, 2 * width, width, width], levels)
 
 
-def freeze(signal: object, kind: Callable, *names: str) -> None:
-    """Make the sequences of a frozen signal tuples, so that it compares and pickles by value."""
-    for name in names:
-        object.__setattr__(signal, name, tuple(map(kind, getattr(signal, name))))
-
-
 @dataclass(frozen=True)
 class Multisine:
     r"""Sum of sines whose frequencies are harmonics of one period: :math:`\sum_k a_k \sin(2\pi h_k t / T + \phi_k)`.
@@ -144,9 +144,8 @@ class Multisine:
     --------
     >>> from skdgp.design import multisine
     >>> signal = multisine(10.0, range(2, 12), rms=0.03)
-    >>> best = signal.optimized()
-    >>> print(f"{signal.relative_peak_factor:.1f} {best.relative_peak_factor:.1f}, from {abs(best(0.0)):.3f}")
-    1.3 1.1, from 0.000
+    >>> print(f"{signal.relative_peak_factor:.1f}")
+    1.3
     """
 
     duration: float
@@ -171,8 +170,9 @@ class Multisine:
                 f"{self.phases} of {n} distinct harmonics, but expected a duration > 0 and a finite "
                 f"amplitude and phase for each."
             )
-        freeze(self, int, "harmonics")
-        freeze(self, float, "amplitudes", "phases")
+        object.__setattr__(self, "harmonics", tuple(map(int, self.harmonics)))
+        object.__setattr__(self, "amplitudes", tuple(map(float, self.amplitudes)))
+        object.__setattr__(self, "phases", tuple(map(float, self.phases)))
 
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration
@@ -187,10 +187,11 @@ class Multisine:
     @property
     def peak(self) -> float:
         """Bound of the deviation, to either side."""
-        # the largest sample, and how far a curve can rise between two, step^2 / 8 |s''|
-        signal = _sampled(self.harmonics, self.amplitudes, self.phases, PEAK_SAMPLES)
+        # The largest sample, and how far a curve can rise between two, step^2 / 8 |s''|
+        signal = self._sampled()
         step = 2.0 * np.pi * np.array(self.harmonics) / len(signal)
-        return float(np.abs(signal).max() + step**2 @ np.abs(self.amplitudes) / 8.0)
+        rise = step**2 @ np.abs(self.amplitudes) / 8.0
+        return float(np.abs(signal).max() + rise)
 
     @property
     def period(self) -> float:
@@ -200,44 +201,45 @@ class Multisine:
     @property
     def relative_peak_factor(self) -> float:
         r""":math:`(\max s - \min s) / (2\sqrt 2\,\mathrm{rms})`, which is 1 for a single sine."""
-        signal = _sampled(self.harmonics, self.amplitudes, self.phases, PEAK_SAMPLES)
-        return float(np.ptp(signal) / (2.0 * np.linalg.norm(self.amplitudes)))
+        return float(np.ptp(self._sampled()) / (2.0 * np.linalg.norm(self.amplitudes)))
 
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor."""
         return replace(self, amplitudes=[factor * amplitude for amplitude in self.amplitudes])
 
-    def optimized(self) -> Multisine:
-        r"""Return it with phases of a low relative peak factor, beginning and ending at zero.
-
-        The range of the signal is the limit of :math:`\|s_+\|_p + \|s_-\|_p`, which is smooth; p
-        grows step by step, from Schroeder's phases (Guillaume, Schoukens, Pintelon & Kollar, IEEE
-        Trans. Instrum. Meas. 40, 1991). Then time is shifted to a zero.
-        """
-        power = np.square(self.amplitudes)
-        with one_blas_thread():
-            phases = _flattest(self.harmonics, np.sqrt(power / power.sum()), _schroeder(power))
-        turn = 2.0 * np.pi * np.array(self.harmonics)
-
-        # to the zero crossing of least slope
-        signal = _sampled(self.harmonics, self.amplitudes, phases, PEAK_SAMPLES)
+    def from_zero(self) -> Self:
+        """Return it shifted in time to its zero of least slope, so that it begins and ends at zero."""
+        signal = self._sampled()
         following = np.roll(signal, -1)
         is_crossing = (signal > 0) != (following > 0)
-        k = int(np.argmin(np.where(is_crossing, np.abs(following - signal), np.inf)))
-        shift = newton(
-            lambda shift: np.sin(turn * shift + phases) @ self.amplitudes,
-            k / len(signal),
-            lambda shift: (turn * np.cos(turn * shift + phases)) @ self.amplitudes,
-        )
-        return replace(self, phases=np.mod(phases + turn * shift, 2.0 * np.pi).tolist())
+        rise = np.where(is_crossing, np.abs(following - signal), np.inf)
+        nearest = int(np.argmin(rise)) / len(signal)
+        turn = 2.0 * np.pi * np.array(self.harmonics)
+
+        def value(shift: float) -> float:
+            return float(np.sin(turn * shift + self.phases) @ self.amplitudes)
+
+        def slope(shift: float) -> float:
+            return float((turn * np.cos(turn * shift + self.phases)) @ self.amplitudes)
+
+        shift = newton(value, nearest, slope)
+        phases = np.mod(self.phases + turn * shift, 2.0 * np.pi)
+        return replace(self, phases=phases.tolist())
+
+    def _sampled(self) -> Vector:
+        """Return it over one period."""
+        n = PEAK_SAMPLES * max(self.harmonics)
+        spectrum = np.zeros(n // 2 + 1, dtype=complex)
+        waves = np.asarray(self.amplitudes) * np.exp(1j * np.asarray(self.phases))
+        spectrum[list(self.harmonics)] = -0.5j * n * waves
+        return irfft(spectrum, n)
 
 
 def multisine(duration: float, harmonics: Sequence[int], *, rms: float) -> Multisine:
     r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
-    With the fractions :math:`p_l` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l` (IEEE
-    Trans. Inf. Theory 16, 1970). `Multisine.optimized` finds better ones. Raises ValueError as of
-    `Multisine`, or if the rms is not > 0.
+    With the fractions :math:`p_l = 1/n` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l`
+    (IEEE Trans. Inf. Theory 16, 1970). Raises ValueError as of `Multisine`, or if the rms is not > 0.
 
     Parameters
     ----------
@@ -258,10 +260,12 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float) -> Multi
     >>> round(multisine(10.0, [2, 3, 5], rms=0.02).rms, 6)
     0.02
     """
-    amplitude = check_number("rms", rms) * float(np.sqrt(2.0 / len(harmonics)))
-    amplitudes = [amplitude] * len(harmonics)
-    phases = _schroeder(np.ones(len(harmonics))).tolist()
-    return Multisine(duration, harmonics, amplitudes, phases)
+    n = len(harmonics)
+    amplitude = check_number("rms", rms) * float(np.sqrt(2.0 / n))
+    fractions = np.ones(n) / n
+    order = [np.arange(k, 0, -1) @ fractions[:k] for k in range(n)]
+    phases = -2.0 * np.pi * np.array(order)
+    return Multisine(duration, harmonics, [amplitude] * n, phases.tolist())
 
 
 def orthogonal_multisines(
@@ -271,14 +275,13 @@ def orthogonal_multisines(
     *,
     n_tones: int | None = None,
 ) -> dict[str, Multisine]:
-    """Return multisines for several axes at once: orthogonal, as large as the limits allow, with low peaks.
+    """Return multisines for several axes at once: orthogonal, and as large as the limits allow.
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band
     (Morelli, AIAA 2003-5700); the harmonics of an axis are evenly spaced where this covers most of
-    the
-    band, since peaks are then lower. Phases are as of `Multisine.optimized`: each input begins
-    and ends at zero. Raises ValueError if the band is none, has fewer harmonics than tones, or
-    there is no axis.
+    the band, since peaks are then lower. Phases are as of `multisine`, and each input begins and
+    ends at zero. Raises ValueError if the band is none, has fewer harmonics than tones, or there is
+    no axis.
 
     Parameters
     ----------
@@ -298,7 +301,8 @@ def orthogonal_multisines(
     Examples
     --------
     >>> from skdgp.design import orthogonal_multisines
-    >>> inputs = orthogonal_multisines({"aileron": 0.1, "rudder": 0.2}, 20.0, (0.2, 1.5), n_tones=6)
+    >>> limits = {"aileron": 0.1, "rudder": 0.2}
+    >>> inputs = orthogonal_multisines(limits, 20.0, (0.2, 1.5), n_tones=6)
     >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
     ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
     """
@@ -310,19 +314,19 @@ def orthogonal_multisines(
         )
     first = int(np.ceil(low * duration - ROUNDING))
     available = np.arange(first, int(np.floor(high * duration + ROUNDING)) + 1)
-    n_each = len(available) // len(limits) if n_tones is None else n_tones
-    if n_each < 1 or n_each * len(limits) > len(available):
+    n_axes = len(limits)
+    n_each = len(available) // n_axes if n_tones is None else n_tones
+    if n_each < 1 or n_each * n_axes > len(available):
         raise ValueError(
-            f"Got {len(limits)} axes with {n_tones or 'at least 1'} tones each, but there are "
+            f"Got {n_axes} axes with {n_tones or 'at least 1'} tones each, but there are "
             f"{len(available)} harmonics of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: "
             f"fly longer, widen the band or use fewer tones."
         )
     inputs = {}
-    for axis, harmonics in zip(limits, _dealt(available, len(limits), n_each), strict=True):
-        signal = multisine(duration, harmonics.tolist(), rms=1.0).optimized()
-        inputs[axis] = signal.scaled(
-            check_number(f"limit of the {axis}", limits[axis]) / signal.peak
-        )
+    for axis, harmonics in zip(limits, _dealt(available, n_axes, n_each), strict=True):
+        limit = check_number(f"limit of the {axis}", limits[axis])
+        signal = multisine(duration, harmonics.tolist(), rms=1.0).from_zero()
+        inputs[axis] = signal.scaled(limit / signal.peak)
     return inputs
 
 
@@ -332,44 +336,18 @@ def _dealt(harmonics: np.ndarray, m: int, n: int) -> list[np.ndarray]:
     With a spacing d for each axis, the axes begin d // m apart.
     """
     last = len(harmonics) - 1
-    reach = {d: d * (n - 1) + d // m * (m - 1) for d in range(m, last + 2)}
-    d = max(d for d in reach if reach[d] <= last)
-    if reach[d] >= LEAST_COVERAGE * last:
-        return [harmonics[k * (d // m) :: d][:n] for k in range(m)]
+    widest = m
+    covered = 0
+    for spacing in range(m, last + 2):
+        reach = spacing * (n - 1) + spacing // m * (m - 1)
+        if reach <= last:
+            widest = spacing
+            covered = reach
+    if covered >= LEAST_COVERAGE * last:
+        offset = widest // m
+        return [harmonics[k * offset :: widest][:n] for k in range(m)]
     spread = harmonics[np.linspace(0, last, n * m).round().astype(int)]
     return [spread[k::m] for k in range(m)]
-
-
-def _sampled(
-    harmonics: Sequence[int], amplitudes: ArrayLike, phases: ArrayLike, samples: int
-) -> Vector:
-    """Return a multisine over its period, at ``samples`` per period of the highest harmonic."""
-    n = samples * max(harmonics)
-    spectrum = np.zeros(n // 2 + 1, dtype=complex)
-    spectrum[list(harmonics)] = -0.5j * n * np.asarray(amplitudes) * np.exp(1j * np.asarray(phases))
-    return irfft(spectrum, n)
-
-
-def _schroeder(power: Vector) -> Vector:
-    """Return Schroeder's phases."""
-    fractions = power / power.sum()
-    order = [np.arange(k, 0, -1) @ fractions[:k] for k in range(len(fractions))]
-    return -2.0 * np.pi * np.array(order)
-
-
-def _flattest(harmonics: Sequence[int], weights: Vector, phases: Vector) -> Vector:
-    """Return the phases of a local minimum of the range of a multisine with amplitudes ``weights``."""
-
-    def size(phases: Vector, p: int) -> float:
-        """Return the sum of the p-norms of the positive and the negative part."""
-        signal = _sampled(harmonics, weights, phases, SEARCH_SAMPLES)
-        parts = np.maximum([signal, -signal], 0.0)
-        peaks = parts.max(axis=1)
-        return float(peaks @ np.mean((parts / peaks[:, None]) ** p, axis=1) ** (1.0 / p))
-
-    for p in POWERS:
-        phases = minimize(size, phases, (p,), "L-BFGS-B", options={"maxiter": MOST_STEPS}).x
-    return phases
 
 
 Signal: TypeAlias = Steps | Multisine
@@ -425,8 +403,10 @@ class Wavetrain:
     def __call__(self, axis: str, time: ArrayLike) -> Array:
         """Return the deviation of an axis from trim at times [s]; zero of an axis without inputs."""
         time = np.asarray(time, dtype=float)
-        signals = self.inputs.get(axis, {}).items()
-        return sum((signal(time - start) for start, signal in signals), np.zeros(time.shape))
+        total = np.zeros(time.shape)
+        for start, signal in self.inputs.get(axis, {}).items():
+            total += signal(time - start)
+        return total
 
     @property
     def duration(self) -> float:
@@ -465,12 +445,12 @@ class Wavetrain:
                 f"from 0 on."
             )
         for axis, _, signal in self.events():
-            if not rate * signal.period >= SAMPLES_PER_PERIOD * (1.0 - ROUNDING):
+            lowest = SAMPLES_PER_PERIOD / signal.period
+            if not rate >= lowest * (1.0 - ROUNDING):
                 raise ValueError(
                     f"Got a rate of {rate:g} Hz, but an input of the {axis} has periods of "
-                    f"{signal.period:.3g} s: "
-                    f"expected at least {SAMPLES_PER_PERIOD / signal.period:.3g} Hz, or a lower "
-                    f"band or longer pulses."
+                    f"{signal.period:.3g} s: expected at least {lowest:.3g} Hz, or a lower band or "
+                    f"longer pulses."
                 )
         length = self.duration + pause
         time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate

@@ -15,12 +15,11 @@ from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
 from threadpoolctl import threadpool_limits
 
-from skdgp import DependentGPRegressor, datasets
-from skdgp._cli import _learn
+from skdgp import DependentGPRegressor, datasets, design
+from skdgp._cli import _learn, _use
 from skdgp._compute.findings import Code, Finding
 from skdgp._regressor import RegressorSettings
 from skdgp.datasets import _example_flights
-from skdgp.design import _manoeuvres
 from skdgp.identification import _identification
 from skdgp.inference import SearchSettings, _optimizer
 from skdgp.report import FlightMechanics
@@ -230,9 +229,11 @@ def slope_std():
 
 @pytest.fixture
 def few_manoeuvres(monkeypatch):
-    """Let plans choose from few candidates."""
-    monkeypatch.setattr(_manoeuvres, "WIDTHS", (1.0,))
-    monkeypatch.setattr(_manoeuvres, "MULTISINES", ())
+    """Let plans of pages and of the command line choose from few candidates."""
+    few = design.PlanSettings(widths=(1.0,), multisines=())
+    plan = partial(design.plan, settings=few)
+    monkeypatch.setattr(design, "plan", plan)
+    monkeypatch.setattr(_use, "plan_flight", plan)
 
 
 @pytest.fixture

@@ -156,7 +156,6 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
         "help": "of the trims [m/s]",
     },
     "--paths": {"metavar": "N", "type": n_paths},
-    "--gusts": {"choices": ["auto", "none"], "default": "auto"},
     "--thrust": {
         "choices": ["auto", "none"],
         "help": "what gives the thrust; none: a glider, or an unknown thrust that becomes part of "

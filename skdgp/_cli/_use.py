@@ -212,20 +212,18 @@ RATE = 50.0  # of the rows of tables, and of the script [Hz]
 def plan(run: Run) -> None:
     """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
 
-    Doublets, 3-2-1-1s and multisines are simulated from a trim of the model. Each that is chosen is
-    flown by aircraft drawn from its posterior, in gusts as in its training flights, and is
-    made smaller or left out if it leaves the limits too often. These are the range of the training
-    flights, with --growth, unless given. The controls are open loop during a
-    manoeuvre; return to the trim in the pause after it. Ctrl-C ends the search with the best
-    manoeuvre checked so far, if any.
+    Doublets, 3-2-1-1s and multisines are simulated from a trim of the model in calm air. Each is made
+    smaller or left out if its response, with --margin, leaves the limits. These are the range of the
+    training flights, with --growth, unless given. The controls are open loop during a manoeuvre;
+    return to the trim in the pause after it.
 
     Writes into DIR, all or none, and removes a script there that an earlier plan wrote:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
       card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, promised errors
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
-      plan.json      trim, manoeuvres, risks, standard deviations before and promised; validate --plan compares them
-                     with a model learned from this flight too
+      plan.json      trim, manoeuvres, standard deviations before and promised; validate --plan compares them with a
+                     model learned from this flight too
 
     For example:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
@@ -245,10 +243,7 @@ def plan(run: Run) -> None:
     envelope = Envelope(
         **ranges,
         growth=float(options.growth),
-        risk=options.risk,
         margin=options.margin,
-        n_paths=options.paths,
-        gusts=opt.none_of(options.gusts),
     )
     console.stage("reading")
     model, thrust = read_model_to_fly(options)
@@ -272,7 +267,6 @@ def plan(run: Run) -> None:
             limits=dict(options.limits),
             envelope=envelope,
             thrust=thrust,
-            random_state=options.seed,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     writers: dict[str, Writer] = {"plan.csv": csv_writer(planned.train.table(RATE))}
@@ -289,9 +283,9 @@ def plan(run: Run) -> None:
 
 def _text(planned: Plan, options, files: list) -> str:
     """Return manoeuvres and standard deviations as tables."""
-    columns = ["start", "name", "scale", "risk"]
+    columns = ["start", "name", "scale"]
     lines = [_table(planned.manoeuvres[columns]), "", _table(planned.errors), ""]
-    if planned.abort_limits.empty:
+    if np.isinf(planned.abort_limits).all(axis=None):
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not options.full:
         lines.append("no script for ArduPilot: --full gives the full deflections that it needs")
@@ -391,7 +385,6 @@ COMMANDS: opt.Commands = {
             "model": opt.SHARED["model"],
             "--aircraft": opt.SHARED["--aircraft"],
             "--airspeed": opt.SHARED["--airspeed"] | {"nargs": None, "help": "of the trim [m/s]"},
-            "--seed": opt.SHARED["--seed"],
             "--output": opt.SHARED["--output"] | {"required": True},
             "--seconds": {
                 "metavar": "S",
@@ -433,25 +426,11 @@ COMMANDS: opt.Commands = {
                     "limit (default: 0.2)"
                 ),
             },
-            "--risk": {
-                "metavar": "P",
-                "type": opt.number("a number between 0 and 1", lambda value: 0 < value < 1),
-                "default": 0.05,
-                "help": "largest probability that a manoeuvre leaves the limits (default: 0.05)",
-            },
             "--margin": {
                 "metavar": "X",
                 "type": opt.number("a number, 0 or more", lambda value: value >= 0),
-                "default": 0.15,
-                "help": "fraction by which responses may exceed the model's (default: 0.15)",
-            },
-            "--gusts": opt.SHARED["--gusts"]
-            | {"help": "of the check: as in the training flights, or none (default: auto)"},
-            "--paths": opt.SHARED["--paths"]
-            | {
-                "type": opt.at_least(2),
-                "default": 200,
-                "help": "aircraft drawn for each check (default: 200)",
+                "default": 0.3,
+                "help": "fraction by which responses may exceed the model's (default: 0.3)",
             },
             "--alpha": {
                 "metavar": ("LOW", "HIGH"),

@@ -10,15 +10,19 @@ from skdgp._excitation import (
     three_two_one_one,
     wavetrain,
 )
-from skdgp.design._manoeuvres import Envelope
-from skdgp.design._planner import Plan, PlanCheck, plan
-from skdgp.design._write import ardupilot_script, surface_mixes, write_flight_card
+from skdgp.design._card import write_flight_card
+from skdgp.design._check import PlanCheck
+from skdgp.design._envelope import Envelope
+from skdgp.design._library import PlanSettings
+from skdgp.design._planner import Plan, plan
+from skdgp.design._script import ardupilot_script, surface_mixes
 
 __all__ = [
     "Envelope",
     "Multisine",
     "Plan",
     "PlanCheck",
+    "PlanSettings",
     "Steps",
     "Wavetrain",
     "ardupilot_script",

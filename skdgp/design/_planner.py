@@ -1,47 +1,44 @@
-"""The next flight: manoeuvres that teach most about a goal inside an envelope, their promises and risks, their file."""
+"""The next flight: manoeuvres that teach most about a goal inside an envelope, and their promises."""
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
-from sklearn.utils import check_random_state
 
 from skdgp._compute.files import plain
 from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Matrix, Seed
-from skdgp._display.page import number, percent, table, text
-from skdgp._excitation import Signal, Wavetrain, wavetrain
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._excitation import Signal, Steps, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp.design._manoeuvres import (
+from skdgp.design._check import std_at
+from skdgp.design._choice import Choice, information
+from skdgp.design._envelope import (
     GROWTH,
-    LEAST,
     OPTIONS,
     QUANTITIES,
-    RESPONSE,
-    ROW_STEP,
+    UNLIMITED,
     WHOLE_RANGE,
-    Checked,
     Envelope,
+    option_of,
+    quantities,
+    regressors_of,
+)
+from skdgp.design._library import (
+    SETTINGS,
     Inputs,
-    Rehearsal,
+    PlanSettings,
     duration_of,
     input_bands,
     library,
-    quantities,
-    regressors_of,
     scaled,
-    with_band,
 )
 from skdgp.dynamics import (
     Aerodynamics,
@@ -50,10 +47,20 @@ from skdgp.dynamics import (
     Trim,
     as_aerodynamics,
     linearize,
-    stability_derivatives,
+    simulate,
 )
 
+# Deflection that no surface has [rad]
+MOST_DEFLECTION = np.pi / 2
+# Axes that are no deflections
+UNBOUNDED = ("thrust", "propeller_speed")
+# Duration of a plan [s]
+MOST_SECONDS = 1800.0
+# Facts of the trim in plan.json
 TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
+# Information of a manoeuvre below which motion is rounding
+UNMOVED = 1e-6
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +75,10 @@ class Plan:
         Where the flight begins, and to which the aircraft is returned before each manoeuvre.
     manoeuvres : DataFrame
         In the order of flight: ``start`` [s], ``name``, ``duration`` [s], ``pause`` [s] after it,
-        ``scale`` (relative to the limits), ``risk`` (predicted probability of leaving the envelope;
-        NaN without posterior).
+        ``scale`` (relative to the limits).
     flight : DataFrame
-        Expected: the mean of the model, from its trim for each manoeuvre; ``flight`` numbers them.
-        Of a model with a posterior also the band of 95 % of the aircraft drawn: ``alpha_low``,
-        ``alpha_high`` and so on.
+        Expected: the mean of the model in calm air, from its trim for each manoeuvre; ``flight``
+        numbers them.
     errors : DataFrame
         Standard deviations of the derivatives of the goal at the trim, as of
         :func:`skdgp.dynamics.stability_derivatives`: ``before`` the flight, and ``promised`` of a
@@ -82,9 +87,8 @@ class Plan:
     limits : DataFrame
         ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
-    gusts : tuple of float, optional
-        Standard deviations [m/s] of the gusts u, v, w of the predicted risks; None: in calm
-        air.
+    margin : float
+        Of the responses to the limits: see `Envelope`.
     servo_lag : float, default=0.0
         Of the surfaces behind the inputs, which are commands [s].
     """
@@ -96,13 +100,8 @@ class Plan:
     errors: pd.DataFrame
     limits: pd.DataFrame
     aircraft: Aircraft
-    gusts: tuple[float, ...] | None = None
+    margin: float
     servo_lag: float = 0.0
-
-    @property
-    def risk(self) -> float:
-        """Predicted probability that any manoeuvre leaves the envelope, if they are independent."""
-        return float(1.0 - np.prod(1.0 - self.manoeuvres["risk"]))
 
     @property
     def seconds(self) -> float:
@@ -124,202 +123,31 @@ class Plan:
     @property
     def expected(self) -> pd.DataFrame:
         """The ``low`` and ``high`` ends that the quantities are expected to reach."""
-        means = quantities(self.flight)
-        ends = {
-            end: pd.DataFrame(
-                {name: self.flight.get(f"{name}_{end}", means[name]) for name in means}
-            )
-            for end in ("low", "high")
-        }
-        return pd.DataFrame({"low": ends["low"].min(), "high": ends["high"].max()})
+        values = quantities(self.flight)
+        return pd.DataFrame({"low": values.min(), "high": values.max()})
 
     @property
     def abort_limits(self) -> pd.DataFrame:
-        """``low``, ``high`` and ``source`` of the quantities that have a limit, the narrower of asked and flown."""
-        sources = {"asked": "", "flown": GROWTH}
-        tables = {
-            word: self.limits.reindex([start + name for name in QUANTITIES]).set_axis(QUANTITIES)
-            for word, start in sources.items()
-        }
-        low = pd.concat([table["low"] for table in tables.values()], axis=1).max(axis=1)
-        high = pd.concat([table["high"] for table in tables.values()], axis=1).min(axis=1)
+        """The ``low`` and ``high`` ends of the quantities, the narrower of asked and flown."""
+        asked = self.limits.reindex(QUANTITIES)
+        flown = self.limits.reindex([GROWTH + name for name in QUANTITIES]).set_axis(QUANTITIES)
+        low = np.fmax(asked["low"], flown["low"])
+        high = np.fmin(asked["high"], flown["high"])
         low["airspeed"] = low["airspeed"] if low["airspeed"] > 0 else -np.inf
-        limits = pd.DataFrame({"low": low, "high": high})
-        finite = limits.where(np.isfinite(limits))
-        is_of = {word: finite.eq(table).any(axis=1) for word, table in tables.items()}
-        limits["source"] = [
-            ", ".join(word for word in sources if is_of[word][name]) for name in QUANTITIES
-        ]
-        return limits[limits["source"] != ""]
+        return pd.DataFrame({"low": low, "high": high})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, SI units and radians."""
+        point = vars(self.trim)
+        trim = {name: plain(point[name]) for name in TRIM}
         return {
             "aircraft": self.aircraft.name,
-            "trim": {name: plain(getattr(self.trim, name)) for name in TRIM},
+            "trim": trim,
             "manoeuvres": self.manoeuvres.to_dict("records"),
-            "risk": self.risk,
-            "gusts": self.gusts,
+            "margin": self.margin,
             "limits": self.limits.to_dict("index"),
             "errors": self.errors.to_dict("index"),
         }
-
-
-def std_at(
-    model: Aerodynamics | BaseEstimator,
-    aircraft: Aircraft,
-    trim: Mapping[str, Any],
-    thrust: Any,
-    added: Matrix | None = None,
-) -> pd.Series:
-    """Return the standard deviations of `stability_derivatives` by name, empty for a model without a posterior.
-
-    The trim has "state" and "controls".
-    """
-    state = np.array(trim["state"], dtype=float)
-    derivatives = stability_derivatives(
-        model, aircraft, state, trim["controls"], thrust=thrust, added=added
-    )
-    return derivatives.get("std", pd.Series(dtype=float))
-
-
-@dataclass(frozen=True, eq=False)
-class PlanCheck:
-    """Standard deviations of derivatives promised by a plan, and of a model learned after its flight.
-
-    Parameters
-    ----------
-    errors : DataFrame
-        By derivative of the goal: ``before`` and ``promised``, of the plan; ``found``, of the
-        model, at the trim of the plan.
-    """
-
-    name: ClassVar[str] = "plan"
-    errors: pd.DataFrame
-
-    @classmethod
-    def from_file(
-        cls,
-        path: str | os.PathLike[str],
-        model: Aerodynamics | BaseEstimator,
-        aircraft: Aircraft,
-        *,
-        thrust: Any = "auto",
-    ) -> PlanCheck:
-        """Compare a model with the plan.json of ``skdgp plan``.
-
-        Raises FileNotFoundError if there is no such file, ValueError if it is no plan, or the model
-        has no standard deviations of a derivative of its goal.
-
-        Parameters
-        ----------
-        path : path-like
-        model, aircraft, thrust
-            As for :func:`skdgp.dynamics.stability_derivatives`; the model has learned from the
-            planned flight too.
-
-        Returns
-        -------
-        PlanCheck
-        """
-        try:
-            plan = json.loads(Path(path).read_text(encoding="utf-8"))
-            columns = ["before", "promised"]
-            rows = [[float(row[name]) for name in columns] for row in plan["errors"].values()]
-            errors = pd.DataFrame(rows, index=list(plan["errors"]), columns=columns)
-            std = std_at(model, aircraft, plan["trim"], thrust)
-        except (KeyError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError):
-            raise ValueError(
-                f"Got {path} as the plan, but expected the plan.json that skdgp plan "
-                f"writes: copy it again, or plan again."
-            ) from None
-        if lacking := [name for name in errors.index if name not in std]:
-            raise ValueError(
-                f"Got a plan for {lacking}, but the model has no standard deviations of them: "
-                f"judge a model with the regressors that the plan was made with."
-            )
-        return cls(errors.assign(found=std.reindex(errors.index)))
-
-    @property
-    def remaining(self) -> dict[str, float]:
-        """Geometric mean of ``promised`` and ``found`` over ``before``."""
-        ratios = self.errors[["promised", "found"]].div(self.errors["before"], axis=0)
-        return {str(name): float(value) for name, value in np.exp(np.log(ratios).mean()).items()}
-
-    def summary(self) -> list[str]:
-        """Return promised and found values in one line."""
-        ratios = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
-        return [f"standard deviations of the plan's goal, of those before it: {ratios}"]
-
-    def section(self) -> str:
-        """Return its section of the report, HTML."""
-        rows = [
-            [text(name), *(number(value, ".2g") for value in row)]
-            for name, row in self.errors.iterrows()
-        ]
-        ratios = ", ".join(f"{k} {percent(v, '.0f')} %" for k, v in self.remaining.items())
-        caption = (
-            f"Standard deviations of derivatives at the trim of the plan: before its flight, "
-            f"promised by the plan, and found in this model. Geometric mean, of those before: "
-            f"{ratios}."
-        )
-        shown = table(["derivative", *self.errors], rows, caption=caption, classes="narrow")
-        return f"<section><h2>The plan and this model</h2>{shown}</section>"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        return {"remaining": self.remaining, "errors": self.errors.to_dict("index")}
-
-
-def information(X: Matrix) -> Matrix:
-    """Return the Fisher information (1 + d, 1 + d) of rows X (n, d) for noise of unit variance.
-
-    It concerns a constant and the slopes of a coefficient that is linear in the regressors. The
-    noise of a coefficient is a factor of all its variances, so the information serves all six.
-    """
-    rows = np.column_stack([np.ones(len(X)), X])
-    return rows.T @ rows
-
-
-def derivative_names(model: Aerodynamics) -> dict[str, int]:
-    """Return the number of the regressor of each derivative of the model, such as ``Cm_q``."""
-    short = [name.removesuffix(HAT) for name in model.regressors]
-    return {
-        f"{coefficient}_{name}": k for coefficient in COEFFICIENTS for k, name in enumerate(short)
-    }
-
-
-def check_goal(goal: Sequence[str] | None, model: Aerodynamics) -> tuple[str, ...]:
-    """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of one."""
-    derivatives = derivative_names(model)
-    names = (goal,) if isinstance(goal, str) else tuple(derivatives if goal is None else goal)
-    lacking = [name for name in names if name not in derivatives]
-    if lacking or not names or isinstance(goal, str):
-        raise ValueError(
-            f"Got the goal {lacking or goal!r}, but the model has the regressors "
-            f"{list(model.regressors)}: give a list of derivatives such as {next(iter(derivatives))!r}, "
-            f"or learn a model with that regressor."
-        )
-    if model.limits is not None:
-        still = np.ptp(model.limits, axis=0) == 0
-        if unmoved := [name for name in goal or () if still[derivatives[name]]]:
-            raise ValueError(
-                f"Got the goal {unmoved}, but {model.regressors[derivatives[unmoved[0]]]} did not move "
-                f"in the flights that the model was learned from: learn from a flight in which it "
-                f"moves, or ask for another goal."
-            )
-    return names
-
-
-SHRINK = 0.7  # least factor by which a check makes a manoeuvre smaller: responses are not linear
-TRIES = 6  # largest number of checks of a manoeuvre
-NEAR = 0.03  # relative tolerance of the largest safe size
-MOST = np.pi / 2  # deflection that no surface has [rad]
-UNBOUNDED = ("thrust", "propeller_speed")  # axes that are no deflections
-MOST_SECONDS = 1800.0  # duration of a plan
-WORTH = 0.002  # least relative reduction of the errors of the goal
-UNMOVED = 1e-6  # information of a manoeuvre below which motion is rounding
-VAGUE = 1e-8  # information assumed of everything, relative to the largest of a manoeuvre
 
 
 def plan(
@@ -333,15 +161,20 @@ def plan(
     limits: Mapping[str, float] | None = None,
     envelope: Envelope | None = None,
     thrust: Any = "auto",
-    random_state: Seed = 0,
+    settings: PlanSettings = SETTINGS,
 ) -> Plan:
     r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
 
     The library holds doublets, 3-2-1-1s and multisines, with times and bands from the modes. Each
-    is simulated from a trim with the mean of the model. With the rows X of the training
-    flights and of manoeuvres, :math:`[(X^T X)^{-1}]_{kk}` is the variance of a slope by linear
-    least squares in units of the noise. Manoeuvres are chosen one by one for the largest reduction
-    per second of its mean logarithm over the goal; then each is exchanged while that helps.
+    is simulated from a trim with the mean of the model in calm air. It is as large as the limits
+    of the axes and the envelope with its margin let it be, or left out. Controls are open loop
+    during a manoeuvre and a second after it. Before and after it is a pause at the trim, a
+    quarter of the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), at least 3 s.
+
+    With the rows X of the training flights and of manoeuvres, :math:`[(X^T X)^{-1}]_{kk}` is the
+    variance of a slope by linear least squares in units of the noise. Manoeuvres are chosen one by
+    one for the largest reduction per second of its mean logarithm over the goal; then each is
+    exchanged while that helps.
 
     The flight promises the standard deviation that
     :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights. The targets of
@@ -349,27 +182,17 @@ def plan(
     holds what more rows do not lower: noise of the regressors, and what alpha_dot and beta_dot may
     hold.
 
-    Each chosen manoeuvre is flown by aircraft drawn from the posterior, each in gusts of its own,
-    from an entry beside the trim (standard deviations: bank and pitch 2 degrees, airspeed 2 %, held
-    controls 2 % of their limits). If K of N leave the envelope, the predicted risk is (K + 1) / (N
-    + 2) (Laplace's rule of succession). A manoeuvre is as large as limits and allowed risk let it
-    be, or left out, and the choice is made again. Controls are open loop during a manoeuvre and a
-    second after it, the time of the predicted risk. Before and after it is a pause at the trim, a
-    quarter of the phugoid's period (Lanchester's, :math:`\sqrt{2} \pi V / g`), at least 3 s.
+    :func:`skdgp.listening` shows the progress.
 
-    Ctrl-C ends the search with the best checked manoeuvres. :func:`skdgp.listening` shows the
-    progress.
-
-    Raises ValueError if the trim has not an axis, the model has not a regressor of the goal or did
-    not see it move, no manoeuvre fits into the time, or no manoeuvre stays in the envelope. Warns
-    if the model does not know the turbulence of its flights, or the range of a quantity, and
-    neither is given.
+    Raises ValueError if the trim has not an axis or is outside the envelope, the model has not a
+    regressor of the goal or did not see it move, no manoeuvre fits into the time, or no manoeuvre
+    stays in the envelope. Warns if the model does not know the range of a quantity, and the
+    envelope does not limit it.
 
     Parameters
     ----------
     model : Pipeline, estimator or Aerodynamics
-        As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior only its mean is checked,
-        and nothing is promised.
+        As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior nothing is promised.
     aircraft : Aircraft
     trim : Trim
         Where manoeuvres begin, of :func:`skdgp.dynamics.trim`.
@@ -387,8 +210,8 @@ def plan(
         By default that which was flown, and a fifth more; no lower than was flown.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
-    random_state : int, RandomState instance or None, default=0
-        Of the draws.
+    settings : PlanSettings
+        Numbers of the search.
 
     Returns
     -------
@@ -410,38 +233,34 @@ def plan(
     >>> found.manoeuvres["name"].tolist()
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
-    with one_blas_thread(), without_warnings(SimulationWarning):  # leaving the envelope is a risk
+    with one_blas_thread(), without_warnings(SimulationWarning):
         envelope = envelope or Envelope()
-        _check_options(seconds, axes, limits or {}, envelope)
         aerodynamics = as_aerodynamics(model)
-        if aerodynamics.is_uncertain:
-            _check_uncertain(envelope, aerodynamics)
-        names = check_goal(goal, aerodynamics)
+        _check_options(seconds, axes, limits or {})
+        _warn_unlimited(envelope, aerodynamics)
+        names = _check_goal(goal, aerodynamics)
         check_names(axes, trim.controls, "controls of the trim")
-        seed = int(check_random_state(random_state).randint(2**31 - 1))
-        pause = max(RESPONSE, np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
-        checked = _checked_limits(trim, aerodynamics, axes, limits or {})
-        rehearsal = Rehearsal(model, aircraft, trim, checked, envelope, pause, thrust, seed)
-        planner = _Planner(rehearsal, float(seconds), names)
-        return planner.plan_of(planner.searched())
+        amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
+        planner = _Planner(
+            model, aircraft, trim, amplitudes, envelope, thrust, names, float(seconds), settings
+        )
+        return planner.plan()
 
 
-def _check_options(seconds: Any, axes: Any, limits: Any, envelope: Envelope) -> None:
+def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None:
     """Raise ValueError where an option of `plan` is none."""
     if isinstance(axes, str) or not len(axes) or len({*axes}) < len(axes):
         raise ValueError(
-            f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', "
-            f"'rudder']."
+            f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
         )
     if not (np.ndim(seconds) == 0 and 0 < seconds <= MOST_SECONDS):
         raise ValueError(
             f"Got seconds={seconds!r}, but expected a number > 0 and at most {MOST_SECONDS:g}: "
             f"plan a shorter flight, and fly it again."
         )
-    check_number("n_paths", envelope.n_paths, is_open=False)
     check_names(limits, axes, "axes to move")
     for axis, limit in limits.items():
-        most = np.inf if axis in UNBOUNDED else MOST
+        most = np.inf if axis in UNBOUNDED else MOST_DEFLECTION
         if not check_number(f"limit of the {axis}", limit) < most:
             raise ValueError(
                 f"Got a limit of {limit:g} for the {axis}, but expected less than {most:.3g}: "
@@ -449,14 +268,10 @@ def _check_options(seconds: Any, axes: Any, limits: Any, envelope: Envelope) -> 
             )
 
 
-def _check_uncertain(envelope: Envelope, model: Aerodynamics) -> None:
-    """Warn of gusts and ranges that a model with a posterior does not know; raise ValueError at too few paths."""
-    if envelope.gusts == "auto" and model.turbulence is None:
-        warn(
-            "The model does not know the turbulence of its flights, so risks are those "
-            "without gusts. Give Envelope(gusts=Turbulence.low_altitude(height, wind_at_6m)).",
-            stacklevel=3,
-        )
+def _warn_unlimited(envelope: Envelope, model: Aerodynamics) -> None:
+    """Warn of quantities with neither a limit nor a known range."""
+    if not model.is_uncertain:
+        return
     if free := envelope.unlimited(model):
         options = ", ".join(OPTIONS[name] for name in free)
         warn(
@@ -466,276 +281,287 @@ def _check_uncertain(envelope: Envelope, model: Aerodynamics) -> None:
             UserWarning,
             stacklevel=3,
         )
-    n_paths = envelope.n_paths
-    if 1 / (n_paths + 2) > envelope.risk:
+
+
+def _derivative_places(model: Aerodynamics) -> dict[str, int]:
+    """Return the place of the regressor of each derivative of the model, such as ``Cm_q``."""
+    places = {}
+    for coefficient in COEFFICIENTS:
+        for k, name in enumerate(model.regressors):
+            places[f"{coefficient}_{name.removesuffix(HAT)}"] = k
+    return places
+
+
+def _check_goal(goal: Sequence[str] | None, model: Aerodynamics) -> list[str]:
+    """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of one."""
+    places = _derivative_places(model)
+    names = list(places) if goal is None else list(goal)
+    lacking = [name for name in names if name not in places]
+    if lacking or not names or isinstance(goal, str):
+        shown = goal if isinstance(goal, str) or not names else lacking
         raise ValueError(
-            f"Got n_paths={n_paths}, too few to show a risk of {envelope.risk:g}, but "
-            f"expected at least {int(np.ceil(1 / envelope.risk)) - 2}, better three times "
-            f"as many."
+            f"Got the goal {shown!r}, but the model has the regressors {list(model.regressors)}: "
+            f"give a list of derivatives such as {next(iter(places))!r}, or learn a model with that "
+            f"regressor."
         )
+    if goal is not None and model.limits is not None:
+        is_still = np.ptp(model.limits, axis=0) == 0
+        unmoved = [name for name in names if is_still[places[name]]]
+        if unmoved:
+            regressor = model.regressors[places[unmoved[0]]]
+            raise ValueError(
+                f"Got the goal {unmoved}, but {regressor} did not move in the flights that the model "
+                f"was learned from: learn from a flight in which it moves, or ask for another goal."
+            )
+    return names
 
 
-def _checked_limits(
-    trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping
+def _amplitudes(
+    trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the limits of the axes, by default the training ranges; the throttle ends at 0 and 1."""
-    ranges = np.empty((2, 0)) if model.limits is None else model.limits
-    flown = dict(zip(model.regressors, ranges.T.tolist(), strict=False))
-    checked = {}
+    """Return the largest deviations of the axes, by default within the training ranges."""
+    flown = {}
+    if model.limits is not None:
+        flown = dict(zip(model.regressors, model.limits.T.tolist(), strict=True))
+    amplitudes = {}
     for axis in axes:
         if axis not in limits and axis not in flown:
             raise ValueError(
                 f"Got no limit of the {axis}, and the model does not say what was flown: give "
                 f"limits={{{axis!r}: ...}} (--limits)."
             )
-        low, high = (-np.inf, np.inf) if axis in limits else flown[axis]
-        least, most = WHOLE_RANGE.get(axis, (-np.inf, np.inf))
+        low, high = UNLIMITED if axis in limits else flown[axis]
+        least, most = WHOLE_RANGE.get(axis, UNLIMITED)
+        low = max(low, least)
+        high = min(high, most)
         value = trim.controls[axis]
-        room = min(value - max(low, least), min(high, most) - value)
+        room = min(value - low, high - value)
         if not room > 0:
             raise ValueError(
-                f"Got a trim with the {axis} at {value:.3g}, but a range of {max(low, least):.3g} "
-                f"to {min(high, most):.3g}, which leaves it no room: give limits={{{axis!r}: ...}} "
-                f"(--limits), leave it out of the axes, or choose another trim."
+                f"Got a trim with the {axis} at {value:.3g}, but a range of {low:.3g} to {high:.3g}, "
+                f"which leaves it no room: give limits={{{axis!r}: ...}} (--limits), leave it out of "
+                f"the axes, or choose another trim."
             )
-        checked[axis] = float(min(limits.get(axis, np.inf), room))
-    return checked
+        amplitudes[axis] = float(min(limits.get(axis, np.inf), room))
+    return amplitudes
 
 
 @dataclass(frozen=True, eq=False)
 class _Manoeuvre:
-    """A manoeuvre of the library."""
+    """A manoeuvre that stays in the envelope."""
 
     name: str
-    full: Inputs  # as large as the limits allow
+    inputs: Inputs
+    scale: float  # relative to the limits of the axes
     seconds: float  # of the manoeuvre and a pause beside it
-    information: Matrix
     flight: pd.DataFrame
-    scale: float = 1.0
-    risk: float | None = None  # None: not checked
+    rows: Matrix  # regressors (n, d) of the flight at the rate of the model's own rows
 
 
+@dataclass(eq=False)
 class _Planner:
-    """Manoeuvres and risks of the flights that may be planned."""
+    """Search for the manoeuvres of a flight."""
 
-    def __init__(self, rehearsal: Rehearsal, seconds: float, goal: Sequence[str]) -> None:
-        self.rehearsal = rehearsal
-        self.seconds = seconds
-        self.goal = goal
-        self.aerodynamics = rehearsal.aerodynamics
-        numbers = derivative_names(self.aerodynamics)
-        self.slopes = [numbers[name] for name in goal]
-        of_model = self.aerodynamics.training_rows
-        self.learned = None if of_model is None else of_model()  # regressors (n, d) learned from
-        self.interval = ROW_STEP  # between rows of a log [s]
+    model: Aerodynamics | BaseEstimator
+    aircraft: Aircraft
+    point: Trim
+    limits: Mapping[str, float]
+    envelope: Envelope
+    thrust: Any
+    goal: Sequence[str]
+    seconds: float
+    settings: PlanSettings
+
+    def __post_init__(self) -> None:
+        self.aerodynamics = as_aerodynamics(self.model)
+        quarter = np.pi * self.point.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
+        self.pause = max(self.settings.response, quarter)  # at the trim beside a manoeuvre [s]
+        self.bounds = self.envelope.bounds(self.aerodynamics)
+        training_rows = self.aerodynamics.training_rows
+        self.learned = None if training_rows is None else training_rows()  # regressors (n, d)
+        self.interval = self.settings.row_step  # between rows of a log [s]
         if self.learned is not None and self.aerodynamics.training_seconds is not None:
             self.interval = self.aerodynamics.training_seconds / len(self.learned)
-        self.library = {item.name: item for item in self._library()}
-        if not self.library:
-            raise ValueError(
-                f"Got {seconds:g} s, but no manoeuvre with pauses of "
-                f"{rehearsal.pause:.3g} s is that short and can be flown: give more seconds "
-                f"or smaller limits."
-            )
-        peak = np.max([np.diag(item.information) for item in self.library.values()], axis=0)
-        self.known = VAGUE * np.diag(np.maximum(peak, UNMOVED))
-        if self.learned is not None:
-            self.known += information(self.learned)
+        places = _derivative_places(self.aerodynamics)
+        self.slopes = [1 + places[name] for name in self.goal]
 
-    def _rows(self, flight: pd.DataFrame) -> Matrix:
-        """Return the regressors (n, d) of a simulated flight at the rate of the model's own rows."""
-        X = regressors_of(flight, self.rehearsal.aircraft, self.aerodynamics.regressors)
-        time = flight["time"].to_numpy(float)
-        times = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
-        return np.column_stack([np.interp(times, time, column) for column in X.T])
-
-    def _library(self) -> list[_Manoeuvre]:
-        """Return manoeuvres that fit into the time, as large as the envelope seems to allow the mean."""
-        rehearsal = self.rehearsal
+    def plan(self) -> Plan:
+        """Return the plan."""
         notify("planning: library", 0, 0.0)
-        of_aircraft = rehearsal.model, rehearsal.aircraft, rehearsal.point
-        modes = linearize(*of_aircraft, thrust=rehearsal.thrust).modes()
-        most = self.seconds - rehearsal.pause - rehearsal.response
-        named = {
-            name: item
-            for name, item in library(input_bands(modes, rehearsal.limits), rehearsal.limits)
-            if duration_of(item) <= most
-        }
-        scales: dict[str, float] = {}
-        for factor in (1.0, 0.5, LEAST):
-            remaining = {n: scaled(item, factor) for n, item in named.items() if n not in scales}
-            scales |= {
-                name: float(np.clip(factor * rehearsal.room(flight), LEAST, 1.0))
-                for name, flight in self._flights(remaining).items()
-            }
-        inputs = {name: scaled(named[name], scale) for name, scale in scales.items()}
-        return [
-            _Manoeuvre(
-                name=name, full=named[name], seconds=duration_of(named[name]) + rehearsal.pause,
-                information=information(self._rows(item)), flight=item, scale=scales[name],
-            )
-            for name, item in self._flights(inputs).items()
-        ]  # fmt: skip
-
-    def _flights(self, named: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
-        """Return the flights of manoeuvres that the mean completes."""
-        flights = self.rehearsal.flown([*named.values()]) if named else []
-        pairs = zip(named, flights, strict=True)
-        return {name: flight for name, flight in pairs if (flight["ended"] == "").all()}
-
-    def _gain(self, chosen: Sequence[_Manoeuvre]) -> float:
-        """Return the mean of minus the logarithm of the errors of the goal."""
-        fisher = sum((manoeuvre.information for manoeuvre in chosen), self.known)
-        scale = np.sqrt(np.diag(fisher))
-        variances = np.diag(np.linalg.inv(fisher / np.outer(scale, scale))) / scale**2
-        return float(-0.5 * np.mean(np.log(variances[1:][self.slopes])))
-
-    def _fits(self, chosen: Sequence[_Manoeuvre]) -> bool:
-        seconds = sum(manoeuvre.seconds for manoeuvre in chosen) + self.rehearsal.response
-        return seconds <= self.seconds + 1e-9
-
-    def _filled(self, chosen: list, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return manoeuvres, and more with the largest gain per second until the time is used."""
-        while options := [manoeuvre for manoeuvre in library if self._fits([*chosen, manoeuvre])]:
-            now = self._gain(chosen)
-            gains = [
-                (self._gain([*chosen, manoeuvre]) - now) / manoeuvre.seconds
-                for manoeuvre in options
-            ]
-            chosen = [*chosen, options[int(np.argmax(gains))]]
-        return chosen
-
-    def _sequence(self, library: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return the best sequence that is found: greedy, or one repeated, with exchanges while they help."""
-        starts = [
-            self._filled([], library),
-            *(self._filled([], [manoeuvre]) for manoeuvre in library),
-        ]
-        best = self._filled(max(starts, key=self._gain), library)
-        while True:
-            swaps = [
-                [*best[:k], manoeuvre, *best[k + 1 :]]
-                for k, old in enumerate(best)
-                for manoeuvre in library
-                if manoeuvre is not old
-            ]
-            swaps = [sequence for sequence in swaps if self._fits(sequence)]
-            better = self._filled(max(swaps, key=self._gain), library) if swaps else best
-            if self._gain(better) <= self._gain(best) + 1e-6:
-                return best
-            best = better
-
-    def searched(self) -> list[_Manoeuvre]:
-        """Return the chosen manoeuvres, all safe."""
-        library = self.library
-        causes = ""
-        try:
-            while chosen := self._sequence([*library.values()]):
-                gain = self._gain(chosen) - self._gain([])
-                if gain < WORTH:
-                    raise ValueError(
-                        f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of "
-                        f"{list(self.rehearsal.limits)} within their limits lower its errors by "
-                        f"{gain:.2%}: move other axes, raise their limits, or ask for another goal."
-                    )
-                n_checked = sum(manoeuvre.risk is not None for manoeuvre in library.values())
-                notify(f"planning: {len(chosen)} manoeuvres, {n_checked} kinds checked", 0, 0.0)
-                unchecked = next(
-                    (manoeuvre for manoeuvre in chosen if manoeuvre.risk is None), None
-                )
-                if unchecked is None:
-                    break
-                safe, causes = self._safe(unchecked)
-                del library[unchecked.name]
-                if safe is not None:
-                    library[safe.name] = safe
-        except KeyboardInterrupt:
-            chosen = self._sequence(
-                [manoeuvre for manoeuvre in library.values() if manoeuvre.risk is not None]
-            )
-            if not chosen:
-                raise
-        if not chosen:
-            raise ValueError(
-                f"Got an envelope that every manoeuvre leaves in more than "
-                f"{self.rehearsal.envelope.risk:.0%} of cases, even at {LEAST:.0%} of the limits; the "
-                f"last one by {causes}: widen this limit, allow more risk, plan for weaker gusts, or "
-                f"fly another airspeed or altitude."
-            )
-        return chosen
-
-    def _safe(self, manoeuvre: _Manoeuvre) -> tuple[_Manoeuvre | None, str]:
-        """Return a manoeuvre as large as is safe, or None and the limits that it leaves."""
-        scale = manoeuvre.scale
-        safe = 0.0
-        unsafe = np.inf
-        causes = ""
-        best: Checked | None = None
-        for _ in range(TRIES):  # until the largest safe size is known to a few parts in a hundred
-            checked = self.rehearsal.checked(scaled(manoeuvre.full, scale))
-            if checked.risk <= self.rehearsal.envelope.risk:
-                safe = scale
-                best = checked
-            else:
-                unsafe = scale
-                causes = checked.causes
-            most = np.sqrt(safe * unsafe) if best and np.isfinite(unsafe) else (1 - NEAR) * unsafe
-            scale = min(1.0, scale * max(checked.factor, SHRINK), most)
-            if best is None and unsafe > (1 + NEAR) * LEAST:
-                scale = max(scale, LEAST)
-            if scale < max((1 + NEAR) * safe, LEAST):
-                break
-        if best is None:
-            return None, causes
-        flight = best.flight
-        risk = np.nan
-        if self.aerodynamics.is_uncertain:
-            flight = with_band(flight, best.paths)
-            risk = best.risk
-        taught = information(self._rows(flight))
-        return replace(manoeuvre, information=taught, flight=flight, scale=safe, risk=risk), causes
-
-    def plan_of(self, chosen: list[_Manoeuvre]) -> Plan:
-        """Return the plan of manoeuvres."""
-        rehearsal = self.rehearsal
-        pause = rehearsal.pause
-        inputs = [scaled(item.full, item.scale) for item in chosen]
-        train = wavetrain(inputs, pause=pause, limits=rehearsal.limits)
-        seconds = [item.seconds for item in chosen]
-        manoeuvres = pd.DataFrame({
-            "start": pause + np.cumsum([0.0, *seconds[:-1]]),
-            "name": [item.name for item in chosen],
-            "duration": [duration_of(item.full) for item in chosen],
-            "pause": [*[pause] * (len(chosen) - 1), rehearsal.response],
-            "scale": [item.scale for item in chosen],
-            "risk": [item.risk for item in chosen],
-        })  # fmt: skip
-        flight = [manoeuvre.flight.assign(flight=k) for k, manoeuvre in enumerate(chosen)]
-        gusts: Any = rehearsal.envelope.gusts
-        if gusts == "auto":
-            gusts = self.aerodynamics.turbulence
-        is_still = gusts is None or not self.aerodynamics.is_uncertain
+        available = self._library()
+        notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
+        chosen = self._choice(available)
+        notify("planning: promise", 0, 0.0)
+        rows = []
+        flights = []
+        start = self.pause
+        for k, item in enumerate(chosen):
+            duration = duration_of(item.inputs)
+            rows.append({
+                "start": start, "name": item.name, "duration": duration,
+                "pause": self.pause, "scale": item.scale,
+            })  # fmt: skip
+            flights.append(item.flight.assign(flight=k))
+            start += duration + self.pause
+        rows[-1]["pause"] = self.settings.response
         return Plan(
-            train=train,
-            trim=rehearsal.point,
-            manoeuvres=manoeuvres,
-            flight=pd.concat(flight, ignore_index=True),
+            train=wavetrain([item.inputs for item in chosen], pause=self.pause, limits=self.limits),
+            trim=self.point,
+            manoeuvres=pd.DataFrame(rows),
+            flight=pd.concat(flights, ignore_index=True),
             errors=self._errors(chosen),
-            limits=pd.DataFrame(rehearsal.envelope.bounds(self.aerodynamics), ["low", "high"]).T,
-            aircraft=rehearsal.aircraft,
-            gusts=None if is_still else tuple(map(float, gusts.intensity)),
+            limits=pd.DataFrame(self.bounds, ["low", "high"]).T,
+            aircraft=self.aircraft,
+            margin=self.envelope.margin,
             servo_lag=self.aerodynamics.servo_lag,
         )
 
+    # -- manoeuvres inside the envelope
+
+    def _library(self) -> list[_Manoeuvre]:
+        """Return the manoeuvres that fit into the time, each as large as the envelope allows."""
+        full = self._candidates()
+        centre = self._trimmed_channels()
+        scales = dict.fromkeys(full, 1.0)
+        inside = []
+        cause = ""
+        while scales:
+            sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
+            flights = self._flights(sized)
+            for name, inputs in sized.items():
+                room = self._room(inputs, flights[name], centre)
+                if room.min() >= 1.0:
+                    inside.append(self._manoeuvre(name, inputs, scales.pop(name), flights[name]))
+                    continue
+                # Responses are nearly proportional to inputs
+                scales[name] *= float(np.clip(room.min(), *self.settings.shrink))
+                if scales[name] < self.settings.least_scale:
+                    del scales[name]
+                    cause = str(room.idxmin())
+        if not inside:
+            raise ValueError(
+                f"Got an envelope that every manoeuvre leaves even at "
+                f"{self.settings.least_scale:.0%} of the limits; the last one leaves it by "
+                f"{self._named(cause)}: widen this limit, or fly another airspeed or altitude."
+            )
+        return inside
+
+    def _candidates(self) -> dict[str, Inputs]:
+        """Return the manoeuvres that fit into the time, as large as the limits of the axes."""
+        modes = linearize(self.model, self.aircraft, self.point, thrust=self.thrust).modes()
+        bands = input_bands(modes, self.limits, self.settings.band)
+        longest = self.seconds - self.pause - self.settings.response
+        candidates = {}
+        for name, inputs in library(bands, self.limits, self.settings).items():
+            if duration_of(inputs) <= longest:
+                candidates[name] = inputs
+        if not candidates:
+            raise ValueError(
+                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:.3g} s is that "
+                f"short: give more seconds."
+            )
+        return candidates
+
+    def _named(self, limit: str) -> str:
+        """Return the words and the option of a limit."""
+        return f"{limit.replace(GROWTH, 'flown ')} ({option_of(limit, self.aerodynamics)})"
+
+    def _manoeuvre(
+        self, name: str, inputs: Inputs, scale: float, flight: pd.DataFrame
+    ) -> _Manoeuvre:
+        seconds = duration_of(inputs) + self.pause
+        X = regressors_of(flight, self.aircraft, self.aerodynamics.regressors)
+        time = flight["time"].to_numpy(float)
+        times = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
+        rows = np.column_stack([np.interp(times, time, column) for column in X.T])
+        return _Manoeuvre(name, inputs, scale, seconds, flight, rows)
+
+    def _flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
+        """Return the flights of manoeuvres by the mean in calm air, each with its response after it."""
+        durations = {name: duration_of(inputs) for name, inputs in manoeuvres.items()}
+        longest = max(durations.values()) + self.settings.response
+        tables = []
+        for name, inputs in manoeuvres.items():
+            train = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
+            pause = longest - durations[name]
+            tables.append(train.table(self.settings.rate, trim=self.point.controls, pause=pause))
+        step = self.settings.row_step
+        flown = simulate(
+            self.model,
+            self.aircraft,
+            [self.point] * len(tables),
+            tables,
+            step,
+            duration=step * np.floor(longest / step + ROUNDING),
+            thrust=self.thrust,
+        )
+        whole = [flown]
+        if len(tables) > 1:
+            whole = [flight for _, flight in flown.groupby("start", sort=True)]
+        flights = {}
+        for (name, duration), flight in zip(durations.items(), whole, strict=True):
+            is_recorded = flight["time"] <= duration + self.settings.response + ROUNDING
+            flights[name] = flight[is_recorded].reset_index(drop=True)
+        return flights
+
+    def _trimmed_channels(self) -> Vector:
+        """Return the channels of the envelope in trimmed flight, (c,); raise ValueError if they leave it."""
+        nothing: Inputs = {next(iter(self.limits)): Steps([1.0], [0.0])}
+        flight = self._flights({"trim": nothing})["trim"]
+        centre = self.envelope.channels(flight, self.aircraft, self.aerodynamics).iloc[0]
+        for name, (low, high) in self.bounds.items():
+            if centre[name] < low or centre[name] > high:
+                raise ValueError(
+                    f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and "
+                    f"{self.point.altitude:.0f} m leaves by {self._named(name)}: widen this limit, or "
+                    f"choose another airspeed or altitude."
+                )
+        return centre.to_numpy()
+
+    def _room(self, inputs: Inputs, flight: pd.DataFrame, centre: Vector) -> pd.Series:
+        """Return by limit the factor by which a response may grow until it meets it, with the margin."""
+        if (flight["ended"] != "").any():
+            return pd.Series({"the end of the simulation": 0.0})
+        is_unattended = flight["time"] <= duration_of(inputs) + self.settings.reaction + ROUNDING
+        values = self.envelope.channels(flight[is_unattended], self.aircraft, self.aerodynamics)
+        is_set = [name.removeprefix(GROWTH) in self.limits for name in self.bounds]
+        margin = np.where(is_set, 0.0, self.envelope.margin)  # a control has no response
+        response = (1.0 + margin) * (values.to_numpy() - centre)
+        low, high = np.array([*self.bounds.values()]).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factors = (np.where(response > 0, high, low) - centre) / response
+        factors = np.where(np.isfinite(factors), factors, np.inf)
+        return pd.Series(factors.min(axis=0), index=values.columns)
+
+    # -- choice
+
+    def _choice(self, available: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
+        """Return the sequence that teaches most; raise ValueError if it is not worth its flight."""
+        informations = [information(item.rows) for item in available]
+        largest = np.max([np.diag(each) for each in informations], axis=0)
+        known = self.settings.vague * np.diag(np.maximum(largest, UNMOVED))
+        if self.learned is not None:
+            known += information(self.learned)
+        seconds = np.array([item.seconds for item in available])
+        time = self.seconds - self.settings.response
+        choice = Choice(informations, seconds, known, self.slopes, time)
+        chosen = choice.best()
+        worth = choice.gain(chosen) - choice.gain([])
+        if worth < self.settings.worth:
+            raise ValueError(
+                f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of "
+                f"{list(self.limits)} within their limits lower its errors by {worth:.2%}: move "
+                f"other axes, raise their limits, or ask for another goal."
+            )
+        return [available[k] for k in chosen]
+
     def _errors(self, chosen: Sequence[_Manoeuvre]) -> pd.DataFrame:
         """Return standard deviations of the goal before the flight, and promised after it."""
-        notify("planning: promise", 0, 0.0)
-        rehearsal = self.rehearsal
-        of_aircraft = rehearsal.model, rehearsal.aircraft, vars(rehearsal.point), rehearsal.thrust
-        before = std_at(*of_aircraft)
+        point = vars(self.point)
+        before = std_at(self.model, self.aircraft, point, self.thrust)
         promised = pd.Series(dtype=float)
         if self.learned is not None and len(before):
-            added = np.concatenate([self._rows(item.flight) for item in chosen])
-            promised = std_at(*of_aircraft, added)
+            added = np.concatenate([item.rows for item in chosen])
+            promised = std_at(self.model, self.aircraft, point, self.thrust, added)
         errors = pd.DataFrame({"before": before, "promised": promised}, dtype=float)
         return errors.reindex(list(self.goal))

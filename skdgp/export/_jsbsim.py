@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any, TypeAlias
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -18,27 +19,29 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_number
-from skdgp.dynamics import Aircraft, ThrustLine
+from skdgp.dynamics import Aircraft, Propeller, ThrustLine
 from skdgp.export._model import PortableModel, Regressor, Term
 from skdgp.io import FULL_THROW
 
-FOOT, POUND_FORCE = 0.3048, 4.4482216152605
-SLUG, FOOT_POUND = POUND_FORCE / FOOT, POUND_FORCE * FOOT
-CENTRE = (0.0, 0.0, 0.0)
+TEMPLATES = Path(__file__).with_name("jsbsim")
+FOOT = 0.3048
+POUND_FORCE = 4.4482216152605
+SLUG = POUND_FORCE / FOOT
+FOOT_POUND = POUND_FORCE * FOOT
 AXES = {"CX": "X", "CY": "Y", "CZ": "Z", "Cl": "ROLL", "Cm": "PITCH", "Cn": "YAW"}
-REFERENCES = {"Cl": ["metrics/bw-ft"], "Cm": ["metrics/cbarw-ft"], "Cn": ["metrics/bw-ft"]}
+REFERENCES = {"Cl": "metrics/bw-ft", "Cm": "metrics/cbarw-ft", "Cn": "metrics/bw-ft"}
+# Command, the command of JSBSim's trim, and position
 SURFACES = {
-    "elevator": ("fcs/elevator-cmd-norm", "fcs/elevator-pos-rad"),
-    "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
-    "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
+    "elevator": ("fcs/elevator-cmd-norm", "fcs/pitch-trim-cmd-norm", "fcs/elevator-pos-rad"),
+    "aileron": ("fcs/aileron-cmd-norm", "fcs/roll-trim-cmd-norm", "fcs/left-aileron-pos-rad"),
+    "rudder": ("fcs/rudder-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/rudder-pos-rad"),
 }
-TRIMS = {
-    "elevator": "fcs/pitch-trim-cmd-norm",
-    "aileron": "fcs/roll-trim-cmd-norm",
-    "rudder": "fcs/yaw-trim-cmd-norm",
-}
-THROTTLE, SPEED, AIRSPEED = "fcs/throttle-cmd-norm", "fcs/propeller_speed", "velocities/vt-fps"
-SOURCES = {  # property and factor to SI units
+THROTTLE = "fcs/throttle-cmd-norm"
+SPEED = "fcs/propeller_speed"
+AIRSPEED = "velocities/vt-fps"
+DENSITY = "atmosphere/rho-slugs_ft3"
+# Property and factor to SI units
+SOURCES = {
     "alpha": ("aero/alpha-rad", 1.0),
     "beta": ("aero/beta-rad", 1.0),
     "alpha_dot": ("aero/alphadot-rad_sec", 1.0),
@@ -47,7 +50,7 @@ SOURCES = {  # property and factor to SI units
     "q": ("velocities/q-aero-rad_sec", 1.0),
     "r": ("velocities/r-aero-rad_sec", 1.0),
     "airspeed": (AIRSPEED, FOOT),
-    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
+    "density": (DENSITY, SLUG / FOOT**3),
     "altitude": ("position/h-sl-ft", FOOT),
     "u": ("velocities/u-fps", FOOT),
     "v": ("velocities/v-fps", FOOT),
@@ -56,22 +59,13 @@ SOURCES = {  # property and factor to SI units
     "theta": ("attitude/theta-rad", 1.0),
     "psi": ("attitude/psi-rad", 1.0),
     "throttle": (THROTTLE, 1.0),
-    **{name: (position, 1.0) for name, (_, position) in SURFACES.items()},
+    "elevator": ("fcs/elevator-pos-rad", 1.0),
+    "aileron": ("fcs/left-aileron-pos-rad", 1.0),
+    "rudder": ("fcs/rudder-pos-rad", 1.0),
 }
 ACCELERATIONS = ("p_dot", "q_dot", "r_dot", "ax", "ay", "az")
-NOTE = """
- Made by skdgp from flights. Forces act along body axes (x forward, y right, z down) at the centre of gravity, which is
- the origin. Properties of the aerodynamics:
-   aero/regressor/NAME      regressors, SI units and radians, or the unit of the control; NAME_hat: non-dimensional rate
-   aero/coefficient/CX      coefficients CX CY CZ Cl Cm Cn
- Signs: elevator > 0 pitches down, aileron > 0 rolls right, rudder > 0 yaws left. Surfaces follow commands with the lag
- of the servos. Of a model with controls in parts of their full throw, -pos-rad holds these parts.
- Deflections at a command of 1: $full.
-"""
-# Of an element: other elements and comments, or a text or a number
-Content: TypeAlias = "Element[Any] | str | float"
-# Terms with the weights of their functions
-Gaussians: TypeAlias = "list[tuple[Term, Vector]]"
+# Of a function: other functions, a property or a number
+Operand: TypeAlias = "Element[Any] | str | float"
 
 
 def write_jsbsim(
@@ -118,7 +112,10 @@ def write_jsbsim(
     full = _full_deflections(model, full or {})
     name = re.sub(r"[^\w-]", "_", model.aircraft.name, flags=re.ASCII) or "aircraft"
     path = Path(folder, "aircraft", name, f"{name}.xml")
-    root = _config(name, model, full)
+    root = _skeleton(name, model, full)
+    _add_thrust(root, model.aircraft)
+    _add_controls(root, model, full)
+    _add_aerodynamics(root, model)
     path.parent.mkdir(parents=True, exist_ok=True)
     ElementTree.indent(root, space=" ")
     text = ElementTree.tostring(root, encoding="unicode")
@@ -161,168 +158,143 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
     return deflections
 
 
-def _config(name: str, model: PortableModel, full: Mapping[str, float]) -> Element:
-    """Return the file of an aircraft."""
+def _filled(template: str, values: Mapping[str, Any]) -> Element:
+    """Return the element of a template."""
+    text = (TEMPLATES / template).read_text(encoding="utf-8")
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    return ElementTree.fromstring(Template(text).substitute(values), parser)
+
+
+def _part(element: Element, path: str) -> Element:
+    """Return the element at a path, which a template has."""
+    (found,) = element.findall(path)
+    return found
+
+
+def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Element:
+    """Return the file of an aircraft without its functions and controls.
+
+    JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry.
+    """
     aircraft = model.aircraft
-    controls = [r.name for r in model.regressors if not r.power and r.name not in SOURCES]
-    has_engine = aircraft.propeller is not None and aircraft.propeller.speed_range is not None
-    regressors = [
-        _function(f"aero/regressor/{r.name}", _apply("product", *_source(r, aircraft)))
-        for r in model.regressors
-    ]
-    scaled = [
-        _function(
-            f"aero/scaled/{r}",
-            _apply("product", 1.0 / scale, _apply("difference", f"aero/regressor/{r}", shift)),
-        )
-        for r, shift, scale in zip(model.regressor_names, model.shift, model.scale, strict=True)
-    ]
-    coefficients = [each for c in COEFFICIENTS for each in _coefficient(model, c)]
-    note = Template(NOTE).substitute(full=_full_text(model, full))
-    settable = [*([] if has_engine else [THROTTLE]), *(f"fcs/{c}" for c in controls)]
-    return element(
-        "fdm_config",
-        ElementTree.Comment(note),
-        element(
-            "fileheader", element("description", f"{aircraft.name}, learned from flights by skdgp")
-        ),
-        element(
-            "metrics",
-            element("wingarea", aircraft.wing_area, unit="M2"),
-            element("wingspan", aircraft.span, unit="M"),
-            element("chord", aircraft.chord, unit="M"),
-            *(
-                _vector("location", CENTRE, name=place, unit="M")
-                for place in ("AERORP", "EYEPOINT", "VRP")
-            ),
-        ),
-        _mass(aircraft),
-        element("ground_reactions"),
-        _thrust(aircraft),
-        *([_engine()] if has_engine else []),
-        _controls(model, settable, full),
-        element("aerodynamics", *regressors, *scaled, *coefficients, *map(_load, COEFFICIENTS)),
-        name=name,
-        version="2.0",
-        release="BETA",
-    )
-
-
-def _mass(aircraft: Aircraft) -> Element:
-    """Return mass and inertia: JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry."""
-    J = aircraft.inertia
-    entries = {
-        "ixx": J[0, 0],
-        "iyy": J[1, 1],
-        "izz": J[2, 2],
-        "ixy": -J[0, 1],
-        "ixz": J[0, 2],
-        "iyz": -J[1, 2],
-    }
-    return element(
-        "mass_balance",
-        *(element(tag, value, unit="KG*M2") for tag, value in entries.items()),
-        element("emptywt", aircraft.mass, unit="KG"),
-        _vector("location", CENTRE, name="CG", unit="M"),
-        negated_crossproduct_inertia="true",
-    )
-
-
-def _thrust(aircraft: Aircraft) -> Element:
-    line, propeller = aircraft.thrust_line or ThrustLine(), aircraft.propeller
+    inertia = aircraft.inertia.tolist()
+    line = aircraft.thrust_line or ThrustLine()
     x, y, z = map(float, line.position)
-    placement = [_vector("location", (-x, y, -z), unit="M"), _vector("direction", line.direction)]
+    along_x, along_y, along_z = map(float, line.direction)
+    units = {r.name: r.unit for r in model.regressors}
+    deflections = [f"{name} {value:.4g} {units[name]}" for name, value in full.items()]
+    values = aircraft.to_dict() | {
+        "file": file,
+        "name": escape(aircraft.name),
+        "full": ", ".join(deflections) or "none",
+        "ixx": inertia[0][0],
+        "iyy": inertia[1][1],
+        "izz": inertia[2][2],
+        "ixy": -inertia[0][1],
+        "ixz": inertia[0][2],
+        "iyz": -inertia[1][2],
+        "thrust_x": -x,
+        "thrust_y": y,
+        "thrust_z": -z,
+        "along_x": along_x,
+        "along_y": along_y,
+        "along_z": along_z,
+    }
+    return _filled("aircraft.xml", values)
+
+
+def _has_engine(aircraft: Aircraft) -> bool:
+    """Return whether JSBSim's trim can find the throttle.
+
+    It moves the throttles of engines and no other property, so the file has one without power.
+    """
+    return aircraft.propeller is not None and aircraft.propeller.speed_range is not None
+
+
+def _add_thrust(root: Element, aircraft: Aircraft) -> None:
+    """Add thrust and torque of the propeller, and remove what the aircraft does not have."""
+    reactions = _part(root, "external_reactions")
+    moment = _part(reactions, "moment")
+    propeller = aircraft.propeller
+    if not _has_engine(aircraft):
+        root.remove(_part(root, "propulsion"))
     if propeller is None:
-        return element(
-            "external_reactions", element("force", *placement, name="thrust", frame="BODY")
-        )
-    loads = propeller.thrust_coefficients, propeller.torque_coefficients
-    thrust = _propeller("propulsion/thrust-lbs", propeller, loads[0], 4, 1.0 / POUND_FORCE)
-    parts = [element("force", thrust, *placement, name="thrust", frame="BODY")]
-    if loads[1]:
-        torque = _propeller(
-            "propulsion/torque-lbsft", propeller, loads[1], 5, -propeller.rotation / FOOT_POUND
-        )
-        parts.append(
-            element(
-                "moment",
-                torque,
-                _vector("direction", line.direction),
-                name="propeller",
-                frame="BODY",
-            )
-        )
-    return element("external_reactions", element("property", SPEED), *parts)
+        reactions.remove(moment)
+        return
+    speed = Element("property")
+    speed.text = SPEED
+    reactions.insert(0, speed)
+    thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
+    _part(reactions, "force").insert(0, _function("propulsion/thrust-lbs", thrust))
+    if propeller.torque_coefficients:
+        factor = -propeller.rotation / FOOT_POUND
+        torque = _propeller(propeller, propeller.torque_coefficients, 5, factor)
+        moment.insert(0, _function("propulsion/torque-lbsft", torque))
+    else:
+        reactions.remove(moment)
 
 
 def _propeller(
-    name: str, propeller: Any, coefficients: Sequence[float], power: int, factor: float
+    propeller: Propeller, coefficients: Sequence[float], power: int, factor: float
 ) -> Element:
-    """Return the function rho D^power (c0 n^2 + c1 n V / D + c2 V^2 / D^2), n in revolutions per second."""
-
-    def turns():
-        if propeller.speed_range is None:
-            return _apply("product", 0.5 / np.pi, SPEED)
+    """Return rho D^power (c0 n^2 + c1 n V / D + c2 V^2 / D^2), n in revolutions per second."""
+    if propeller.speed_range is None:
+        turns = _apply("product", 0.5 / np.pi, SPEED)
+    else:
         idle, full = (speed / (2 * np.pi) for speed in propeller.speed_range)
-        return _apply("sum", idle, _apply("product", full - idle, THROTTLE))
-
-    terms = [
-        _apply(
-            "product",
-            c * (FOOT / propeller.diameter) ** k,
-            *[AIRSPEED] * k,
-            *(turns() for _ in range(2 - k)),
-        )
-        for k, c in enumerate(coefficients)
-    ]
+        turns = _apply("sum", idle, _apply("product", full - idle, THROTTLE))
+    terms = []
+    for k, coefficient in enumerate(coefficients):
+        scale = coefficient * (FOOT / propeller.diameter) ** k
+        terms.append(_apply("product", scale, *[AIRSPEED] * k, *[turns] * (2 - k)))
     scale = factor * propeller.diameter**power * SLUG / FOOT**3
-    return _function(
-        name, _apply("product", scale, "atmosphere/rho-slugs_ft3", _apply("sum", *terms))
-    )
+    return _apply("product", scale, DENSITY, _apply("sum", *terms))
 
 
-def _engine() -> Element:
-    """Return an engine without power: JSBSim's trim moves the throttles of its engines, and no other property."""
-    power = element("electric_engine", element("power", 0.0, unit="WATTS"), name="throttle")
-    thruster = element(
-        "thruster", element("direct", name="none"), _vector("location", CENTRE, unit="M")
-    )
-    return element("propulsion", element("engine", power, thruster))
+def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]) -> None:
+    """Add surfaces with their servos, and the properties of other controls."""
+    control = _part(root, "flight_control")
+    channel = _part(control, "channel")
+    lag = float(model.servo_lag[0])
+    for surface, (command, trim, position) in SURFACES.items():
+        if surface not in model.regressor_names:
+            continue
+        values = {
+            "surface": surface,
+            "command": command,
+            "trim": trim,
+            "position": position,
+            "full": full[surface],
+            "lag": 1.0 / lag if lag > 0 else 0.0,
+        }
+        parts = _filled("surface.xml", values)
+        if not lag > 0:
+            servo = _part(parts, "actuator")
+            servo.remove(_part(servo, "lag"))
+        channel.extend(parts)
+    settable = [] if _has_engine(model.aircraft) else [THROTTLE]
+    for regressor in model.regressors:
+        if not regressor.power and regressor.name not in SOURCES:
+            settable.append(f"fcs/{regressor.name}")
+    for place, name in enumerate(settable):
+        node = Element("property", value="0")
+        node.text = name
+        control.insert(place, node)
 
 
-def _full_text(model: PortableModel, full: Mapping[str, float]) -> str:
-    """Return the deflections at a command of 1 as text."""
-    units = {r.name: r.unit for r in model.regressors}
-    values = ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in full.items())
-    return values or "none"
-
-
-def _controls(
-    model: PortableModel, properties: Sequence[str], full: Mapping[str, float]
-) -> Element:
-    parts = []
-    for name, (command, position) in SURFACES.items():
-        if name in model.regressor_names:
-            # JSBSim trims by the second
-            inputs = [element("input", place) for place in (command, TRIMS[name])]
-            servo = element(
-                "actuator",
-                element("input", f"fcs/{name}-sum"),
-                *(element("lag", 1.0 / lag) for lag in model.servo_lag.tolist() if lag > 0),
-                name=f"fcs/{name}-servo",
-            )
-            scale = element(
-                "aerosurface_scale",
-                element("input", f"fcs/{name}-servo"),
-                element("range", element("min", -full[name]), element("max", full[name])),
-                element("output", position),
-                name=f"fcs/{name}-scale",
-            )
-            parts += [element("summer", *inputs, name=f"fcs/{name}-sum"), servo, scale]
-    settable = [element("property", name, value="0") for name in properties]
-    return element(
-        "flight_control", *settable, element("channel", *parts, name="surfaces"), name="surfaces"
-    )
+def _add_aerodynamics(root: Element, model: PortableModel) -> None:
+    """Add regressors, coefficients and loads."""
+    aerodynamics = _part(root, "aerodynamics")
+    for regressor in model.regressors:
+        value = _apply("product", *_source(regressor, model.aircraft))
+        aerodynamics.append(_function(f"aero/regressor/{regressor.name}", value))
+    for name, shift, scale in zip(model.regressor_names, model.shift, model.scale, strict=True):
+        value = _apply("product", 1 / scale, _apply("difference", f"aero/regressor/{name}", shift))
+        aerodynamics.append(_function(f"aero/scaled/{name}", value))
+    for coefficient in COEFFICIENTS:
+        aerodynamics.extend(_coefficient(model, coefficient))
+    for coefficient in COEFFICIENTS:
+        aerodynamics.append(_load(coefficient))
 
 
 def _source(regressor: Regressor, aircraft: Aircraft) -> list:
@@ -341,31 +313,43 @@ def _source(regressor: Regressor, aircraft: Aircraft) -> list:
 
 def _load(coefficient: str) -> Element:
     """Return the force or the moment of a coefficient."""
-    axis, lengths = AXES[coefficient], REFERENCES.get(coefficient, [])
-    factors = ["aero/qbar-psf", "metrics/Sw-sqft", *lengths, f"aero/coefficient/{coefficient}"]
-    load = _function(f"aero/{'moment' if lengths else 'force'}/{axis}", _apply("product", *factors))
-    return element("axis", load, name=axis, **({} if lengths else {"unit": "LBS"}))
+    axis = AXES[coefficient]
+    factors = ["aero/qbar-psf", "metrics/Sw-sqft"]
+    if coefficient in REFERENCES:
+        node = Element("axis", name=axis)
+        name = f"aero/moment/{axis}"
+        factors.append(REFERENCES[coefficient])
+    else:
+        node = Element("axis", name=axis, unit="LBS")
+        name = f"aero/force/{axis}"
+    factors.append(f"aero/coefficient/{coefficient}")
+    node.append(_function(name, _apply("product", *factors)))
+    return node
 
 
-def _coefficient(model: PortableModel, coefficient: str) -> Iterator[Element]:
-    r"""Yield a coefficient, behind the squares of its terms, which their exponentials share.
+def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
+    r"""Return a coefficient, behind the squares of its terms, which their exponentials share.
 
     .. math:: |F^T z - c|^2 = z^T F F^T z - 2 (F c)^T z + |c|^2
     """
     constant, slopes, gaussians = _mean(model, model.outputs.index(coefficient))
     names = [f"aero/scaled/{regressor}" for regressor in model.regressor_names]
     total = _plane(constant, slopes, names)
+    functions = []
     for number, (term, weights) in enumerate(gaussians):
         A = term.root @ term.root.T
-        squares = [_apply("product", -0.5 * A[k, n], names[k], names[n]) for k, n in np.argwhere(A)]
+        squares = []
+        for k, n in np.argwhere(A):
+            squares.append(_apply("product", -0.5 * A[k, n], names[k], names[n]))
         square = f"aero/square/{coefficient}-{number}"
-        yield _function(square, _apply("sum", *squares))
+        functions.append(_function(square, _apply("sum", *squares)))
         constants = -0.5 * np.square(term.centres).sum(axis=1)
         inner = term.centres @ term.root.T
         for weight, at_zero, slope in zip(weights, constants, inner, strict=True):
             exponent = _apply("sum", square, *_plane(at_zero, slope, names))
             total.append(_apply("product", weight, _apply("exp", exponent)))
-    yield _function(f"aero/coefficient/{coefficient}", _apply("sum", *total))
+    functions.append(_function(f"aero/coefficient/{coefficient}", _apply("sum", *total)))
+    return functions
 
 
 def _plane(constant: float, slopes: Vector, names: Sequence[str]) -> list[Any]:
@@ -374,14 +358,12 @@ def _plane(constant: float, slopes: Vector, names: Sequence[str]) -> list[Any]:
     return [constant, *(_apply("product", slopes[k], names[k]) for k in steep)]
 
 
-def _mean(model: PortableModel, i: int) -> tuple[float, Vector, Gaussians]:
+def _mean(model: PortableModel, i: int) -> tuple[float, Vector, list[tuple[Term, Vector]]]:
     """Return constant, slopes and Gaussian functions with their weights, which add up to the mean of an output."""
     trend = np.zeros(len(model.regressors) + 1)
-    gaussians: Gaussians = []
-    weights = model.mixture[:, i] * model.output_scale[i]
-    for weight, part in zip(weights, model.parts[i :: len(model.outputs)], strict=True):
-        if weight == 0.0:
-            continue
+    gaussians = []
+    for share, part in model.components(i):
+        weight = share * model.output_scale[i]
         trend += weight * part.trend_weights
         for term in part.terms:
             gains = weight * term.gain * part.readout.weights[term.entries]
@@ -390,33 +372,27 @@ def _mean(model: PortableModel, i: int) -> tuple[float, Vector, Gaussians]:
     return constant, trend[1:], gaussians
 
 
-def element(tag: str, *content: Content, **attributes: str) -> Element:
-    """Return an element of XML; numbers have all their digits."""
-    node = Element(tag, attributes)
-    for child in content:
-        if isinstance(child, Element):
-            node.append(child)
+def _apply(operator: str, *operands: Operand) -> Element:
+    """Return an operation; JSBSim complains of sums and products of one operand. Numbers have all their digits."""
+    parts = []
+    for operand in operands:
+        if isinstance(operand, str):
+            part = Element("p")
+            part.text = operand
+        elif isinstance(operand, Element):
+            part = operand
         else:
-            node.text = child if isinstance(child, str) else repr(float(child))
+            part = Element("v")
+            part.text = repr(float(operand))
+        parts.append(part)
+    if len(parts) == 1 and operator in ("sum", "product"):
+        return parts[0]
+    node = Element(operator)
+    node.extend(parts)
     return node
 
 
-def _apply(operator: str, *operands: Content) -> Element:
-    """Return an operation of numbers, properties and others; JSBSim complains of sums and products of one."""
-    parts = [
-        o if isinstance(o, Element) else element("p" if isinstance(o, str) else "v", o)
-        for o in operands
-    ]
-    return (
-        parts[0]
-        if len(parts) == 1 and operator in ("sum", "product")
-        else element(operator, *parts)
-    )
-
-
-def _function(name: str, *content: Content) -> Element:
-    return element("function", *content, name=name)
-
-
-def _vector(tag: str, values: Sequence[float], **attributes: str) -> Element:
-    return element(tag, *map(element, "xyz", values), **attributes)
+def _function(name: str, value: Element) -> Element:
+    node = Element("function", name=name)
+    node.append(value)
+    return node

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any
+from itertools import groupby
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -15,8 +18,37 @@ from sklearn.utils import gen_batches
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 
-ROWS = 512  # predicted at once
+# Rows that are predicted at once
+ROWS = 512
 ROUNDING = float(np.finfo(float).eps)
+
+
+def _squared_distances(u: Matrix, centres: Matrix) -> Matrix:
+    return cdist(u, centres, "sqeuclidean")
+
+
+class Arithmetic(NamedTuple):
+    """Functions of arrays with one row for each sample, or of symbols with a single row.
+
+    The evaluation of a model consists of these and of ``+ - * / **`` and ``@``.
+
+    Parameters
+    ----------
+    exp, maximum : callable
+        By element.
+    columns : callable
+        Of a list of arrays: all side by side.
+    squared_distances : callable
+        Of u (n, r) and centres (k, r): their squared distances (n, k).
+    """
+
+    exp: Callable = np.exp
+    maximum: Callable = np.maximum
+    columns: Callable = np.hstack
+    squared_distances: Callable = _squared_distances
+
+
+ARRAYS = Arithmetic()
 
 
 @dataclass(frozen=True)
@@ -64,7 +96,8 @@ class Regressor:
         mixed = np.asarray(np.tensordot(self.factors, columns, 1))
         if not self.power:
             return mixed
-        return mixed * (self.length / (2 * np.asarray(table["airspeed"], float))) ** self.power
+        airspeed = np.asarray(table["airspeed"], dtype=float)
+        return mixed * (self.length / (2 * airspeed)) ** self.power
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +132,10 @@ class Term:
         """Places of the regressors that the functions depend on."""
         return tuple(np.flatnonzero(self.root.any(axis=1)).tolist())
 
-    def functions(self, Z: Matrix) -> Matrix:
+    def functions(self, Z: Any, arithmetic: Arithmetic = ARRAYS) -> Any:
         """Return the functions at scaled regressors (n, d), (n, k)."""
-        return self.gain * np.exp(-0.5 * cdist(Z @ self.root, self.centres, "sqeuclidean"))
+        squares = arithmetic.squared_distances(Z @ self.root, self.centres)
+        return self.gain * arithmetic.exp(-0.5 * squares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,22 +185,58 @@ class Part:
     trend_root: Matrix
     prior_variance: float
 
-    def basis(self, Z: Matrix) -> Matrix:
-        """Return g at scaled regressors (n, d), (n, k)."""
-        values = np.zeros((len(Z), len(self.readout.weights)))
-        for term in self.terms:
-            values[:, term.entries] += term.functions(Z)
-        return values
+    @cached_property
+    def groups(self) -> list[list[Term]]:
+        """Terms in the order of the basis; those of a group add up."""
+        first = attrgetter("first")
+        return [list(group) for _, group in groupby(sorted(self.terms, key=first), key=first)]
 
-    def prior(self, p: Matrix) -> Vector:
-        """Return the prior variance ``a + |R^T p|^2``, (n,)."""
-        return np.asarray(self.prior_variance + np.square(p @ self.trend_prior).sum(axis=1))
+    @cached_property
+    def used(self) -> Any:
+        """Entries of the basis that are not zero: a slice, or places."""
+        places = [np.r_[group[0].entries] for group in self.groups]
+        n = len(self.readout.weights)
+        if sum(map(len, places)) == n:
+            return slice(0, n)
+        return np.concatenate([np.arange(0), *places])
 
-    def variance(self, p: Matrix, explained: Matrix) -> Vector:
-        """Return nu (n,) from p and U^T g, (n, k)."""
+    def basis(self, Z: Any, arithmetic: Arithmetic = ARRAYS) -> Any:
+        """Return the used entries of g at scaled regressors (n, d), (n, k)."""
+        values = []
+        for group in self.groups:
+            total = group[0].functions(Z, arithmetic)
+            for term in group[1:]:
+                total = total + term.functions(Z, arithmetic)
+            values.append(total)
+        return arithmetic.columns(values) if values else Z[:, :0]
+
+    def mean(self, p: Any, g: Any) -> Any:
+        """Return mu from p (n, d + 1) and the basis (n, k)."""
+        return p @ self.trend_weights + self.functions_mean(g)
+
+    def functions_mean(self, g: Any) -> Any:
+        """Return w^T g from the basis (n, k)."""
+        return g @ self.readout.weights[self.used]
+
+    def explained(self, g: Any) -> Any:
+        """Return U^T g from the basis (n, k)."""
+        return g @ self.readout.root[self.used]
+
+    def prior(self, p: Any) -> Any:
+        """Return the prior variance ``a + |R^T p|^2``."""
+        return self.prior_variance + _row_sum((p @ self.trend_prior) ** 2)
+
+    def variance(self, p: Any, explained: Any, arithmetic: Arithmetic = ARRAYS) -> Any:
+        """Return nu from p and U^T g."""
         prior = self.prior(p)
-        half = _added(p @ self.trend_root, explained)
-        return np.asarray(np.maximum(prior - np.square(half).sum(axis=1), ROUNDING * prior))
+        left = prior - _row_sum(self._half(p, explained, arithmetic) ** 2)
+        return arithmetic.maximum(left, ROUNDING * prior)
+
+    def _half(self, p: Any, explained: Any, arithmetic: Arithmetic = ARRAYS) -> Any:
+        """Return h = T^T p + (0, U^T g), (n, r)."""
+        half = p @ self.trend_root
+        first = self.trend_root.shape[1] - len(self.readout.weights)
+        return arithmetic.columns([half[:, :first], half[:, first:] + explained])
 
     def slopes(self, Z: Matrix) -> Matrix:
         """Return d mu / d z, (n, d)."""
@@ -177,21 +247,21 @@ class Part:
             slopes += away @ term.root.T
         return slopes
 
-    def rounding(self, p: Matrix, g: Matrix) -> Vector:
+    def rounding(self, Z: Matrix, p: Matrix) -> Vector:
         """Return the error of the variance by rounding, (n,)."""
-        U = self.readout.root
-        T = self.trend_root
-        half = _added(p @ T, g @ U)
-        squares = _added(p**2 @ T**2, g**2 @ U**2)
-        explained = 2 * np.sqrt((half**2 * squares).sum(axis=1))
-        epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + g.shape[1])
+        g = self.basis(Z)
+        half = self._half(p, self.explained(g))
+        n_functions = len(self.readout.weights)
+        squares = p**2 @ self.trend_root**2
+        squares[:, squares.shape[1] - n_functions :] += g**2 @ self.readout.root[self.used] ** 2
+        explained = 2 * np.sqrt(_row_sum(half**2 * squares))
+        epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + n_functions)
         return np.asarray(epsilon * np.hypot(self.prior(p), explained))
 
 
-def _added(total: Matrix, half: Matrix) -> Matrix:
-    """Add (n, k) to the last columns of (n, r)."""
-    total[:, total.shape[1] - half.shape[1] :] += half
-    return total
+def _row_sum(values: Any) -> Any:
+    """Return the sum of each row, of arrays and symbols."""
+    return values @ np.ones(values.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,6 +394,32 @@ class PortableModel:
         """Return p at scaled regressors (n, d), (n, d + 1)."""
         return np.column_stack([np.ones(len(Z)), Z - self.trend_center])
 
+    def components(self, i: int) -> list[tuple[float, Part]]:
+        """Return the components of output i whose weight is not zero: weight and part."""
+        weights = self.mixture[:, i].tolist()
+        parts = self.parts[i :: len(self.outputs)]
+        return [pair for pair in zip(weights, parts, strict=True) if pair[0] != 0.0]
+
+    def moments(
+        self, i: int, Z: Any, p: Any, return_variance: bool, arithmetic: Arithmetic = ARRAYS
+    ) -> tuple[Any, Any]:
+        """Return normalised mean and variance of output i at scaled regressors; 0 as variance if it is not asked."""
+        components = self.components(i)
+        means = []
+        variances = []
+        for _, part in components:
+            g = part.basis(Z, arithmetic)
+            means.append(part.mean(p, g))
+            if return_variance:
+                variances.append(part.variance(p, part.explained(g), arithmetic))
+        weights = [weight for weight, _ in components]
+        mean = _weighted_sum(weights, means)
+        if not return_variance:
+            return mean, 0.0
+        for k, value in enumerate(means):
+            variances[k] = variances[k] + (value - mean) ** 2
+        return mean, _weighted_sum(weights, variances)
+
     def predict(self, X: Any, return_std: bool = False, include_input_noise: Any = True) -> Any:
         """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
 
@@ -334,21 +430,38 @@ class PortableModel:
         factor of their noise's variance, also (n,).
         """
         Z = self.scaled(X)
+        mean, variance = self._predicted(Z, return_std)
+        mean = self.center + self.output_scale * mean
+        if not return_std:
+            return mean
         factor = np.broadcast_to(np.asarray(include_input_noise, dtype=float), len(Z))
+        if factor.any():
+            slopes = self._slopes(Z) / self.output_scale[:, None]
+            noise = np.einsum("npd,npd->np", slopes @ self.input_covariance, slopes)
+            variance += factor[:, None] * noise
+        return mean, self.output_scale * np.sqrt(variance)
+
+    def _predicted(self, Z: Matrix, return_variance: bool) -> tuple[Matrix, Matrix]:
+        """Return normalised means and variances of all outputs, (n, P) each."""
         mean, variance = np.empty((2, len(Z), len(self.outputs)))
         for rows in gen_batches(len(Z), ROWS):
-            mean[rows], variance[rows] = self._moments(Z[rows], return_std)
-            if return_std and factor[rows].any():
-                slopes = self._slopes(Z[rows]) / self.output_scale[:, None]
-                noise = np.einsum("npd,npd->np", slopes @ self.input_covariance, slopes)
-                variance[rows] += factor[rows, None] * noise
-        mean = self.center + self.output_scale * mean
-        return (mean, self.output_scale * np.sqrt(variance)) if return_std else mean
+            p = self.trend(Z[rows])
+            for i in range(len(self.outputs)):
+                moments = self.moments(i, Z[rows], p, return_variance)
+                mean[rows, i], variance[rows, i] = moments
+        return mean, variance
 
     def predict_gradient(self, X: Any) -> Array:
         """Return the slopes of the mean, d mean / d regressor, (n, P, d), per unit of the regressors."""
-        Z = self.scaled(X)
-        return np.concatenate([self._slopes(Z[rows]) for rows in gen_batches(len(Z), ROWS)])
+        return self._slopes(self.scaled(X))
+
+    def _slopes(self, Z: Matrix) -> Array:
+        slopes = np.zeros((len(Z), len(self.outputs), Z.shape[1]))
+        for rows in gen_batches(len(Z), ROWS):
+            for i in range(len(self.outputs)):
+                for weight, part in self.components(i):
+                    slopes[rows, i] += weight * part.slopes(Z[rows])
+        return slopes * self.output_scale[:, None] / self.scale
 
     def rounding(self, X: Any) -> Matrix:
         r"""Return how far deviations (n, P) of two programs may differ by rounding alone, in double precision.
@@ -365,33 +478,12 @@ class PortableModel:
         """
         Z = self.scaled(X)
         p = self.trend(Z)
-        errors = np.column_stack([part.rounding(p, part.basis(Z)) for part in self.parts])
-        error = self._mixed(errors)[0]
-        return self.output_scale * error / np.sqrt(np.maximum(self._moments(Z, True)[1], error))
-
-    def _moments(self, Z, return_std):
-        """Return normalised mean and variance of the outputs, (n, P) each."""
-        p = self.trend(Z)
-        mean, variance = np.zeros((2, len(Z), len(self.parts)))
-        for j, part in enumerate(self.parts):
-            g = part.basis(Z)
-            mean[:, j] = p @ part.trend_weights + g @ part.readout.weights
-            if return_std:
-                variance[:, j] = part.variance(p, g @ part.readout.root)
-        mixed, away = self._mixed(mean)
-        return mixed, self._mixed(variance + away**2)[0]
-
-    def _mixed(self, values):
-        """Return the weighted sums over components (n, P) of values of parts (n, K P), and what differs from them."""
-        of_parts = values.reshape(-1, *self.mixture.shape)
-        mixed = (self.mixture * of_parts).sum(axis=1)
-        return mixed, (of_parts - mixed[:, None]).reshape(values.shape)
-
-    def _slopes(self, Z):
-        slopes = np.stack([part.slopes(Z) for part in self.parts], axis=1)
-        of_parts = slopes.reshape(len(Z), *self.mixture.shape, -1)
-        mixed = (self.mixture[..., None] * of_parts).sum(axis=1)
-        return mixed * self.output_scale[:, None] / self.scale
+        error = np.zeros((len(Z), len(self.outputs)))
+        for i in range(len(self.outputs)):
+            for weight, part in self.components(i):
+                error[:, i] += weight * part.rounding(Z, p)
+        variance = self._predicted(Z, True)[1]
+        return self.output_scale * error / np.sqrt(np.maximum(variance, error))
 
     def head(self) -> dict[str, Any]:
         """Return names, formulas of the regressors, aircraft and provenance, as JSON knows them."""
@@ -404,75 +496,65 @@ class PortableModel:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name, as :func:`skdgp.export.save_portable` writes them."""
-        d = len(self.regressors)
-        places = {id(readout): k for k, readout in enumerate(self.readouts)}
-        terms = [(j, term) for j, part in enumerate(self.parts) for term in part.terms]
-        place = [(j, term.first, len(term.centres)) for j, term in terms]
-        wide = [np.pad(t.root, ((0, 0), (0, d - t.root.shape[1]))) for _, t in terms]
-        centres = [np.pad(t.centres, ((0, 0), (0, d - t.root.shape[1]))) for _, t in terms]
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in NUMBERS}
-        arrays |= {
-            name: np.array([getattr(part, name) for part in self.parts]) for name in OF_PARTS
-        }
-        arrays["readout_of"] = np.array([places[id(part.readout)] for part in self.parts])
-        arrays["term_place"] = np.array(place, dtype=np.int64).reshape(-1, 3)
-        arrays["term_gain"] = np.array([term.gain for _, term in terms])
-        arrays["term_root"] = np.array(wide).reshape(-1, d, d)
-        arrays["centres"] = np.concatenate([np.empty((0, d)), *centres])
+        values = vars(self)
+        arrays: dict[str, Any] = {name: values[name] for name in NUMBERS_OF_MODEL}
+        arrays["trend_weights"] = np.array([part.trend_weights for part in self.parts])
+        arrays["prior_variance"] = np.array([part.prior_variance for part in self.parts])
+        readouts = self.readouts
+        arrays["readout_of"] = np.array([readouts.index(part.readout) for part in self.parts])
+        arrays |= self._term_arrays()
         for j, part in enumerate(self.parts):
             arrays[f"trend_prior_{j}"] = part.trend_prior
             arrays[f"trend_root_{j}"] = part.trend_root
-        for k, readout in enumerate(self.readouts):
+        for k, readout in enumerate(readouts):
             arrays[f"weights_{k}"] = readout.weights
             arrays[f"root_{k}"] = packed(readout.root)
         if self.reference is not None:
-            arrays |= {REFERENCE + name: array for name, array in vars(self.reference).items()}
+            for name, array in vars(self.reference).items():
+                arrays[REFERENCE + name] = array
         return arrays
+
+    def _term_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of all terms, one after another."""
+        d = len(self.regressors)
+        places = []
+        gains = []
+        roots = []
+        centres = [np.empty((0, d))]
+        for j, part in enumerate(self.parts):
+            for term in part.terms:
+                k, rank = term.centres.shape
+                wide = ((0, 0), (0, d - rank))
+                places.append((j, term.first, k))
+                gains.append(term.gain)
+                roots.append(np.pad(term.root, wide))
+                centres.append(np.pad(term.centres, wide))
+        return {
+            "term_place": np.array(places, dtype=np.int64).reshape(-1, 3),
+            "term_gain": np.array(gains),
+            "term_root": np.array(roots).reshape(-1, d, d),
+            "centres": np.concatenate(centres),
+        }
 
     @classmethod
     def from_arrays(cls, head: dict[str, Any], arrays: dict[str, np.ndarray]) -> PortableModel:
         """Return the model of a head and arrays."""
-        places = arrays["term_place"]
-        readouts = [
-            Readout(
-                arrays[f"weights_{k}"], unpacked(arrays[f"root_{k}"], len(arrays[f"weights_{k}"]))
-            )
-            for k in range(int(arrays["readout_of"].max()) + 1)
-        ]
-        terms: list[list[Term]] = [[] for _ in arrays["readout_of"]]
-        centres = np.split(arrays["centres"], np.cumsum(places[:-1, 2]))
-        columns = zip(places, arrays["term_gain"], arrays["term_root"], centres, strict=True)
-        for (j, first, _), gain, root, at in columns if len(places) else ():
-            used = root.any(axis=0)
-            terms[j].append(Term(int(first), float(gain), root[:, used], at[:, used]))
-        of_parts = zip(*(arrays[name] for name in OF_PARTS), strict=True)
-        parts = tuple(
-            Part(
-                tuple(terms[j]),
-                readouts[arrays["readout_of"][j]],
-                v,
-                arrays[f"trend_prior_{j}"],
-                arrays[f"trend_root_{j}"],
-                float(a),
-            )
-            for j, (v, a) in enumerate(of_parts)
-        )
-        reference = {
-            name.removeprefix(REFERENCE): array
-            for name, array in arrays.items()
-            if name.startswith(REFERENCE)
-        }
+        reference = None
+        if REFERENCE + "mean" in arrays:
+            names = ("regressors", "mean", "std")
+            reference = Reference(*(arrays[REFERENCE + name] for name in names))
+        regressors = []
+        for facts in head["regressors"]:
+            sequences = {name: tuple(facts[name]) for name in ("sources", "factors")}
+            regressors.append(Regressor(**facts | sequences))
         return cls(
-            regressors=tuple(
-                Regressor(**r | {name: tuple(r[name]) for name in ("sources", "factors")})
-                for r in head["regressors"]
-            ),
+            regressors=tuple(regressors),
             outputs=tuple(head["outputs"]),
             aircraft=Aircraft.from_dict(head["aircraft"]),
-            parts=parts,
+            parts=_parts_of(arrays),
             provenance=head["provenance"],
-            reference=Reference(**reference) if reference else None,
-            **{name: arrays[name] for name in NUMBERS},
+            reference=reference,
+            **{name: arrays[name] for name in NUMBERS_OF_MODEL},
         )
 
     @cached_property
@@ -487,14 +569,59 @@ class PortableModel:
 
 
 # Arrays of a model
-NUMBERS = (
-    *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
-    *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
+NUMBERS_OF_MODEL = (
+    "shift",
+    "scale",
+    "center",
+    "output_scale",
+    "trend_center",
+    "mixture",
+    "noise_variance",
+    "input_covariance",
+    "limits",
+    "samples",
+    "servo_lag",
 )
 # Prefix of the arrays of a `Reference`
 REFERENCE = "reference_"
-# Arrays with one row for each part
-OF_PARTS = ("trend_weights", "prior_variance")
+
+
+def _parts_of(arrays: dict[str, np.ndarray]) -> tuple[Part, ...]:
+    """Return the parts of a model from its arrays."""
+    readout_of = arrays["readout_of"]
+    readouts = []
+    for k in range(int(readout_of.max()) + 1):
+        weights = arrays[f"weights_{k}"]
+        readouts.append(Readout(weights, unpacked(arrays[f"root_{k}"], len(weights))))
+    terms: list[list[Term]] = [[] for _ in readout_of]
+    begin = 0
+    for t, (j, first, k) in enumerate(arrays["term_place"].tolist()):
+        root = arrays["term_root"][t]
+        used = root.any(axis=0)
+        centres = arrays["centres"][begin : begin + k, used]
+        begin += k
+        terms[j].append(Term(first, float(arrays["term_gain"][t]), root[:, used], centres))
+    parts = []
+    for j, own in enumerate(terms):
+        parts.append(
+            Part(
+                terms=tuple(own),
+                readout=readouts[readout_of[j]],
+                trend_weights=arrays["trend_weights"][j],
+                trend_prior=arrays[f"trend_prior_{j}"],
+                trend_root=arrays[f"trend_root_{j}"],
+                prior_variance=float(arrays["prior_variance"][j]),
+            )
+        )
+    return tuple(parts)
+
+
+def _weighted_sum(weights: list[float], values: list[Any]) -> Any:
+    """Return the weighted sum of arrays or symbols."""
+    total = weights[0] * values[0]
+    for weight, value in zip(weights[1:], values[1:], strict=True):
+        total = total + weight * value
+    return total
 
 
 def packed(triangle: Matrix) -> Vector:
@@ -507,6 +634,3 @@ def unpacked(values: Vector, size: int) -> Matrix:
     triangle = np.zeros((size, size))
     triangle.T[np.tril_indices(size)] = values
     return triangle
-
-
-# Names of the vocabulary: another column is never written under one of them

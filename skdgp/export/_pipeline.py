@@ -1,38 +1,29 @@
-"""The portable model of an identified pipeline, posteriors as arrays; its file, without code, and all formats."""
+"""The portable model of an identified pipeline: posteriors as arrays."""
 
 from __future__ import annotations
 
-import io
-import json
-import os
 import re
-import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 from scipy.linalg import lapack, rq
 from sklearn.pipeline import Pipeline
-from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.files import plain, write_atomically
+from skdgp._compute.files import plain
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
-from skdgp.export._c import c_bytes, write_c
-from skdgp.export._casadi import write_casadi
-from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
-from skdgp.export._reduce import reduced
 from skdgp.inference import (
     ExactPosterior,
     FunctionErrors,
+    Posterior,
     PosteriorWithErrors,
     SinglePosterior,
     SparsePosterior,
@@ -40,9 +31,13 @@ from skdgp.inference import (
 )
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
-MAX_SAMPLES = 1000  # rows of the training data that a model holds
-REFERENCE_ROWS = 40  # at which a model holds the predictions of the pipeline
-REFERENCE_STEP = 0.5  # of every second one from the training data, in standard deviations
+# Rows of the training data that a model holds
+MAX_SAMPLES = 1000
+# Rows at which a model holds the predictions of the pipeline
+REFERENCE_ROWS = 40
+# Distance of every second one from the training data, in standard deviations
+REFERENCE_STEP = 0.5
+NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -78,6 +73,42 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     array([[ 0.01,  0.02, -0.2 ,  0.02, -0.03,  0.01]])
     """
     check_aircraft(aircraft)
+    regressor = _fitted_regressor(pipeline)
+    simulated = as_aerodynamics(pipeline)
+    steps = _behind_choice(pipeline)
+    shift, scale = _scaling(steps, len(simulated.regressors))
+    posterior = regressor.posterior_
+    center, parts = _all_parts(posterior)
+    samples = training_inputs(posterior) * scale + shift
+    seen = samples
+    if simulated.limits is not None:
+        seen = np.vstack([samples, simulated.limits])
+    every = -(-len(samples) // MAX_SAMPLES)
+    model = PortableModel(
+        regressors=_regressors(pipeline, simulated, aircraft),
+        outputs=tuple(regressor.output_names_),
+        aircraft=aircraft,
+        shift=shift,
+        scale=scale,
+        center=np.asarray(regressor.center_, dtype=float),
+        output_scale=np.asarray(regressor.scale_, dtype=float),
+        trend_center=center,
+        parts=parts,
+        mixture=np.asarray(posterior.mixture, dtype=float),
+        noise_variance=np.asarray(regressor.noise_variance_),
+        input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
+        limits=np.stack([seen.min(axis=0), seen.max(axis=0)]),
+        samples=samples[::every],
+        servo_lag=np.array([simulated.servo_lag]),
+        provenance=plain(facts | {"inference": regressor.inference_}),
+        reference=_reference(steps, regressor, samples, simulated.regressors),
+    )
+    _check_names(model)
+    return model
+
+
+def _fitted_regressor(pipeline: Pipeline) -> DependentGPRegressor:
+    """Return the last step of a fitted pipeline; raise TypeError or ValueError at any other."""
     if not isinstance(pipeline, Pipeline):
         raise TypeError(
             f"Got {type(pipeline).__name__} to export, but expected a fitted pipeline. {REMEDY}"
@@ -86,58 +117,32 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     regressor = pipeline[-1]
     if not isinstance(regressor, DependentGPRegressor):
         raise ValueError(
-            f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. "
-            f"{REMEDY}"
+            f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}"
         )
-    simulated = as_aerodynamics(pipeline)
-    behind = _behind_choice(pipeline)
-    shift, scale = _scaling(behind, len(simulated.regressors))
-    columns = {c for _, step in pipeline.steps for c in getattr(step, "feature_names_in_", ())}
-    posterior = regressor.posterior_
-    errors = posterior.errors if isinstance(posterior, PosteriorWithErrors) else None
-    center = _trend_of(posterior.members[0].kernel)[0]
-    parts: list[Part] = []
-    for member, weights in zip(posterior.members, posterior.mixture, strict=True):
-        own = _parts(member, errors, center)
-        parts += [
-            part if w > 0 else _unused(len(center)) for part, w in zip(own, weights, strict=True)
-        ]
-    samples = training_inputs(posterior) * scale + shift
-    seen = samples if simulated.limits is None else np.vstack([samples, simulated.limits])
-    model = PortableModel(
-        regressors=tuple(_regressor(n, simulated, aircraft, columns) for n in simulated.regressors),
-        outputs=tuple(regressor.output_names_),
-        aircraft=aircraft,
-        shift=shift,
-        scale=scale,
-        center=np.asarray(regressor.center_, dtype=float),
-        output_scale=np.asarray(regressor.scale_, dtype=float),
-        trend_center=center,
-        parts=tuple(parts),
-        mixture=np.asarray(posterior.mixture, dtype=float),
-        noise_variance=np.asarray(regressor.noise_variance_),
-        input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
-        limits=np.stack([seen.min(axis=0), seen.max(axis=0)]),
-        samples=samples[:: -(-len(samples) // MAX_SAMPLES)],
-        servo_lag=np.array([simulated.servo_lag]),
-        provenance=plain(facts | {"inference": regressor.inference_}),
-        reference=_reference(behind, regressor, samples, simulated.regressors),
-    )
+    return regressor
+
+
+def _check_names(model: PortableModel) -> None:
+    """Raise ValueError at names that other programs cannot write."""
     names = dict.fromkeys((*model.columns, *model.regressor_names, *model.outputs))
     if strange := [name for name in names if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
         raise ValueError(
             f"Got columns {strange}, but exports need names of letters, digits and underscores: "
             f"rename them in the flights, and learn again."
         )
-    return model
 
 
 def _behind_choice(pipeline: Pipeline) -> list[Any]:
     """Return the steps between the choice of regressors and the last step."""
-    steps = [step for _, step in pipeline.steps[:-1] if step not in (None, "passthrough")]
-    roles = [getattr(step, "in_simulation", "") for step in steps]
-    chosen = max((k for k, role in enumerate(roles) if role == "regressors"), default=-1)
-    return steps[chosen + 1 :]
+    behind: list[Any] = []
+    for _, step in pipeline.steps[:-1]:
+        if step in (None, "passthrough"):
+            continue
+        if getattr(step, "in_simulation", "") == "regressors":
+            behind = []
+        else:
+            behind.append(step)
+    return behind
 
 
 def _reference(
@@ -174,21 +179,32 @@ def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:
     return shift, scale
 
 
-def _regressor(name: str, model: Aerodynamics, aircraft: Aircraft, columns: set[str]) -> Regressor:
-    """Return a regressor with the columns of flights that the pipeline computes it from."""
-    rate = name.removesuffix(HAT)
-    if name.endswith(HAT) and rate in LENGTHS:
-        length = getattr(model, LENGTHS[rate]) or getattr(aircraft, LENGTHS[rate])
-        power = 2 if rate in ACCELERATION_LENGTHS else 1
-        return Regressor(name, "", (rate,), (1.0,), float(length), power)
-    unit = model.units.get(name, CHANNELS[name].unit if name in CHANNELS else "")
+def _regressors(
+    pipeline: Pipeline, model: Aerodynamics, aircraft: Aircraft
+) -> tuple[Regressor, ...]:
+    """Return the regressors with the columns of flights that the pipeline computes them from."""
+    lengths = {"span": model.span or aircraft.span, "chord": model.chord or aircraft.chord}
+    columns: set[str] = set()
+    for _, step in pipeline.steps:
+        columns.update(getattr(step, "feature_names_in_", ()))
     mixing = model.mixing
-    factors = {}
-    if mixing and name in mixing.controls and columns.issuperset(mixing.surfaces):
-        row = mixing.matrix[mixing.controls.index(name)]
-        factors = {s: float(c) for s, c in zip(mixing.surfaces, row, strict=True) if c}
-    factors = factors or {name: 1.0}
-    return Regressor(name, unit, tuple(factors), tuple(factors.values()))
+    regressors = []
+    for name in model.regressors:
+        rate = name.removesuffix(HAT)
+        if name != rate and rate in LENGTHS:
+            power = 2 if rate in ACCELERATION_LENGTHS else 1
+            length = float(lengths[LENGTHS[rate]])
+            regressors.append(Regressor(name, "", (rate,), (1.0,), length, power))
+            continue
+        unit = CHANNELS[name].unit if name in CHANNELS else ""
+        factors = {}
+        if mixing and name in mixing.controls and columns.issuperset(mixing.surfaces):
+            row = mixing.matrix[mixing.controls.index(name)]
+            factors = {s: float(c) for s, c in zip(mixing.surfaces, row, strict=True) if c}
+        factors = factors or {name: 1.0}
+        unit = model.units.get(name, unit)
+        regressors.append(Regressor(name, unit, tuple(factors), tuple(factors.values())))
+    return tuple(regressors)
 
 
 def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
@@ -210,6 +226,17 @@ def _moved_trend(own: Vector, center: Vector) -> Matrix:
     return moved
 
 
+def _all_parts(posterior: Posterior) -> tuple[Vector, tuple[Part, ...]]:
+    """Return the common centre of the trends, and the parts of all components, one for each output."""
+    errors = posterior.errors if isinstance(posterior, PosteriorWithErrors) else None
+    center = _trend_of(posterior.members[0].kernel)[0]
+    parts: list[Part] = []
+    for member, weights in zip(posterior.members, posterior.mixture, strict=True):
+        for part, weight in zip(_parts(member, errors, center), weights, strict=True):
+            parts.append(part if weight > 0 else _unused(len(center)))
+    return center, tuple(parts)
+
+
 def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Vector) -> list[Part]:
     """Return the parts of a single posterior, one for each output, with trends about a common centre.
 
@@ -217,49 +244,51 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Ve
     M^T v, and the roots of its prior and explained covariance M^T R and M^T T. Errors of the
     function add to the prior: their linear terms further columns, their discrepancy a variance.
     """
-    terms = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
-    others = [type(term).__name__ for term in terms if not isinstance(term, ConvolvedGaussian)]
+    kernels = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
+    others = [type(term).__name__ for term in kernels if not isinstance(term, ConvolvedGaussian)]
     if others:
         raise ValueError(
             f"Got a model with the kernels {others}, but only ConvolvedGaussian and LinearTrend "
             f"have a portable form. {REMEDY}"
         )
     own, tau = _trend_of(posterior.kernel)
-    prior = np.zeros(posterior.kernel.n_outputs)
-    for kernel in terms:
-        prior += (kernel.value("amplitude") ** 2).sum(axis=0)
-    if errors is not None:
-        prior += errors.discrepancy
-    found = (
-        _exact(posterior, terms, own, tau)
-        if isinstance(posterior, ExactPosterior)
-        else _sparse(cast(SparsePosterior, posterior), tau)
-    )
+    variance = np.zeros(posterior.kernel.n_outputs)
+    for kernel in kernels:
+        variance += (kernel.value("amplitude") ** 2).sum(axis=0)
+    if isinstance(posterior, ExactPosterior):
+        parts = _exact(posterior, kernels, own, tau, variance)
+    else:
+        parts = _sparse(cast(SparsePosterior, posterior), tau, variance)
     moved = _moved_trend(own, center).T
-    parts = []
-    for i, (of_part, readout, weights, root) in enumerate(found):
-        trend_prior = (moved * tau[i])[:, tau[i] > 0]
+    moved_parts = []
+    for i, part in enumerate(parts):
+        trend_prior = moved @ part.trend_prior
+        prior_variance = part.prior_variance
         if errors is not None:
             linear = _moved_trend(errors.centre, center).T @ errors.weights[:, :, i].T
             trend_prior = _square_root(np.hstack([trend_prior, linear]))
-        parts.append(
-            Part(
-                terms=tuple(of_part),
-                readout=readout,
-                trend_weights=moved @ weights,
+            prior_variance += float(errors.discrepancy[i])
+        moved_parts.append(
+            replace(
+                part,
+                trend_weights=moved @ part.trend_weights,
                 trend_prior=trend_prior,
-                trend_root=moved @ root,
-                prior_variance=float(prior[i]),
+                trend_root=moved @ part.trend_root,
+                prior_variance=prior_variance,
             )
         )
-    return parts
+    return moved_parts
 
 
 def _unused(d: int) -> Part:
     """Return a part of weight zero: its values do not matter, so it has no functions."""
     nothing = np.zeros((d + 1, 0))
-    none = Readout(np.empty(0), np.empty((0, 0)))
-    return Part((), none, np.zeros(d + 1), nothing, nothing, 1.0)
+    return Part((), NO_FUNCTIONS, np.zeros(d + 1), nothing, nothing, 1.0)
+
+
+def _trend_prior(tau: Vector) -> Matrix:
+    """Return the root of the prior covariance of intercept and slopes, without columns of zeros."""
+    return np.diag(tau)[:, tau > 0]
 
 
 def _square_root(root: Matrix) -> Matrix:
@@ -268,8 +297,14 @@ def _square_root(root: Matrix) -> Matrix:
     return np.asarray(triangle)[:, -len(root) :]
 
 
-def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> Iterator[tuple]:
-    """Yield terms, readout, weights and root of the trend of each output; the samples are the centres.
+def _exact(
+    posterior: ExactPosterior,
+    kernels: list[Any],
+    center: Vector,
+    tau: Matrix,
+    variance: Vector,
+) -> list[Part]:
+    """Return the part of each output of an exact posterior; the samples are the centres.
 
     The basis is the covariance with the observed values, the readout C^-1 y and L^-T of C = L L^T.
     """
@@ -279,50 +314,66 @@ def _exact(posterior: ExactPosterior, kernels, center: Vector, tau: Matrix) -> I
     if info:
         raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri {info}).")
     inverse = np.tril(inverse)
-    none = Readout(np.empty(0), np.empty((0, 0)))
-    readout = Readout(posterior.alpha.copy(), inverse.T) if kernels else none
+    readout = Readout(posterior.alpha.copy(), inverse.T) if kernels else NO_FUNCTIONS
+    parts = []
     for i, (a, b) in enumerate(pairwise(places)):
-        terms = [
-            term
-            for kernel in kernels
-            for j, first in enumerate(places[:-1])
-            for term in _terms(kernel, i, j, first, X[j], kernel)
-        ]
+        terms: list[Term] = []
+        for kernel in kernels:
+            for j, first in enumerate(places[:-1]):
+                terms += _terms(kernel, i, j, first, X[j], kernel)
         columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
         root = (inverse[:, a:b] @ columns).T
         if not kernels:
-            root = np.array(rq(root, mode="r"))[:, -tau.shape[1] :]
-        yield terms, readout, posterior.alpha[a:b] @ columns, root
+            root = _square_root(root)
+        weights = posterior.alpha[a:b] @ columns
+        prior = _trend_prior(tau[i])
+        parts.append(Part(tuple(terms), readout, weights, prior, root, float(variance[i])))
+    return parts
 
 
-def _sparse(posterior: SparsePosterior, tau: Matrix) -> Iterator[tuple]:
-    """Yield the same of a sparse posterior: the inducing inputs are the centres, each output has a readout."""
+def _sparse(posterior: SparsePosterior, tau: Matrix, variance: Vector) -> list[Part]:
+    """Return the part of each output of a sparse posterior; the inducing inputs are the centres."""
+    parts = []
     for i in range(len(tau)):
-        of_trend = np.zeros(0, int)
-        of_terms: list[Any] = []
-        terms: list[Term] = []
-        first = 0
-        for features in posterior.features.summands():
-            own = np.arange(first, first + len(features.columns(i)))
-            first += len(own)
-            if not isinstance(features, LatentFeatures):
-                of_trend = own
-                continue
-            for f in features.blocks[i]:
-                pair = i, len(tau) + f
-                terms += _terms(
-                    features.joint, *pair, len(of_terms), features.Z[f], features.kernel
-                )
-                of_terms += own[: len(features.Z[f])].tolist()
-                own = own[len(features.Z[f]) :]
-        order = [*of_trend, *of_terms]
+        terms, of_trend, of_terms = _sparse_terms(posterior, i, len(tau))
         n = len(of_trend)
+        order = [*of_trend, *of_terms]
         w = posterior.weights[posterior.features.columns(i)][order]
         root = np.array(rq(posterior.roots[i][order], mode="r"))
-        units = tau[i] if n else np.zeros((len(tau[i]), 0))  # of weights of the trend
-        trend_root = units[:, None] * root[:n] if n else np.zeros((len(units), len(order)))
-        weights = units * w[:n] if n else np.zeros(len(units))
-        yield terms, Readout(w[n:], np.ascontiguousarray(root[n:, n:])), weights, trend_root
+        readout = Readout(w[n:], np.ascontiguousarray(root[n:, n:]))
+        trend_weights = np.zeros(tau.shape[1])
+        trend_root = np.zeros((tau.shape[1], len(order)))
+        if n:  # weights of the trend are in units of its prior
+            trend_weights = tau[i] * w[:n]
+            trend_root = tau[i][:, None] * root[:n]
+        prior = _trend_prior(tau[i])
+        part = Part(tuple(terms), readout, trend_weights, prior, trend_root, float(variance[i]))
+        parts.append(part)
+    return parts
+
+
+def _sparse_terms(
+    posterior: SparsePosterior, i: int, n_outputs: int
+) -> tuple[list[Term], list[int], list[int]]:
+    """Return the terms of an output, and the places of trend and terms among its inducing variables."""
+    of_trend: list[int] = []
+    of_terms: list[int] = []
+    terms: list[Term] = []
+    first = 0
+    for features in posterior.features.summands():
+        last = first + len(features.columns(i))
+        if isinstance(features, LatentFeatures):
+            place = first
+            for f in features.blocks[i]:
+                Z = features.Z[f]
+                latent = n_outputs + f
+                terms += _terms(features.joint, i, latent, len(of_terms), Z, features.kernel)
+                of_terms += range(place, place + len(Z))
+                place += len(Z)
+        else:
+            of_trend = list(range(first, last))
+        first = last
+    return terms, of_trend, of_terms
 
 
 def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
@@ -336,155 +387,3 @@ def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
         F = F[:, F.any(axis=0)]
         if len(X):
             yield Term(int(first), float(gain), F, (X + shift) @ F)
-
-
-# -- the portable file, and all formats
-# -------------------------------------------------------------------------------------
-
-FORMAT, VERSION = "skdgp portable model", 6
-HEAD = "model.json"
-EPOCH = (1980, 1, 1, 0, 0, 0)  # equal models are equal files
-MEMBER_BYTES = 300  # of an array in the file, besides its numbers
-
-
-class PortableFileError(ValueError):
-    """A file could not be read as a portable model."""
-
-
-def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
-    """Write a portable model into one file, which appears whole or not at all, and return its path.
-
-    The file is an uncompressed zip archive, which ``numpy.load`` opens: ``model.json`` and one
-    ``.npy`` for each array. Raises TypeError if ``model`` is no `PortableModel`.
-    """
-    if not isinstance(model, PortableModel):
-        raise TypeError(
-            f"Got {type(model).__name__} to save, but expected a PortableModel: make one with "
-            "skdgp.export.portable_model(pipeline, aircraft)."
-        )
-    head = {"format": FORMAT, "version": VERSION, "content_hash": model.content_hash}
-    text = json.dumps(head | model.head(), indent=1, allow_nan=False)
-
-    def write(temporary: Path) -> None:
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr(zipfile.ZipInfo(HEAD, EPOCH), text)
-            for name, array in model.arrays().items():
-                data = io.BytesIO()
-                np.save(data, np.ascontiguousarray(array), allow_pickle=False)
-                archive.writestr(zipfile.ZipInfo(f"{name}.npy", EPOCH), data.getbuffer())
-
-    return write_atomically(path, write)
-
-
-def load_portable(path: str | os.PathLike[str]) -> PortableModel:
-    """Return a portable model that :func:`save_portable` or ``skdgp export`` wrote, the same to the bit.
-
-    No code is run. Raises FileNotFoundError if there is no such file, PortableFileError if it is
-    not a portable model, holds other numbers or names than were written, or is of another version.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"Got {path}, but there is no such file.")
-    try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            head = json.loads(file[HEAD])
-            if (head["format"], head["version"]) != (FORMAT, VERSION):
-                raise ValueError(f"its format is {head['format']} {head['version']}")
-            arrays = {name: file[name] for name in file.files if name != HEAD}
-        model = PortableModel.from_arrays(head, arrays)
-        if model.content_hash != head["content_hash"]:
-            raise ValueError("its content is not what its hash says")
-        model.predict(model.shift[None], return_std=True)
-    except Exception as error:  # a damaged archive may raise anything
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise PortableFileError(
-            f"Got {path}, which is not a portable model of this version ({reason}): copy it again, "
-            "or export the model again."
-        ) from error
-    return model
-
-
-def file_bytes(model: PortableModel) -> int:
-    """Return the size of the file of a model."""
-    sizes = (MEMBER_BYTES + array.nbytes for array in model.arrays().values())
-    return sum(sizes, MEMBER_BYTES + len(json.dumps(model.head(), indent=1)))
-
-
-MAX_BYTES = 2**26  # compilers and simulators take no larger source in reasonable time
-
-
-class Format(NamedTuple):
-    """What writes a format into a folder and returns the files, the size of a model in it, and the largest."""
-
-    write: Callable[[Path, PortableModel], list[Path]]
-    size: Callable[[PortableModel], int] = file_bytes
-    most: float = MAX_BYTES
-
-
-# Formats of `export_model` by name
-FORMATS: dict[str, Format] = {
-    "portable": Format(
-        lambda folder, model: [save_portable(folder / "model.npz", model)], most=np.inf
-    ),
-    "c": Format(write_c, c_bytes),
-    "jsbsim": Format(write_jsbsim),
-    "casadi": Format(write_casadi),
-}
-
-
-def export_model(
-    folder: str | os.PathLike[str],
-    model: Bunch | PortableModel,
-    to: str,
-    *,
-    max_kb: float | None = None,
-    full: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
-    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
-
-    Raises ValueError if there is no such format, the model is too large for it, or has no portable
-    form.
-
-    Parameters
-    ----------
-    folder : path-like
-    model : Bunch or PortableModel
-        What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
-    to : str
-        Name of the format.
-    max_kb : float, optional
-        Largest size [kB], of the flash memory for C, else of the portable file: the
-        model gets fewer basis functions. Default: the whole model.
-    full : mapping of str to float, optional
-        For JSBSim: see :func:`write_jsbsim`.
-
-    Returns
-    -------
-    dict
-        ``files``, paths, and ``loss`` by a smaller size of each coefficient: root mean square
-        changes of "mean" and "std", in posterior standard deviations.
-    """
-    if to not in FORMATS:
-        raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
-    write, size, most = FORMATS[to]
-    if full:
-        if to != "jsbsim":
-            raise ValueError(
-                f"Got full deflections for the format {to}, but only jsbsim has commands: leave "
-                f"them out."
-            )
-        write = partial(write_jsbsim, full=full)
-    portable = portable_model(**model) if isinstance(model, Bunch) else model
-    if max_kb is not None:
-        if not 0 < max_kb < np.inf:
-            raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
-        portable = reduced(portable, size, int(1024 * max_kb))
-    if (bytes_needed := size(portable)) > most:
-        raise ValueError(
-            f"Got a model of {bytes_needed / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
-            f"format {to}: give max_kb=256 (--max-kb 256), or another size."
-        )
-    return {
-        "files": write(Path(folder), portable),
-        "loss": portable.provenance.get("reduction", {}),
-    }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,16 +13,37 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Indices, Matrix
 from skdgp.export._model import Part, PortableModel, Readout, Term
 
-SIZES = np.unique((4 * 1.15 ** np.arange(36)).astype(int))  # numbers of functions that are tried
-MAX_CANDIDATES = 3000  # functions of a part to choose from
-MANY, FEWER = 1500, 750  # functions of a readout that make it use fewer points, and how many
-MOVED = (0.5, 1.0, 1.5)  # shifts of copies of the points to fit at, in standard deviations
-POINTS = 500  # least number of moved points
-NEGLIGIBLE = 1e-11  # remainder of a function that the others represent
+
+@dataclass(frozen=True)
+class ReductionSettings:
+    """Numbers of a reduction; guesses."""
+
+    # Numbers of functions of a part that are tried
+    sizes: Sequence[int] = tuple(np.unique((4 * 1.15 ** np.arange(36)).astype(int)).tolist())
+    # Functions of a part to choose from
+    max_candidates: int = 3000
+    # Functions of a readout from which on fewer points are used, and how many then
+    many: int = 1500
+    fewer: int = 750
+    # Shifts of copies of the points to fit at, and to check at, in standard deviations
+    moved: Sequence[float] = (0.5, 1.0, 1.5)
+    moved_check: Sequence[float] = (0.5,)
+    # Least number of moved points
+    points: int = 500
+    # Remainder of a function that the others represent
+    negligible: float = 1e-11
+
+
+SETTINGS = ReductionSettings()
 
 
 @one_blas_thread()
-def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: int) -> PortableModel:
+def reduced(
+    model: PortableModel,
+    size: Callable[[PortableModel], int],
+    most: int,
+    settings: ReductionSettings = SETTINGS,
+) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at a small loss.
 
     The Gaussian functions of a part overlap, so that a few functions g_S and the trend p span the
@@ -34,43 +55,55 @@ def reduced(model: PortableModel, size: Callable[[PortableModel], int], most: in
     """
     if size(model) <= most:
         return model
-    Z, check = _points(model)
-    choices = [_Choice(model, j, Z, check) for j in range(len(model.parts))]
-    numbers = [0] * len(choices)
-    parts, losses = map(list, zip(*(choice.fit(0) for choice in choices), strict=True))
+    Z, check = _points(model, settings)
+    reductions = [_PartReduction(model, j, Z, check, settings) for j in range(len(model.parts))]
+    numbers = [0] * len(reductions)
+    parts = []
+    losses = []
+    for reduction in reductions:
+        part, loss = reduction.fit(0)
+        parts.append(part)
+        losses.append(loss)
     best = replace(model, parts=tuple(parts))
     if size(best) > most:
         raise ValueError(
             f"Got a size of at most {most} bytes, but the smallest form of this model takes "
             f"{size(best)}: allow more."
         )
-    while growing := [j for j, choice in enumerate(choices) if numbers[j] + 1 < len(choice.sizes)]:
+    while True:
+        growing = [j for j, item in enumerate(reductions) if numbers[j] + 1 < len(item.sizes)]
+        if not growing:
+            break
         worst = max(growing, key=losses.__getitem__)
         numbers[worst] += 1
-        part, loss = choices[worst].fit(numbers[worst])
-        if loss < losses[worst]:
-            losses[worst] = loss
-            parts[worst] = part
-            grown = replace(model, parts=tuple(parts))
-            if size(grown) > most:
-                break
-            best = grown
+        part, loss = reductions[worst].fit(numbers[worst])
+        if loss >= losses[worst]:
+            continue
+        losses[worst] = loss
+        parts[worst] = part
+        grown = replace(model, parts=tuple(parts))
+        if size(grown) > most:
+            break
+        best = grown
     return replace(best, provenance=model.provenance | {"reduction": _loss(model, best, check)})
 
 
-def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
+def _points(model: PortableModel, settings: ReductionSettings) -> tuple[Matrix, Matrix]:
     """Return scaled regressors to fit and to check at, of the flights and around."""
     rng = np.random.default_rng(0)
     samples = model.scaled(model.samples)
-    if max(len(readout.weights) for readout in model.readouts) > MANY:
-        samples = samples[:: -(-len(samples) // FEWER)]
+    if max(len(readout.weights) for readout in model.readouts) > settings.many:
+        samples = samples[:: -(-len(samples) // settings.fewer)]
+    spread = samples.std(axis=0)
 
-    def around(Z, moved):
-        steps = samples.std(axis=0) * np.resize(moved, max(len(moved), POINTS // len(Z)))[:, None]
-        noise = rng.standard_normal((len(steps), *Z.shape)) * steps[:, None]
+    def around(Z: Matrix, moved: Sequence[float]) -> Matrix:
+        copies = max(len(moved), settings.points // len(Z))
+        steps = spread * np.resize(moved, copies)[:, None]
+        noise = rng.standard_normal((copies, *Z.shape)) * steps[:, None]
         return np.concatenate([Z, *(Z + noise)])
 
-    return around(samples[::2], MOVED), around(samples[1::2], MOVED[:1])
+    fitted = around(samples[::2], settings.moved)
+    return fitted, around(samples[1::2], settings.moved_check)
 
 
 def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
@@ -85,40 +118,66 @@ def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, di
         changes = np.stack([(changed - mean) / std, other / std - 1.0])
         losses.append(np.sqrt(np.mean(changes**2, axis=1)))
     of_mean, of_std = np.max(losses, axis=0).tolist()
-    named = zip(model.outputs, of_mean, of_std, strict=True)
-    return {name: {"mean": in_mean, "std": in_std} for name, in_mean, in_std in named}
+    loss = {}
+    for i, name in enumerate(model.outputs):
+        loss[name] = {"mean": of_mean[i], "std": of_std[i]}
+    return loss
 
 
-class _Choice:
+class _PartReduction:
     """The functions of a part in the order of their use, and the fit of the first ones."""
 
-    def __init__(self, model: PortableModel, j: int, Z: Matrix, check: Matrix) -> None:
-        self.part = part = model.parts[j]
+    def __init__(
+        self,
+        model: PortableModel,
+        j: int,
+        Z: Matrix,
+        check: Matrix,
+        settings: ReductionSettings,
+    ) -> None:
         component, i = divmod(j, len(model.outputs))
+        self.part = model.parts[j]
         self.weight = model.mixture[component, i]
-        self.spread = model._moments(check, True)[1][:, i]
-        self.p = model.trend(check)
-        g = part.basis(check)
-        self.mean = g @ part.readout.weights
-        self.variance = part.variance(self.p, g @ part.readout.root)
+        self.trend = model.trend(check)
+        self.spread = model.moments(i, check, self.trend, True)[1]
+        g = self.part.basis(check)
+        self.mean = self.part.functions_mean(g)
+        self.variance = self.part.variance(self.trend, self.part.explained(g))
 
+        # Rows are weighted by the standard deviation of the part
         p = model.trend(Z)
-        g = part.basis(Z)
-        explained = g @ part.readout.root
-        own = 1.0 / np.sqrt(part.variance(p, explained))[:, None]
-        places = [(t, k) for t, term in enumerate(part.terms) for k in range(len(term.centres))]
-        candidates = np.array(places[:: -(-len(places) // MAX_CANDIDATES) or 1]).reshape(-1, 2)
+        g = self.part.basis(Z)
+        explained = self.part.explained(g)
+        own = 1.0 / np.sqrt(self.part.variance(p, explained))[:, None]
+        candidates = self._candidates(settings.max_candidates)
         functions = own * self._functions(Z, candidates)
-        trend, _ = qr(own * p, mode="economic")
-        _, R, order = qr(functions - trend @ (trend.T @ functions), mode="economic", pivoting=True)
-        left = np.abs(np.diag(R))
-        n = int(np.sum(left > NEGLIGIBLE * left.max(initial=0.0)))
-        self.sizes = [0, *SIZES[n >= SIZES].tolist()]
-        self.chosen = candidates[order[: self.sizes[-1]]]
-        columns = np.hstack([own * p, functions[:, order[: self.sizes[-1]]]])
-        Q, self.R = qr(columns, mode="economic")
-        self.targets = Q.T @ (own * np.column_stack([g @ part.readout.weights, explained]))
-        self.checked = np.hstack([self.p, self._functions(check, self.chosen)])
+        order = self._order(own * p, functions, settings.negligible)
+        self.sizes = [0, *(size for size in settings.sizes if size <= len(order))]
+        used = order[: self.sizes[-1]]
+        self.chosen = candidates[used]
+        Q, self.R = qr(np.hstack([own * p, functions[:, used]]), mode="economic")
+        mean = self.part.functions_mean(g)
+        self.targets = Q.T @ (own * np.column_stack([mean, explained]))
+        self.checked = np.hstack([self.trend, self._functions(check, self.chosen)])
+
+    def _candidates(self, most: int) -> Indices:
+        """Return functions to choose from, by term and place in it (k, 2)."""
+        places = []
+        for t, term in enumerate(self.part.terms):
+            for k in range(len(term.centres)):
+                places.append((t, k))
+        every = max(1, -(-len(places) // most))
+        return np.array(places[::every], dtype=int).reshape(-1, 2)
+
+    @staticmethod
+    def _order(trend: Matrix, functions: Matrix, negligible: float) -> Indices:
+        """Return the functions that the trend and the earlier ones do not represent, largest remainder first."""
+        Q, _ = qr(trend, mode="economic")
+        left = functions - Q @ (Q.T @ functions)
+        _, R, order = qr(left, mode="economic", pivoting=True)
+        remainder = np.abs(np.diag(R))
+        n = int(np.sum(remainder > negligible * remainder.max(initial=0.0)))
+        return np.asarray(order[:n])
 
     def _functions(self, Z: Matrix, places: Indices) -> Matrix:
         """Return Gaussian functions, by term and place in it (k, 2), at scaled regressors, (n, k)."""
@@ -136,31 +195,40 @@ class _Choice:
         """
         if self.weight == 0.0:
             return self.part, 0.0
-        e = self.p.shape[1]
+        e = self.trend.shape[1]
         n = self.sizes[number]
-        T = self.part.trend_root
         solved: Any = solve_triangular(self.R[: e + n, : e + n], self.targets[: e + n])
-        fitted = self.checked[:, : e + n] @ solved
-        variance = self.part.variance(self.p, fitted[:, 1:])
-        of_mean = self.weight**2 * np.mean((fitted[:, 0] - self.mean) ** 2 / self.spread)
+        return self._part(solved, self.chosen[:n]), self._change(solved)
+
+    def _change(self, solved: Matrix) -> float:
+        """Return the larger of the changes of mean and deviation by fitted weights of mean and explained root."""
+        fitted = self.checked[:, : len(solved)] @ solved
+        change = fitted[:, 0] - self.mean
+        of_mean = self.weight**2 * np.mean(change**2 / self.spread)
+        variance = self.part.variance(self.trend, fitted[:, 1:])
         ratio = 1.0 + self.weight * (variance - self.variance) / self.spread
         of_std = np.mean((np.sqrt(np.maximum(ratio, 0.0)) - 1.0) ** 2)
+        return float(np.sqrt(max(of_mean, of_std)))
 
-        places = self.chosen[:n]
+    def _part(self, solved: Matrix, places: Indices) -> Part:
+        """Return the part of functions with fitted weights of mean and explained root."""
+        part = self.part
+        e = len(part.trend_weights)
         order = np.lexsort((places[:, 1], places[:, 0]))
         solved = np.concatenate([solved[:e], solved[e:][order]])
-        root: Any = np.zeros((e + n, max(T.shape[1], e + n)))
-        root[:e, root.shape[1] - T.shape[1] :] = T
-        root[:, root.shape[1] - solved.shape[1] + 1 :] += solved[:, 1:]
-        root = np.asarray(rq(root, mode="r"))[:, -(e + n) :]
-        part = replace(
-            self.part,
+        # h = T^T p + (0, U^T g) by p and the functions
+        size = max(part.trend_root.shape[1], len(solved))
+        root: Any = np.zeros((len(solved), size))
+        root[:e, size - part.trend_root.shape[1] :] = part.trend_root
+        root[:, size - solved.shape[1] + 1 :] += solved[:, 1:]
+        root = np.asarray(rq(root, mode="r"))[:, -len(solved) :]
+        return replace(
+            part,
             terms=self._terms(places[order]),
             readout=Readout(solved[e:, 0], root[e:, e:]),
-            trend_weights=self.part.trend_weights + solved[:e, 0],
+            trend_weights=part.trend_weights + solved[:e, 0],
             trend_root=root[:e],
         )
-        return part, float(np.sqrt(max(of_mean, of_std)))
 
     def _terms(self, places: Indices) -> tuple[Term, ...]:
         """Return the terms of functions in order."""

@@ -110,7 +110,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
 QUICK = {
     "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
     "derivatives": ["--paths", "4"],
-    "plan": shlex.split("--seconds 10 --axes rudder --limits rudder=0.1 --growth 2 --paths 20"),
+    "plan": shlex.split("--seconds 10 --axes rudder --limits rudder=0.1 --growth 2"),
 }
 
 

@@ -16,6 +16,12 @@ typedef struct {
     double gain;
 } term;
 
+/* Posterior of an output by a component: its terms, functions, columns of T and R, and arrays of the portable model. */
+typedef struct {
+    int first_term, last_term, n_functions, n_columns, n_prior;
+    const double *weights, *root, *trend_prior, *trend_root;
+} posterior;
+
 ${tables}
 
 static void scaled(const double x[], double z[])
@@ -52,12 +58,13 @@ ${formulas}
 /* The normalised mean of a part and, unless variance is NULL, its variance; g has space for its basis. */
 static double part(int j, const double z[], const double p[], double g[], double *variance)
 {
-    const int n = n_functions[j], rank = n_columns[j];
-    const double *R = trend_prior[j], *T = trend_root[j], *U = root[j];
+    const posterior *q = &parts[j];
+    const int n = q->n_functions, rank = q->n_columns;
+    const double *R = q->trend_prior, *T = q->trend_root, *U = q->root;
     double u[AERO_INPUTS], value = 0, prior = prior_variance[j], explained = 0;
     for (int c = 0; c < n; c++)
         g[c] = 0;
-    for (int b = first_term[j]; b < first_term[j + 1]; b++) {
+    for (int b = q->first_term; b < q->last_term; b++) {
         projected(&terms[b], z, u);
         for (int c = 0; c < terms[b].size; c++)
             g[terms[b].first + c] += function(&terms[b], c, u);
@@ -65,10 +72,10 @@ static double part(int j, const double z[], const double p[], double g[], double
     for (int k = 0; k <= AERO_INPUTS; k++)
         value += p[k] * trend_weights[j][k];
     for (int c = 0; c < n; c++)
-        value += g[c] * weights[j][c];
+        value += g[c] * q->weights[c];
     if (variance == NULL)
         return value;
-    for (int r = 0; r < n_prior[j]; r++) {
+    for (int r = 0; r < q->n_prior; r++) {
         double half = 0;
         for (int k = 0; k <= AERO_INPUTS; k++)
             half += p[k] * *R++;
@@ -116,16 +123,16 @@ void aero_gradient(const double x[AERO_INPUTS], double slope[AERO_OUTPUTS][AERO_
         for (int k = 0; k < AERO_INPUTS; k++)
             sum[k] = 0;
         for (int j = i; j < COMPONENTS * AERO_OUTPUTS; j += AERO_OUTPUTS) {
-            const double q = mixture[j / AERO_OUTPUTS][i];
+            const double weight = mixture[j / AERO_OUTPUTS][i];
             for (int k = 0; k < AERO_INPUTS; k++)
-                sum[k] += q * trend_weights[j][k + 1];
-            for (int b = first_term[j]; b < first_term[j + 1]; b++) {
+                sum[k] += weight * trend_weights[j][k + 1];
+            for (int b = parts[j].first_term; b < parts[j].last_term; b++) {
                 const term *t = &terms[b];
                 projected(t, z, u);
                 for (int l = 0; l < t->rank; l++)
                     pull[l] = 0;
                 for (int c = 0; c < t->size; c++) {
-                    const double e = q * weights[j][t->first + c] * function(t, c, u);
+                    const double e = weight * parts[j].weights[t->first + c] * function(t, c, u);
                     for (int l = 0; l < t->rank; l++)
                         pull[l] += e * (t->centres[c * t->rank + l] - u[l]);
                 }

@@ -1,0 +1,176 @@
+"""The script that ArduPilot flies a plan with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._excitation import ROUNDING, Signal, Steps, Wavetrain
+from skdgp._flight.checks import check_names, check_number
+
+SCRIPT = Path(__file__).with_name("replay.lua")
+# SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move
+# elevons and halves of a V-tail up
+ARDUPILOT = {
+    "elevator": (19, -1.0),
+    "aileron": (4, 1.0),
+    "rudder": (21, -1.0),
+    "throttle": (70, 1.0),
+    "elevon_left": (77, -1.0),
+    "elevon_right": (78, -1.0),
+    "vtail_left": (79, -1.0),
+    "vtail_right": (80, -1.0),
+}
+# Surfaces that several axes move
+MIXES = {
+    "elevon_left": {"elevator": 1.0, "aileron": 1.0},
+    "elevon_right": {"elevator": 1.0, "aileron": -1.0},
+    "vtail_left": {"elevator": 1.0, "rudder": 1.0},
+    "vtail_right": {"elevator": 1.0, "rudder": -1.0},
+}
+# ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45
+THROTTLE_SCALE = 100.0
+SURFACE_SCALE = 4500.0
+# Amplitude of an axis without a limit
+NO_LIMIT = 1e30
+# Rate of a script [Hz]: ArduPilot counts milliseconds
+FASTEST = 1000.0
+# RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft
+SWITCHES = range(300, 308)
+
+
+def ardupilot_script(
+    train: Wavetrain, rate: float, full: Mapping[str, float], switch: int = 300
+) -> str:
+    """Return a Lua script for ArduPilot that adds inputs to the autopilot's commands while a switch is high.
+
+    The script holds the signals as formulas, not as samples: some kilobytes for any duration. It
+    keeps the limits of the axes at every step, also where steps come late. The inputs end at once
+    when the switch is low or the aircraft is disarmed, and the autopilot's own commands return
+    within five steps if the script stops. It logs them (PLAN). Write it to a file such as
+    ``plan.lua`` in ``APM/scripts`` of the autopilot's card and set SCR_ENABLE to 1.
+
+    Parameters
+    ----------
+    train : Wavetrain
+        Of elevator, aileron, rudder, throttle, or of the elevons.
+    rate : float
+        At which the script runs [Hz].
+    full : mapping of str to float
+        The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the
+        servo's range [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron,
+        ``vtail_left`` and ``vtail_right`` with elevator and rudder. The throttle needs none.
+    switch : int, default=300
+        RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ValueError
+        If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces,
+        ArduPilot has no servo function for one, a full deflection is no number > 0 or smaller than
+        the inputs of the surface, or as of `Wavetrain.table`.
+
+    Examples
+    --------
+    >>> from skdgp.design import Wavetrain, ardupilot_script, doublet
+    >>> script = ardupilot_script(Wavetrain({"elevator": {1.0: doublet(0.5, 0.05)}}), 50.0, {"elevator": 0.4})
+    >>> "SRV_Channels" in script
+    True
+    """
+    if not (rate <= FASTEST and switch in SWITCHES):
+        raise ValueError(
+            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and an "
+            f"RCn_OPTION of {SWITCHES[0]} to {SWITCHES[-1]}."
+        )
+    full = dict(full)
+    if "throttle" in train.inputs:
+        full["throttle"] = 1.0
+    mixes = surface_mixes(list(train.inputs), full)
+    _check_room(train.table(rate), mixes, full)
+    axes = []
+    for axis, inputs in train.inputs.items():
+        signals = [_numbers(signal) | {"start": start} for start, signal in inputs.items()]
+        limit = train.limits.get(axis, NO_LIMIT)
+        axes.append({"name": axis, "amplitude": limit, "signals": signals})
+    surfaces = []
+    for name, mix in mixes.items():
+        servo, sign = ARDUPILOT[name]
+        is_throttle = name == "throttle"
+        surfaces.append({
+            "name": name, "servo": servo, "full": sign * full[name], "range": is_throttle,
+            "scale": THROTTLE_SCALE if is_throttle else SURFACE_SCALE,
+            "parts": [mix.get(axis, 0.0) for axis in train.inputs],
+        })  # fmt: skip
+    plan = {
+        "switch": switch,
+        "period": int(1000.0 / rate),
+        "duration": train.duration,
+        "labels": ",".join(["t", *train.inputs]),
+        "format": "f" * (1 + len(axes)),
+        "axes": axes,
+        "surfaces": surfaces,
+    }
+    return SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))
+
+
+def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Return the gains of the axes that move each surface of ArduPilot; raise ValueError as `ardupilot_script`."""
+    check_names(full, ARDUPILOT, "servo functions of ArduPilot")
+    mixes = {}
+    moved: set[str] = set()
+    for name, value in full.items():
+        check_number(f"full deflection of the {name}", value)
+        gains = MIXES.get(name, {name: 1.0})
+        mix = {axis: gain for axis, gain in gains.items() if axis in axes}
+        if mix:
+            mixes[name] = mix
+            moved.update(mix)
+    if still := [axis for axis in axes if axis not in moved]:
+        raise ValueError(
+            f"Got full deflections of {list(full)}, but expected also those of surfaces that move "
+            f"with the {' and the '.join(still)}: add them."
+        )
+    return mixes
+
+
+def _check_room(table: pd.DataFrame, mixes: Mapping, full: Mapping[str, float]) -> None:
+    """Raise ValueError if a full deflection is smaller than the inputs of a surface."""
+    for name, mix in mixes.items():
+        moved = np.zeros(len(table))
+        for axis, gain in mix.items():
+            moved += gain * table[axis]
+        peak = np.abs(moved).max()
+        if not peak <= full[name] * (1.0 + ROUNDING):
+            raise ValueError(
+                f"Got inputs of the {name} up to {peak:.4g}, but its full deflection is "
+                f"{full[name]:g}: make them smaller."
+            )
+
+
+def _numbers(signal: Signal) -> dict[str, Any]:
+    """Return the numbers of a signal for the script."""
+    kind = {"kind": type(signal).__name__, "duration": signal.duration}
+    if isinstance(signal, Steps):
+        swings = np.diff([0.0, *signal.levels, 0.0])
+        return kind | {"edges": signal.edges.tolist(), "swings": swings.tolist()}
+    return kind | vars(signal)
+
+
+def _lua(value: Any) -> str:
+    """Return a value as Lua writes it."""
+    if isinstance(value, Mapping):
+        items = [f"{name} = {_lua(item)}" for name, item in value.items()]
+    elif isinstance(value, list | tuple):
+        items = [_lua(item) for item in value]
+    else:
+        return json.dumps(value)
+    return "{" + ", ".join(items) + "}"

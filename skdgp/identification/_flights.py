@@ -26,7 +26,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, check_table, suggestions
 from skdgp._flight.clock import flight_rows, flight_segments
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.physics import find_contradictions, reversed_surfaces
+from skdgp._flight.physics import find_contradictions
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -284,29 +284,6 @@ def servos_for(servos: Any, *flights: Any) -> Any:
             "file of the angles of the surfaces."
         )
     return FULL_THROW if any(map(names_servos, items)) else None
-
-
-def with_signs_of_flights(servos: Any, *parts: Flights) -> tuple[Any, ...]:
-    """Return servos in parts of the full throw, and flights, with signs of surfaces that the first flights show."""
-    learned = pd.concat(parts[0].values(), ignore_index=True)
-    names = reversed_surfaces(learned) if reversed_of(servos) == () else []
-    if not names:
-        return servos, *parts
-    servos = f"{FULL_THROW}, reversed {' '.join(names)}"
-    warn(
-        f"The flights show that {' and '.join(names)} move the other way than the autopilot's "
-        f"parameters say, so their signs are turned: servos = {servos!r}.",
-        FlightDataWarning,
-        stacklevel=3,
-    )
-    turned = (
-        {
-            key: table.assign(**{name: -table[name] for name in names if name in table})
-            for key, table in part.items()
-        }
-        for part in parts
-    )
-    return servos, *turned
 
 
 def with_thrust_errors(

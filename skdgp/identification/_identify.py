@@ -221,7 +221,6 @@ def prepare(
     _flights.check_controls(train, regressors)
     named = {} if test is None else _flights.named_flights(test, default="test flight", **options)
     train, named, held_out = _flights.train_and_test(train, named)
-    servos, train, named = _flights.with_signs_of_flights(servos, train, named)
     columns = _flights.regressor_columns(train.values(), regressors)
     train, named = (_flights.usable_flights(part, regressors, columns) for part in (train, named))
     lacks_thrust = _flights.lacks_thrust(thrust, train.values(), aircraft)

@@ -60,13 +60,9 @@ class PhysicsSettings:
     least_t: float = 5.0
     # weaker effects of a wrong sign come from feedback, lags and gusts as well
     least_correlation: float = 0.3
-    # lags that are no contradiction [s]: LagCorrector corrects them
-    usual_lags: tuple[float, float] = (-0.3, 0.3)
-    # lags that are tried where signals are not equal [s]
-    lags: tuple[float, ...] = (-1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
-    # lags of the surfaces [s], > 0 where logged late: servos, and commands
-    surface_lags: tuple[float, ...] = (-0.15, -0.1, -0.05, 0.0, 0.05, 0.1)
-    # least ratio of explained to unexplained variance of a possible lag, over the best lag's
+    # a longer lag [s] is a contradiction: LagCorrector corrects 0.3 s, holds of slow GPS add to it
+    usual_lag: float = 0.5
+    # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
     # flights shorter than this [s] are judged together with others only
     long_flight: float = 30.0
@@ -76,10 +72,11 @@ DEFAULT = PhysicsSettings()
 
 
 class Slope(NamedTuple):
-    """A slope, its standard deviation, the partial correlation, and the effective number of samples."""
+    """A slope of a regression, and how well it is known."""
 
     value: float
     std: float
+    # partial correlation
     correlation: float
     n_effective: float
     # root mean square of x without the other regressors
@@ -90,12 +87,10 @@ class Slope(NamedTuple):
         """Ratio of explained to unexplained variance."""
         return self.correlation**2 / max(1 - self.correlation**2, 1e-12)
 
-    def beyond(self, least: float, most: float) -> float:
+    def t(self, least: float, most: float) -> float:
         """Return how far the slope is outside of an interval, in standard deviations, 0 inside."""
-        std = max(self.std, 1e-9 * abs(self.value))
-        if self.value < least:
-            return (self.value - least) / std
-        return max(self.value - most, 0.0) / std
+        nearest = np.clip(self.value, least, most)
+        return float(self.value - nearest) / max(self.std, 1e-9 * abs(self.value))
 
 
 class Contradiction(NamedTuple):
@@ -109,7 +104,7 @@ class Contradiction(NamedTuple):
     quantity: str
     slope: float
     std: float
-    # distance of the slope from the admissible ones, in standard deviations
+    # distance from the admissible values, in standard deviations
     t: float
     correlation: float
     n_effective: float
@@ -117,22 +112,17 @@ class Contradiction(NamedTuple):
     @property
     def message(self) -> str:
         """One sentence of the channels and the numbers."""
-        check = CHECKS_BY_NAME[self.check]
+        check = CHECKS[self.check]
         names = " or ".join(self.channels)
-        numbers = (
-            f"(t = {self.t:.1f}, correlation {self.correlation:.2f}, "
-            f"{self.n_effective:.0f} effective samples)"
+        result = (
+            f"the slope of {check.y} over {check.x} is {self.slope:.3g} ± {self.std:.2g}, "
+            f"but expected {check.expected}"
         )
         if self.quantity == "lag":
-            direction = "late" if self.slope > 0 else "early"
-            return (
-                f"{names} is probably wrong: {check.y} is {abs(self.slope):.2f} ± {self.std:.2f} s "
-                f"{direction} against {check.x} {numbers}"
-            )
+            result = f"{check.y} is {self.slope:.2g} ± {self.std:.2g} s late against {check.x}"
         return (
-            f"{names} is probably wrong: the slope of {check.y} over {check.x} is "
-            f"{self.slope:.3g} ± {self.std:.2g}, but expected {check.expected} {numbers}"
-            f"{usual_cause(self.slope, check)}"
+            f"{names} is probably wrong: {result} (t = {self.t:.1f}, correlation "
+            f"{self.correlation:.2f}, {self.n_effective:.0f} effective samples)"
         )
 
     def __str__(self) -> str:
@@ -144,7 +134,7 @@ class Signals:
     """Channels of flights at one rate, and the segment of each row. A missing value is NaN."""
 
     channels: dict[str, Vector]
-    segment: Array
+    segment: np.ndarray
     step: float
     settings: PhysicsSettings = DEFAULT
 
@@ -154,13 +144,9 @@ class Signals:
     def __contains__(self, name: str) -> bool:
         return name in self.channels
 
-    def vector(self, names: tuple[str, ...]) -> Matrix:
-        """Return channels as vectors (n, k)."""
-        return np.column_stack([self[name] for name in names])
-
     @property
-    def intercept(self) -> Vector:
-        """Ones (n,)."""
+    def ones(self) -> Vector:
+        """The regressor of an intercept."""
         return np.ones(len(self.segment))
 
     @property
@@ -168,15 +154,20 @@ class Signals:
         """Rotation matrices from body to earth axes (n, 3, 3)."""
         return euler_to_matrix(self["phi"], self["theta"], self["psi"])
 
-    def change(self, values: Array, seconds: float) -> Array:
-        """Return the changes of values (n, ...) over the windows that begin at each row, NaN at a segment's end."""
+    def vector(self, names: tuple[str, ...]) -> Matrix:
+        """Return channels as vectors (n, k)."""
+        return np.column_stack([self[name] for name in names])
+
+    def change(self, values: Array, seconds: float | None = None) -> Array:
+        """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end."""
+        seconds = self.settings.kinematic_window if seconds is None else seconds
         length = max(round(seconds / self.step), 1)
         inside = self.segment[length:] == self.segment[:-length]
         change = np.full(values.shape, np.nan)
         change[:-length][inside] = (values[length:] - values[:-length])[inside]
         return change
 
-    def integral(self, values: Array, seconds: float) -> Array:
+    def integral(self, values: Array, seconds: float | None = None) -> Array:
         """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
         missing = ~np.isfinite(values)
         known = np.where(missing, 0.0, values)
@@ -185,10 +176,6 @@ class Signals:
         n_missing = self.change(np.cumsum(missing, axis=0, dtype=float), seconds)
         integral[missing | (n_missing > 0)] = np.nan
         return integral
-
-    def mean(self, values: Array, seconds: float) -> Array:
-        """Return the means over these windows."""
-        return self.integral(values, seconds) / seconds
 
     def ahead(self, values: Vector, seconds: float) -> Vector:
         """Return the value of each row ``seconds`` later, NaN beyond its segment."""
@@ -199,11 +186,6 @@ class Signals:
             row = np.clip(end, 0, len(rows) - 1).astype(int)
             ahead[self.segment[row] != self.segment] = np.nan
         return ahead
-
-    def rate_of_change(self, values: Vector) -> Vector:
-        """Return the rate of change over a quarter of a second to either side."""
-        side = max(0.25, self.step)
-        return (self.ahead(values, side) - self.ahead(values, -side)) / (2 * side)
 
 
 class Regression(NamedTuple):
@@ -220,48 +202,41 @@ class Regression(NamedTuple):
 def roll(flight: Signals) -> Regression:
     """Return the terms of phi_dot = p + (q sin phi + r cos phi) tan theta."""
     phi = flight["phi"]
-    window = flight.settings.kinematic_window
     turn = flight["q"] * np.sin(phi) + flight["r"] * np.cos(phi)
-    coupling = flight.integral(turn * np.tan(flight["theta"]), window)
-    y = flight.change(phi, window) - coupling
-    x = flight.integral(flight["p"], window)
-    return Regression(y, x, [flight.intercept])
+    coupling = flight.integral(turn * np.tan(flight["theta"]))
+    y = flight.change(phi) - coupling
+    return Regression(y, flight.integral(flight["p"]), [flight.ones])
 
 
 def pitch(flight: Signals) -> Regression:
     """Return the terms of theta_dot = q cos phi - r sin phi."""
     phi = flight["phi"]
-    window = flight.settings.kinematic_window
-    coupling = flight.integral(flight["r"] * np.sin(phi), window)
-    y = flight.change(flight["theta"], window) + coupling
-    x = flight.integral(flight["q"] * np.cos(phi), window)
-    return Regression(y, x, [flight.intercept])
+    coupling = flight.integral(flight["r"] * np.sin(phi))
+    y = flight.change(flight["theta"]) + coupling
+    return Regression(y, flight.integral(flight["q"] * np.cos(phi)), [flight.ones])
 
 
 def yaw(flight: Signals) -> Regression:
     """Return the terms of psi_dot = (q sin phi + r cos phi) / cos theta."""
     phi = flight["phi"]
     cosine = np.cos(flight["theta"])
-    window = flight.settings.kinematic_window
-    coupling = flight.integral(flight["q"] * np.sin(phi) / cosine, window)
-    y = flight.change(flight["psi"], window) - coupling
-    x = flight.integral(flight["r"] * np.cos(phi) / cosine, window)
-    return Regression(y, x, [flight.intercept])
+    coupling = flight.integral(flight["q"] * np.sin(phi) / cosine)
+    y = flight.change(flight["psi"]) - coupling
+    return Regression(y, flight.integral(flight["r"] * np.cos(phi) / cosine), [flight.ones])
 
 
-def position(flight: Signals, name: str, velocity: str, sign: float = 1.0) -> Regression:
+def position(flight: Signals, name: str, velocity: str) -> Regression:
     """Return the change of a coordinate and the integral of its velocity."""
-    window = flight.settings.kinematic_window
-    y = sign * flight.change(flight[name], window)
-    x = flight.integral(flight[velocity], window)
-    return Regression(y, x, [flight.intercept])
+    sign = -1.0 if name == "altitude" else 1.0
+    y = sign * flight.change(flight[name])
+    return Regression(y, flight.integral(flight[velocity]), [flight.ones])
 
 
 def relative_velocity(flight: Signals, axis: int) -> Regression:
     """Return the terms of a component of R^T v_ground = v_air + R^T wind, at a steady horizontal wind.
 
-    Along x the air velocity is V, across it about V beta and V alpha. Gusts move these only, so
-    they are the response there.
+    Along x the air velocity is V, across it about V beta and V alpha. Gusts move these only, so they
+    are the response there.
     """
     rotation = flight.rotation
     airspeed = flight["airspeed"]
@@ -274,253 +249,171 @@ def relative_velocity(flight: Signals, axis: int) -> Regression:
 
 
 def level_force(flight: Signals, axis: int) -> Regression:
-    """Return both sides of v_dot - g = R f, means over windows, along axes forward, right and down.
+    """Return the terms of v_dot = R f + g along axes forward, right and down: changes and impulses.
 
     Forward and right are level, by the heading at the middle of the window.
     """
-    window = flight.settings.kinematic_window
-    acceleration = flight.change(flight.vector(EARTH_VELOCITY), window) / window
+    change = flight.change(flight.vector(EARTH_VELOCITY))
     force = np.einsum("nij,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
-    mean_force = flight.mean(force, window)
+    impulse = flight.integral(force)
     if axis == 2:
-        return Regression(acceleration[:, 2], mean_force[:, 2], [flight.intercept])
-    heading = flight.ahead(flight["psi"], window / 2) + axis * np.pi / 2
-    y = np.cos(heading) * acceleration[:, 0] + np.sin(heading) * acceleration[:, 1]
-    x = np.cos(heading) * mean_force[:, 0] + np.sin(heading) * mean_force[:, 1]
-    return Regression(y, x, [flight.intercept])
-
-
-def body_force(flight: Signals, axis: int) -> Regression:
-    """Return both sides of R^T (v_dot - g) = f along a body axis, R of v_dot at the middle of the window."""
-    window = flight.settings.kinematic_window
-    acceleration = flight.change(flight.vector(EARTH_VELOCITY), window) / window
-    rotation = flight.rotation
-    y = -STANDARD_GRAVITY * flight.mean(rotation[:, 2, axis], window)
-    for k in range(3):
-        y += flight.ahead(rotation[:, k, axis], window / 2) * acceleration[:, k]
-    x = flight.mean(flight[SPECIFIC_FORCE[axis]], window)
-    return Regression(y, x, [flight.intercept])
+        return Regression(change[:, 2], impulse[:, 2], [flight.ones])
+    middle = flight.settings.kinematic_window / 2
+    heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
+    direction = np.column_stack([np.cos(heading), np.sin(heading)])
+    y = np.sum(direction * change[:, :2], axis=1)
+    x = np.sum(direction * impulse[:, :2], axis=1)
+    return Regression(y, x, [flight.ones])
 
 
 def gravity(flight: Signals) -> Regression:
-    """Return az and its value by motion, which is near -g: without an intercept."""
-    needed, az, _ = body_force(flight, axis=2)
-    return Regression(az, needed, [])
+    """Return the terms of (R f)_down = v_down_dot - g, without an intercept."""
+    change, impulse, _ = level_force(flight, axis=2)
+    return Regression(impulse, change - STANDARD_GRAVITY * flight.settings.kinematic_window, [])
 
 
 # -- aerodynamics: slopes of a known sign
 
 
-def aerodynamic_response(flight: Signals, response: str, effects: tuple[str, ...]) -> Regression:
+def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression:
     """Return a rate or specific force, and its effects.
 
     Responses over V^2 are linear in angles, rates over V and surfaces. A specific force stands for an
     angle that was not measured.
     """
-    airspeed = flight["airspeed"]
     window = flight.settings.response_window
+    airspeed = flight["airspeed"]
     columns = []
-    for name in effects:
-        stand_in = STAND_INS.get(name, "")
-        if name in RATES and name in flight:
-            columns.append(airspeed * flight[name])
-        elif name in flight:
-            columns.append(airspeed**2 * flight[name])
+    for effect in effects:
+        stand_in = STAND_INS.get(effect, "")
+        if effect in RATES and effect in flight:
+            columns.append(airspeed * flight[effect])
+        elif effect in flight:
+            columns.append(airspeed**2 * flight[effect])
         elif stand_in in flight:
             columns.append(flight[stand_in])
-    grows = flight.change if response in RATES else flight.integral
-    x, *others = (flight.integral(column, window) for column in [*columns, airspeed**2])
-    return Regression(grows(flight[response], window), x, others)
-
-
-def drag_terms(flight: Signals) -> list[Vector]:
-    """Return means of V^2 and of lift over V, squared: parasitic and induced drag."""
-    window = flight.settings.kinematic_window
-    airspeed = flight["airspeed"]
-    terms = [flight.intercept, flight.mean(airspeed**2, window)]
-    if "az" in flight:
-        terms.append(flight.mean((flight["az"] / airspeed) ** 2, window))
-    return terms
+    columns.append(airspeed**2)
+    x, *others = [flight.integral(column, window) for column in columns]
+    grows = flight.change if name in RATES else flight.integral
+    return Regression(grows(flight[name], window), x, others)
 
 
 def thrust(flight: Signals) -> Regression:
-    """Return the terms of ax = thrust - drag."""
-    window = flight.settings.kinematic_window
-    others = drag_terms(flight)
-    if "az" in flight:
-        others.append(flight.mean(flight["az"], window))
-    y = flight.mean(flight["ax"], window)
-    return Regression(y, flight.mean(flight["throttle"], window), others)
-
-
-def energy(flight: Signals) -> Regression:
-    """Return the terms of V_dot = g v_down / V + thrust - drag, times the mean airspeed."""
-    window = flight.settings.kinematic_window
-    others = [*drag_terms(flight), flight.mean(flight["throttle"], window)]
-    y = flight.change(flight["airspeed"], window)
-    return Regression(y, flight.mean(flight["v_down"], window), others)
+    """Return the terms of ax = thrust - parasitic and induced drag."""
+    squared = flight["airspeed"] ** 2
+    az = flight["az"]
+    others = [flight.integral(drag) for drag in (squared, az, az**2 / squared)]
+    x = flight.integral(flight["throttle"])
+    return Regression(flight.integral(flight["ax"]), x, [flight.ones, *others])
 
 
 # -- the table of checks
 
-EQUAL = (1 / 1.5, 1.5)
-# gusts move the air past the aircraft, and the aircraft follows them
-GUSTY = (-0.5, 1.5)
-POSITIVE = (0.0, np.inf)
-NEGATIVE = (-np.inf, 0.0)
+Interval = tuple[float, float]
+EQUAL: Interval = (1 / 1.5, 1.5)
+# gusts move the air past the aircraft, which follows them
+GUSTY: Interval = (-0.5, 1.5)
+POSITIVE: Interval = (0.0, np.inf)
+NEGATIVE: Interval = (-np.inf, 0.0)
+EXPECTED = {EQUAL: "1", GUSTY: "0 to 1", POSITIVE: "a positive one", NEGATIVE: "a negative one"}
 # specific forces that grow with the angles
 STAND_INS = {"alpha": "az", "beta": "ay"}
+# lags that are tried [s], > 0 where y is late against x
+KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
+SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
 
 
 class Check(NamedTuple):
-    """A relation: the compared channels, others that it uses, its signals, and the admissible slopes."""
+    """A relation of y with x: the compared channels, its signals, and the admissible slopes."""
 
-    name: str
     channels: tuple[str, ...]
-    uses: tuple[str, ...]
     y: str
     x: str
     regression: Callable[[Signals], Regression]
-    slopes: tuple[float, float]
-    # error of x [unit of x]: the slope over a signal of no larger root mean square decides nothing
-    noise: float = 0.0
-
-    @property
-    def is_sign(self) -> bool:
-        """Whether only the sign of the slope is known."""
-        return self.slopes in (POSITIVE, NEGATIVE)
+    slopes: Interval
+    # error of x [unit of x]: a signal of no larger root mean square decides nothing
+    noise: float
+    lags: tuple[float, ...]
+    # other channels that it needs
+    uses: tuple[str, ...]
 
     @property
     def expected(self) -> str:
         """The slope that is expected."""
-        if self.slopes == POSITIVE:
-            return "a positive one"
-        return "a negative one" if self.slopes == NEGATIVE else "1"
+        return EXPECTED[self.slopes]
 
 
-def _rate_check(name, angle, rate, uses, regression) -> Check:
+def _rate(angle: str, rate: str, regression: Callable, uses: tuple[str, ...]) -> Check:
     y, x = f"the change of {angle}", f"the integral of {rate}"
-    return Check(name, (angle, rate), uses, y, x, regression, EQUAL, noise=0.02)
+    return Check((angle, rate), y, x, regression, EQUAL, 0.02, KINEMATIC_LAGS, uses)
 
 
-def _position_check(name: str, velocity: str, sign: float = 1.0) -> Check:
-    y, x = f"the change of {name}", f"the integral of {velocity}"
-    regression = partial(position, name=name, velocity=velocity, sign=sign)
-    return Check(name, (name, velocity), (), y, x, regression, EQUAL, noise=0.3)
+def _position(name: str, velocity: str) -> Check:
+    regression = partial(position, name=name, velocity=velocity)
+    return _rate(name, velocity, regression, ())._replace(noise=0.3)
 
 
-def _response_check(name, response, effects, y, slopes) -> Check:
-    regression = partial(aerodynamic_response, response=response, effects=effects)
-    channels = (effects[0], response)
-    return Check(name, channels, ("airspeed",), y, effects[0], regression, slopes)
+def _velocity(name: str, y: str, x: str, axis: int) -> Check:
+    regression = partial(relative_velocity, axis=axis)
+    uses = (*EULER, *EARTH_VELOCITY, "airspeed")
+    return Check((name,), y, x, regression, GUSTY, 0.5, (0.0,), uses)
 
 
-HORIZONTAL_VELOCITY = EARTH_VELOCITY[:2]
-MOTION = (*EULER, *EARTH_VELOCITY)
-LATERAL_EFFECTS = ("beta", "p", "r", "aileron", "rudder")
+def _force(channels: tuple[str, ...], regression: Callable) -> Check:
+    y, x = "the change of velocity", "the integral of specific force and gravity"
+    uses = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
+    return Check(channels, y, x, regression, EQUAL, 0.5, KINEMATIC_LAGS, uses)
+
+
+def _effect(name: str, effects: tuple[str, ...], slopes: Interval) -> Check:
+    y = f"the change of {name}" if name in RATES else name
+    regression = partial(response, name=name, effects=effects)
+    lags = SURFACE_LAGS if effects[0] in ALL_SURFACES else (0.0,)
+    channels = (effects[0], name)
+    return Check(channels, y, effects[0], regression, slopes, 0.0, lags, ("airspeed",))
+
 
 # In this order: a check is left out if it uses a channel that an earlier one has found wrong.
-CHECKS = (
-    _rate_check("roll", "phi", "p", ("q", "r", "theta"), roll),
-    _rate_check("pitch", "theta", "q", ("r", "phi"), pitch),
-    _rate_check("yaw", "psi", "r", ("q", "phi", "theta"), yaw),
-    _position_check("north", "v_north"),
-    _position_check("east", "v_east"),
-    _position_check("down", "v_down"),
-    _position_check("altitude", "v_down", sign=-1.0),
-    Check(
-        "airspeed", ("airspeed", "psi", *HORIZONTAL_VELOCITY), MOTION,
-        "the ground velocity less a steady wind", "the airspeed",
-        partial(relative_velocity, axis=0), EQUAL, noise=3.0,
+CHECKS: dict[str, Check] = {
+    "roll": _rate("phi", "p", roll, ("q", "r", "theta")),
+    "pitch": _rate("theta", "q", pitch, ("r", "phi")),
+    "yaw": _rate("psi", "r", yaw, ("q", "phi", "theta")),
+    "north": _position("north", "v_north"),
+    "east": _position("east", "v_east"),
+    "down": _position("down", "v_down"),
+    "altitude": _position("altitude", "v_down"),
+    "airspeed": _velocity(
+        "airspeed", "the ground velocity less a steady wind", "airspeed", axis=0
+    )._replace(
+        channels=("airspeed", "psi", "v_north", "v_east"),
+        slopes=EQUAL,
+        noise=3.0,
+        lags=KINEMATIC_LAGS,
+        uses=(*EULER, *EARTH_VELOCITY),
     ),
-    Check(
-        "sideslip", ("beta",), ("airspeed", *MOTION),
-        "V beta", "the ground velocity along y less a steady wind",
-        partial(relative_velocity, axis=1), GUSTY, noise=0.5,
+    "sideslip": _velocity("beta", "V beta", "the lateral ground velocity less a wind", axis=1),
+    "angle of attack": _velocity(
+        "alpha", "V alpha", "the normal ground velocity less a wind", axis=2
     ),
-    Check(
-        "angle of attack", ("alpha",), ("airspeed", *MOTION),
-        "V alpha", "the ground velocity along z less a steady wind",
-        partial(relative_velocity, axis=2), GUSTY, noise=0.5,
+    "gravity": _force(("az",), gravity),
+    "forward force": _force(("theta", "psi", "v_north", "v_east"), partial(level_force, axis=0)),
+    "sideward force": _force(("phi", "psi", "v_north", "v_east"), partial(level_force, axis=1)),
+    "vertical force": _force(("v_down", "az"), partial(level_force, axis=2)),
+    "lift": _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
+    "side force": _effect("ay", ("beta", "p", "r", "aileron", "rudder"), NEGATIVE),
+    "roll moment": _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
+    "pitch moment": _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
+    "yaw moment": _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
+    "thrust": Check(
+        ("throttle", "ax"), "ax", "throttle", thrust, POSITIVE, 0.01, (0.0,), ("airspeed", "az")
     ),
-    Check(
-        "gravity", ("az",), MOTION,
-        "az", "the acceleration less gravity along z",
-        gravity, EQUAL, noise=0.5,
-    ),
-    Check(
-        "forward force", ("theta", "psi", *HORIZONTAL_VELOCITY), (*MOTION, *SPECIFIC_FORCE),
-        "the forward acceleration", "the specific force forward in level axes",
-        partial(level_force, axis=0), EQUAL, noise=0.5,
-    ),
-    Check(
-        "sideward force", ("phi", "psi", *HORIZONTAL_VELOCITY), (*MOTION, *SPECIFIC_FORCE),
-        "the acceleration to the right", "the specific force to the right in level axes",
-        partial(level_force, axis=1), EQUAL, noise=0.5,
-    ),
-    Check(
-        "vertical force", ("v_down", "az"), (*MOTION, *SPECIFIC_FORCE),
-        "the acceleration downward", "the specific force downward",
-        partial(level_force, axis=2), EQUAL, noise=0.5,
-    ),
-    Check(
-        "longitudinal force", ("ax",), MOTION,
-        "the acceleration less gravity along x", "ax",
-        partial(body_force, axis=0), EQUAL, noise=0.5,
-    ),
-    Check(
-        "lateral force", ("ay",), MOTION,
-        "the acceleration less gravity along y", "ay",
-        partial(body_force, axis=1), EQUAL, noise=0.5,
-    ),
-    _response_check("lift", "az", ("alpha", "q", "elevator"), "az", NEGATIVE),
-    _response_check("side force", "ay", LATERAL_EFFECTS, "ay", NEGATIVE),
-    _response_check(
-        "roll moment", "p", ("aileron", "beta", "p", "r", "rudder"), "the change of p", POSITIVE
-    ),
-    _response_check(
-        "pitch moment", "q", ("elevator", "alpha", "q"), "the change of q", NEGATIVE
-    ),
-    _response_check(
-        "yaw moment", "r", ("rudder", "beta", "p", "r", "aileron"), "the change of r", NEGATIVE
-    ),
-    Check(
-        "thrust", ("throttle", "ax"), ("airspeed",),
-        "ax", "the throttle", thrust, POSITIVE, noise=0.01,
-    ),
-    Check(
-        "energy", ("v_down", "airspeed"), ("throttle",),
-        "the change of airspeed", "v_down", energy, POSITIVE, noise=0.1,
-    ),
-)  # fmt: skip
-CHECKS_BY_NAME: dict[str, Check] = {check.name: check for check in CHECKS}
+}
 
 # Channels of the checks. Of the commanded ones a repeated value is a new sample.
 COMMANDED = (*ALL_SURFACES, "throttle")
-USED = sorted({name for check in CHECKS for name in (*check.channels, *check.uses)})
-USED += [*ELEVONS, *(name for name in COMMANDED if name not in USED)]
+USED = sorted({*COMMANDED}.union(*((*check.channels, *check.uses) for check in CHECKS.values())))
 # larger angles [rad] are in degrees
 LARGEST_RADIANS = 2.1 * np.pi
-
-# Slopes of usual faults, or their inverse
-USUAL_CAUSES = {
-    "a wrong sign": -1.0,
-    "degrees": 180 / np.pi,
-    "g": STANDARD_GRAVITY,
-    "km/h": 3.6,
-    "feet": 1 / 0.3048,
-    "knots": 1 / 0.514444,
-}
-
-
-def usual_cause(slope: float, check: Check) -> str:
-    """Return the fault that usually has a slope of two signals that should be equal; empty if there is none."""
-    if check.slopes == EQUAL:
-        for cause, factor in USUAL_CAUSES.items():
-            ratio = slope / factor
-            if 0.9 < ratio < 1.1 or 0.9 < ratio * factor**2 < 1.1:
-                return f", as by {cause}"
-    return ""
 
 
 # -- decisions
@@ -552,18 +445,20 @@ def _of_flights(
     signals = flight_signals(table, settings)
     contradictions: list[Contradiction] = []
     confirmed: set[str] = set()
-    if signals.segment.size:
-        with np.errstate(all="ignore"):
-            for check in CHECKS:
-                if not all(name in signals for name in (*check.channels, *check.uses)):
-                    continue
-                contradiction, agrees = _judged(check, signals)
-                if contradiction is not None:
-                    contradictions.append(contradiction._replace(flight=flight))
-                elif agrees:
-                    confirmed.update(check.channels)
-    suspected = _with_suspects(contradictions, confirmed)
-    return [found._replace(channels=_measured(found.channels, table)) for found in suspected]
+    for name, check in CHECKS.items():
+        if set(signals.channels).issuperset(check.channels + check.uses):
+            contradiction, agrees = _judged(name, check, signals)
+            if contradiction is not None:
+                contradictions.append(contradiction._replace(flight=flight))
+            elif agrees:
+                confirmed.update(check.channels)
+    has_elevons = {*ELEVONS} <= {*table.columns}
+    results = []
+    for found in _with_suspects(contradictions, confirmed):
+        is_mixed = has_elevons and found.channels[0] in MIXED
+        channels = (*ELEVONS, *found.channels[1:]) if is_mixed else found.channels
+        results.append(found._replace(channels=channels))
+    return results
 
 
 def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
@@ -576,130 +471,91 @@ def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> 
     doubtful: set[str] = set()
     remaining = []
     for found in contradictions:
-        open_names = found.channels
+        names = found.channels
         # of two signals with a lag either may be late
-        if found.quantity == "slope" and not confirmed.issuperset(open_names):
-            open_names = tuple(name for name in open_names if name not in confirmed)
-        most = max(counts[name] for name in open_names)
-        suspects = tuple(name for name in open_names if counts[name] == most)
-        follows = doubtful.intersection(CHECKS_BY_NAME[found.check].uses)
+        if found.quantity == "slope" and not confirmed.issuperset(names):
+            names = tuple(name for name in names if name not in confirmed)
+        most = max(counts[name] for name in names)
+        suspects = tuple(name for name in names if counts[name] == most)
+        follows = doubtful.intersection(CHECKS[found.check].uses)
         if not follows and not doubtful.issuperset(suspects):
             doubtful.update(suspects)
             remaining.append(found._replace(channels=suspects))
     return remaining
 
 
-def _measured(names: tuple[str, ...], table: pd.DataFrame) -> tuple[str, ...]:
-    """Return names of channels, of which elevons stand for elevator and aileron."""
-    measured: list[str] = []
-    for name in names:
-        is_mixed = name in MIXED and set(ELEVONS) <= set(table.columns)
-        measured += ELEVONS if is_mixed else [name]
-    return tuple(measured)
+def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | None, bool]:
+    """Return the contradiction of a check, None if there is none, and whether its signals are equal.
 
-
-def _judged(check: Check, signals: Signals) -> tuple[Contradiction | None, bool]:
-    """Return the contradiction of a check, None if there is none, and whether signals are equal for sure."""
-    settings = signals.settings
-    if check.channels[0] in ALL_SURFACES:
-        slopes = _slopes_at_possible_lags(check, signals)
-        slope = min(slopes, key=lambda slope: abs(slope.beyond(*check.slopes)), default=None)
-        return _contradiction(check, slope, settings), False
-    regression = check.regression(signals)
-    if check.slopes != EQUAL:
-        return _contradiction(check, estimated_slope(regression, settings), settings), False
-    slope, lag = _slope_and_lag(regression, signals, 0.0)
-    if slope is None or lag is None:
-        return None, False
-    if not _agrees(slope, settings):
-        for late in settings.lags:
-            other_slope, other_lag = _slope_and_lag(regression, signals, late)
-            if other_slope is None or other_lag is None or not _agrees(other_slope, settings):
-                continue
-            if other_slope.explained > slope.explained:
-                slope, lag = other_slope, other_lag
-    agrees = _agrees(slope, settings)
-    is_late = abs(lag.beyond(*settings.usual_lags)) > settings.least_t
-    if agrees and is_late and slope.size > check.noise:
-        return _record(check, "lag", lag, settings.usual_lags), False
-    return _contradiction(check, slope, settings), agrees
-
-
-def _slope_and_lag(
-    regression: Regression, signals: Signals, late: float
-) -> tuple[Slope | None, Slope | None]:
-    """Return the slope of y over x, and the lag of y [s], near a lag.
-
-    Near it, y(t + late) = x(t - (lag - late)) = x - (lag - late) x_dot.
+    Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that explain
+    y about as well as the best one: under feedback a late servo turns the sign at lag zero.
     """
-    y = signals.ahead(regression.y, late)
-    x = regression.x
-    minus_x_dot = -signals.rate_of_change(x)
-    others = regression.others
-    slope = estimated_slope(Regression(y, x, [*others, minus_x_dot]), signals.settings)
-    lag = estimated_slope(Regression(y, minus_x_dot, [*others, x]), signals.settings)
-    if lag is not None:
-        lag = lag._replace(value=lag.value + late)
-    return slope, lag
-
-
-def _agrees(slope: Slope, settings: PhysicsSettings) -> bool:
-    """Return whether a slope is surely near 1."""
-    least, most = EQUAL
-    margin = min(slope.value - least, most - slope.value)
-    return margin > settings.least_t * slope.std
-
-
-def _contradiction(
-    check: Check, slope: Slope | None, settings: PhysicsSettings
-) -> Contradiction | None:
-    """Return the contradiction of a slope outside of the admissible interval, None if there is none."""
-    if slope is None or slope.size <= check.noise or slope.n_effective < settings.least_samples:
-        return None
+    settings = signals.settings
+    slopes = slopes_by_lag(check, signals)
+    if not slopes:
+        return None, False
+    best = max(slopes.values(), key=lambda slope: slope.explained)
+    if best.size <= check.noise or best.n_effective < settings.least_samples:
+        return None, False
     least, most = check.slopes
-    # The error of x attenuates the slope (Fuller 1987, section 1.1)
-    if least > 0:
-        least *= 1 - (check.noise / slope.size) ** 2
-    is_weak = check.is_sign and abs(slope.correlation) < settings.least_correlation
-    if is_weak or abs(slope.beyond(least, most)) < settings.least_t:
-        return None
-    return _record(check, "slope", slope, (least, most))
+    if check.slopes == EQUAL:
+        margin = min(best.value - least, most - best.value)
+        if margin > settings.least_t * best.std:
+            return _late(name, check, slopes, settings)
+        # the error of x attenuates the slope (Fuller 1987, section 1.1)
+        least *= 1 - (check.noise / best.size) ** 2
+        slope = slopes[0.0]
+    else:
+        enough = settings.possible_lag * best.explained
+        possible = [slope for slope in slopes.values() if slope.explained >= enough]
+        slope = min(possible, key=lambda slope: abs(slope.t(least, most)))
+    is_weak = check.lags != KINEMATIC_LAGS and abs(slope.correlation) < settings.least_correlation
+    t = slope.t(least, most)
+    if is_weak or abs(t) < settings.least_t:
+        return None, False
+    return _contradiction(name, check, "slope", slope, t), False
 
 
-def _record(
-    check: Check, quantity: str, slope: Slope, admissible: tuple[float, float]
-) -> Contradiction:
+def _late(
+    name: str, check: Check, slopes: dict[float, Slope], settings: PhysicsSettings
+) -> tuple[Contradiction | None, bool]:
+    """Return a contradiction if the best lag is longer than usual, by a likelihood ratio."""
+    lag, best = max(slopes.items(), key=lambda item: item[1].explained)
+    usual = max(slopes[late].explained for late in slopes if abs(late) <= settings.usual_lag)
+    # t^2 = n log of the ratio of unexplained variances
+    t = np.sqrt(best.n_effective * np.log((1 + best.explained) / (1 + usual)))
+    if abs(lag) <= settings.usual_lag or t < settings.least_t:
+        return None, True
+    spacing = KINEMATIC_LAGS[-1] - KINEMATIC_LAGS[-2]
+    late = best._replace(value=lag, std=spacing / np.sqrt(12))
+    return _contradiction(name, check, "lag", late, float(t)), False
+
+
+def _contradiction(name: str, check: Check, quantity: str, slope: Slope, t: float) -> Contradiction:
+    """Return the record of a contradiction."""
     return Contradiction(
-        flight=None,
-        check=check.name,
-        channels=check.channels,
-        quantity=quantity,
-        slope=slope.value,
-        std=slope.std,
-        t=slope.beyond(*admissible),
-        correlation=slope.correlation,
-        n_effective=slope.n_effective,
+        None,
+        name,
+        check.channels,
+        quantity,
+        slope.value,
+        slope.std,
+        t,
+        slope.correlation,
+        slope.n_effective,
     )
 
 
-def _slopes_at_possible_lags(check: Check, signals: Signals) -> list[Slope]:
-    """Return the slopes at the lags of the surfaces that explain the response about as well as the best one.
-
-    Under feedback a servo that is late turns the sign of the slope at lag zero.
-    """
-    slopes = []
-    for lag in signals.settings.surface_lags:
-        channels = dict(signals.channels)
-        for name in ALL_SURFACES:
-            if name in signals:
-                channels[name] = signals.ahead(signals[name], lag)
-        shifted = Signals(channels, signals.segment, signals.step, signals.settings)
-        slope = estimated_slope(check.regression(shifted), signals.settings)
+def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
+    """Return the slopes at the lags of a check where the rows tell them."""
+    y, x, others = check.regression(signals)
+    slopes: dict[float, Slope] = {}
+    for lag in check.lags:
+        regression = Regression(y, signals.ahead(x, -lag), others)
+        slope = estimated_slope(regression, signals.settings)
         if slope is not None:
-            slopes.append(slope)
-    best = max((slope.explained for slope in slopes), default=0.0)
-    least = signals.settings.possible_lag * best
-    return [slope for slope in slopes if slope.explained >= least]
+            slopes[lag] = slope
+    return slopes
 
 
 def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT) -> Slope | None:

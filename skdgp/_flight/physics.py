@@ -509,7 +509,7 @@ def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | 
         enough = settings.possible_lag * best.explained
         possible = [slope for slope in slopes.values() if slope.explained >= enough]
         slope = min(possible, key=lambda slope: abs(slope.t(least, most)))
-    is_weak = check.lags != KINEMATIC_LAGS and abs(slope.correlation) < settings.least_correlation
+    is_weak = check.slopes != EQUAL and abs(slope.correlation) < settings.least_correlation
     t = slope.t(least, most)
     if is_weak or abs(t) < settings.least_t:
         return None, False

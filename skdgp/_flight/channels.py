@@ -23,17 +23,17 @@ AIR_DATA = ("airspeed", *VANES)
 HORIZONTAL = ("north", "east")
 POSITION = (*HORIZONTAL, "down")
 # velocity over the ground
-BODY_VELOCITY, EARTH_VELOCITY = (("u", "v", "w"), ("v_north", "v_east", "v_down"))
+BODY_VELOCITY = ("u", "v", "w")
+EARTH_VELOCITY = ("v_north", "v_east", "v_down")
 EULER = ("phi", "theta", "psi")  # attitude, in the order of its rotations from the body outward
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
-# which move as both at once
-MIXED, ELEVONS = (("elevator", "aileron"), ("elevon_left", "elevon_right"))
-THRUST_FORCES, THRUST_MOMENTS = (
-    ("thrust_x", "thrust_y", "thrust_z"),
-    ("thrust_l", "thrust_m", "thrust_n"),
-)
+# elevons move as elevator and aileron at once
+MIXED = ("elevator", "aileron")
+ELEVONS = ("elevon_left", "elevon_right")
+THRUST_FORCES = ("thrust_x", "thrust_y", "thrust_z")
+THRUST_MOMENTS = ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
 

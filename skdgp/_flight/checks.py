@@ -21,7 +21,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
 )
 from skdgp._flight.clock import flight_codes, flight_segments
-from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
+from skdgp._flight.frames import HIGHEST, LOWEST, standard_density, wrapped
 
 LARGEST_ANGLE = {
     "alpha": np.pi,
@@ -30,18 +30,22 @@ LARGEST_ANGLE = {
     "theta": np.pi / 2,
     "psi": 2 * np.pi,
 }
-GYROS = {"phi": RATES, "psi": ("q", "r")}  # angles that go round, and the rates that turn them
+# angles that go round, and the rates that turn them
+GYROS = {"phi": RATES, "psi": ("q", "r")}
 # an angle that changes by so many times the integral of the gyros is in degrees
 CLEARLY_FASTER = 57.3**0.5
-NO_TURN = 0.1  # change in a second [rad] that needs no turn
-FASTEST_TURN = {
-    "phi": 2 * np.pi,
-    "psi": np.pi,
-}  # 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
-# of an angle without gyros: 90 % is slower [rad/s], and the angle smaller [turns]
-SLOW_TURN, MOST_TURNS = (1.0, 10.0)
-ENOUGH = 5  # least number of changes to judge an angle by
-WRAPPED = (*GYROS,)  # angles that jump by 2 pi
+# angles that jump by 2 pi
+WRAPPED = (*GYROS,)
+# change in a second [rad] that needs no turn
+NO_TURN = 0.1
+# 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
+FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}
+# of an angle without gyros 90 % is slower [rad/s]
+SLOW_TURN = 1.0
+# an angle without gyros is smaller [turns]
+MOST_TURNS = 10.0
+# least number of changes to judge an angle by
+ENOUGH = 5
 ANGLE_NOISE = 0.05  # noise that may carry an angle over its largest value [rad]
 FASTEST_RATE = 50.0  # rates beyond this [rad/s], eight turns a second, are in other units
 # 99 % of the values of a flight are smaller [rad, rad/s]
@@ -87,10 +91,8 @@ def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
     if not isinstance(table, pd.DataFrame):
         raise TypeError(
             f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named "
-            f"columns "
-            "(one row per sample): build one with skdgp.io.read_flight or pandas.DataFrame, or "
-            "convert another "
-            "library's with its to_pandas()."
+            f"columns (one row per sample): build one with skdgp.io.read_flight or "
+            f"pandas.DataFrame, or convert another library's with its to_pandas()."
         )
     if len(table) == 0:
         raise ValueError(f"Got {what} with no rows, but expected at least one sample.")
@@ -127,16 +129,21 @@ def unknown_columns_message(names: Collection[str], have: Collection[str]) -> st
     "'de' (did you mean 'elevator' [rad]?), and 1 other: voltage"
     """
     near = suggestions(names, have)
+    hints = []
+    for name, channel in near.items():
+        unit = CHANNELS[channel].unit
+        meant = f"{channel!r} [{unit}]" if unit else f"{channel!r}"
+        hints.append(f"{name!r} (did you mean {meant}?)")
     unlike = [name for name in names if name not in near]
-    message = ", ".join(
-        f"{name!r} (did you mean {channel!r} [{CHANNELS[channel].unit}]?)"
-        for name, channel in near.items()
-    ).replace(" []", "")
-    if not unlike:
-        return message
-    shown = ", ".join(unlike[:MOST_NAMES]) + ", ..." * (len(unlike) > MOST_NAMES)
-    count = f"and {len(unlike)} other{'s' * (len(unlike) > 1)}" if near else f"{len(unlike)}"
-    return f"{message}{', ' * bool(near)}{count}: {shown}"
+    if unlike:
+        shown = ", ".join(unlike[:MOST_NAMES])
+        if len(unlike) > MOST_NAMES:
+            shown += ", ..."
+        count = f"{len(unlike)}"
+        if near:
+            count = "and 1 other" if len(unlike) == 1 else f"and {len(unlike)} others"
+        hints.append(f"{count}: {shown}")
+    return ", ".join(hints)
 
 
 def unknown_columns(table: pd.DataFrame) -> list[str]:
@@ -149,18 +156,17 @@ def unknown_columns(table: pd.DataFrame) -> list[str]:
 def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "flight") -> None:
     """Raise a ValueError that names the columns of ``needed`` that ``table`` lacks, and the nearest ones."""
     lacking = _lacking(needed, [str(column) for column in table.columns])
-    if lacking:
-        names = (
-            list(table["flight"].astype(str).unique())
-            if what == "flight" and "flight" in table
-            else []
-        )
-        raise ValueError(
-            f"The {f'flight {names[0]!r}' if len(names) == 1 else what} lacks the columns "
-            f"{lacking}. "
-            "Rename or compute them; docs/notation.md lists every name with its unit."
-            + "".join(text for name, text in REMEDIES.items() if f"'{name}'" in lacking)
-        )
+    if not lacking:
+        return
+    if what == "flight" and "flight" in table:
+        names = table["flight"].astype(str).unique()
+        if len(names) == 1:
+            what = f"flight {names.item()!r}"
+    remedies = [text for name, text in REMEDIES.items() if f"'{name}'" in lacking]
+    raise ValueError(
+        f"The {what} lacks the columns {lacking}. Rename or compute them; docs/notation.md lists "
+        f"every name with its unit.{''.join(remedies)}"
+    )
 
 
 def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
@@ -197,16 +203,14 @@ def check_number(
     """Return a finite number above ``least``, or from it on if not ``is_open``; raise ValueError at another."""
     number = as_floats(value)
     is_inside = number.shape == () and (number > least if is_open else number >= least)
-    if not (is_inside and number < np.inf):
-        bound = (
-            "a finite number"
-            if least == -np.inf
-            else f"a number {'>' if is_open else '>='} {least:g}"
-        )
-        raise ValueError(
-            f"Got {name}={value!r}, but expected {bound}{f' [{unit}]' if unit else ''}."
-        )
-    return float(number)
+    if is_inside and number < np.inf:
+        return float(number)
+    bound = "a finite number"
+    if least > -np.inf:
+        bound = f"a number {'>' if is_open else '>='} {least:g}"
+    if unit:
+        bound += f" [{unit}]"
+    raise ValueError(f"Got {name}={value!r}, but expected {bound}.")
 
 
 def check_numbers(name: str, values: object, *sizes: int) -> Array:
@@ -247,18 +251,16 @@ def check_units(table: pd.DataFrame) -> None:
 
     A hundredth of the values may be faults. Warn of surfaces that are probably commands.
     """
-    tops = {name: _quantile(np.abs(_values(table, name)), 0.99) for name in USUAL}
-    degrees = {
-        name: round(top, 1)
-        for name, top in tops.items()
-        if top > USUAL[name] and not is_unwrapped(table, name)
-    }
-    middles = {name: _quantile(np.abs(_values(table, name)), 0.5) for name in degrees}
-    shifted = {
-        name: round(middle, 1)
-        for name, middle in middles.items()
-        if middle > LARGEST_MIDDLE and name not in WRAPPED
-    }
+    degrees: dict[str, float] = {}
+    shifted: dict[str, float] = {}
+    for name, usual in USUAL.items():
+        sizes = np.abs(_values(table, name))
+        top = _quantile(sizes, 0.99)
+        if top > usual and not is_unwrapped(table, name):
+            degrees[name] = round(top, 1)
+            middle = _quantile(sizes, 0.5)
+            if middle > LARGEST_MIDDLE and name not in WRAPPED:
+                shifted[name] = round(middle, 1)
     if shifted:
         raise ValueError(
             f"Got {shifted} as medians of angles, more than an aircraft flies at even in degrees: "
@@ -302,26 +304,26 @@ def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     """
     if name not in GYROS or "time" not in table:
         return False
-    angle = _values(table, name)
-    sampled = np.isfinite(angle)
-    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table), int)
-    steps = np.abs(np.diff(angle[sampled]))[np.diff(codes[sampled]) == 0]
-    change = np.abs(_over_a_second(table, angle))
-    if np.isfinite(change).sum() < ENOUGH or ((steps > 300) & (steps < 361)).any():
+    values = _values(table, name)
+    sampled = np.isfinite(values)
+    angle = values[sampled]
+    is_next_flight = np.diff(_codes(table)[sampled]) != 0
+    steps = np.abs(np.diff(angle))[~is_next_flight]
+    jumps_by_degrees = ((steps > 300) & (steps < 361)).any()
+    change = np.abs(_over_a_second(table, values))
+    if np.isfinite(change).sum() < ENOUGH or jumps_by_degrees:
         return False
     fastest = float(np.nanquantile(change, 0.9))
-    turned = np.hypot.reduce(
-        [_over_a_second(table, _values(table, rate), rate=True) for rate in GYROS[name]]
-    )
+    rates = [_values(table, rate) for rate in GYROS[name]]
+    turned = np.hypot.reduce([_over_a_second(table, rate, rate=True) for rate in rates])
     if np.isfinite(turned).any() and fastest > 0:
-        return fastest <= min(
-            max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN), FASTEST_TURN[name]
-        )
-    begins = np.abs(angle[sampled][np.r_[0, 1 + np.flatnonzero(np.diff(codes[sampled]))]])
-    turns = np.quantile(np.abs(angle[sampled]), 0.99) / (2 * np.pi)
-    return bool(
-        begins.max() <= 2 * np.pi + ANGLE_NOISE and fastest <= SLOW_TURN and turns <= MOST_TURNS
-    )
+        most = max(CLEARLY_FASTER * float(np.nanquantile(turned, 0.9)), NO_TURN)
+        return fastest <= min(most, FASTEST_TURN[name])
+    is_first = np.concatenate([[True], is_next_flight])
+    begins = np.abs(angle[is_first]).max()
+    turns = np.quantile(np.abs(angle), 0.99) / (2 * np.pi)
+    begins_within_a_turn = begins <= 2 * np.pi + ANGLE_NOISE
+    return bool(begins_within_a_turn and fastest <= SLOW_TURN and turns <= MOST_TURNS)
 
 
 def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
@@ -406,25 +408,32 @@ def _density(flight: pd.DataFrame) -> None:
 
 def _warn_of_commands(flight: pd.DataFrame) -> None:
     """Warn of surfaces that are probably commands from -1 to 1: beyond `LARGEST_DEFLECTION`, or at 1 exactly."""
-    values = {name: np.abs(_values(flight, name)) for name in ALL_SURFACES}
-    large = {
-        name: top
-        for name, angles in values.items()
-        if (top := _quantile(angles, 0.99)) > LARGEST_DEFLECTION or (angles == 1).sum() > 1
-    }
+    large = []
+    for name in ALL_SURFACES:
+        angles = np.abs(_values(flight, name))
+        top = _quantile(angles, 0.99)
+        if top > LARGEST_DEFLECTION or (angles == 1).sum() > 1:
+            large.append(f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)")
     if large:
         report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}), stacklevel=4)
 
 
 def _roll_rate(flight: pd.DataFrame) -> None:
     """Raise ValueError if the roll rate and the changes of roll over seconds are of different units."""
-    time, phi, p = (_values(flight, name) for name in ("time", "phi", "p"))
-    rows = max(round(1.0 / np.median(np.diff(time))), 1) if len(time) > 1 else 1
+    time = _values(flight, "time")
+    if len(time) < 2:
+        return
+    rows = max(round(1.0 / np.median(np.diff(time))), 1)
     seconds = np.arange(0, len(time) - rows, rows)
-    turned = _quantile(np.abs(np.angle(np.exp(1j * np.diff(phi[::rows])))), 0.9)
-    changes = p * np.diff(time, append=np.nan)
-    gyro = _quantile(np.abs(np.add.reduceat(changes, seconds)), 0.9) if seconds.size else np.nan
-    ratio = gyro / turned if turned > 0.02 and gyro > 0.02 else 1.0
+    if not seconds.size:
+        return
+    changes = wrapped(np.diff(_values(flight, "phi")[::rows]))
+    turned = _quantile(np.abs(changes), 0.9)
+    steps = _values(flight, "p") * np.diff(time, append=np.nan)
+    gyro = _quantile(np.abs(np.add.reduceat(steps, seconds)), 0.9)
+    if not (turned > 0.02 and gyro > 0.02):
+        return
+    ratio = gyro / turned
     if ratio < 1 / 15 or ratio > 15:
         raise ValueError(
             f"The roll rate p integrates to {ratio:.3g} times the change of phi, but "
@@ -436,7 +445,7 @@ def _roll_rate(flight: pd.DataFrame) -> None:
 def _over_a_second(flight: pd.DataFrame, values: np.ndarray, *, rate: bool = False) -> np.ndarray:
     """Return by how much values change over about a second of a flight, or of a rate its integral; NaN in gaps."""
     time = _values(flight, "time")
-    codes = flight_codes(flight["flight"])[0] if "flight" in flight else np.zeros(len(time), int)
+    codes = _codes(flight)
     longest = int(np.bincount(codes).max())
     if longest < 3:
         return np.full(len(time), np.nan)
@@ -461,12 +470,18 @@ def _accelerations(flight: pd.DataFrame) -> None:
         )
 
 
+def _codes(flight: pd.DataFrame) -> np.ndarray:
+    """Return the number of each row's flight."""
+    if "flight" not in flight:
+        return np.zeros(len(flight), int)
+    return flight_codes(flight["flight"])[0]
+
+
 def _values(flight: pd.DataFrame, name: str) -> Vector:
-    return (
-        flight[name].to_numpy(float, na_value=np.nan)
-        if name in flight
-        else np.full(len(flight), np.nan)
-    )
+    """Return a column as floats, NaN where it is absent."""
+    if name not in flight:
+        return np.full(len(flight), np.nan)
+    return flight[name].to_numpy(float, na_value=np.nan)
 
 
 def _size(flight: pd.DataFrame, names: Iterable[str]) -> Vector:

@@ -36,8 +36,8 @@ def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:
     if missing.size:
         raise ValueError(
             f"Got {missing.size} of {len(codes)} rows without a flight (the first is row "
-            f"{missing[0]}), but expected "
-            "each to name its own: fill in these cells, or drop these rows."
+            f"{missing[0]}), but expected each to name its own: fill in these cells, or drop these "
+            f"rows."
         )
     return codes, names.tolist()
 
@@ -102,7 +102,8 @@ def _split(time: np.ndarray, codes: np.ndarray) -> list[slice]:
     """Return the segments of a checked clock; raise ValueError if it has no usual step."""
     if not len(time):
         return []
-    step, same = np.diff(time), np.diff(codes) == 0
+    step = np.diff(time)
+    same = np.diff(codes) == 0
     usual = pd.Series(step[same]).groupby(codes[1:][same]).median()
     usual_here = usual.reindex(codes[1:]).to_numpy()
     gap = same & (step > GAP * usual_here)
@@ -111,11 +112,11 @@ def _split(time: np.ndarray, codes: np.ndarray) -> list[slice]:
     if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
         steps = step[same] / step[same].min()
         drawn = np.mean(np.abs(steps - np.rint(steps)) < MULTIPLE) > 0.99
-        remedy = (
-            "rows seem to be left out at random, as by a shuffled KFold: hold out whole flights"
-            if drawn
-            else "resample the log to one uniform clock first"
-        )
+        remedy = "resample the log to one uniform clock first"
+        if drawn:
+            remedy = (
+                "rows seem to be left out at random, as by a shuffled KFold: hold out whole flights"
+            )
         raise ValueError(
             f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
             f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: "

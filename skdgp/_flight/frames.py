@@ -14,10 +14,14 @@ from numpy.typing import ArrayLike
 
 GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
 STANDARD_GRAVITY = 9.80665
-LOWEST, HIGHEST = -5000.0, 20000.0
-SEA_LEVEL_DENSITY, SEA_LEVEL_PRESSURE = 1.225, 101325.0  # [kg/m^3, Pa]
+# altitudes of the standard atmosphere here [m]
+LOWEST = -5000.0
+HIGHEST = 20000.0
+SEA_LEVEL_DENSITY = 1.225  # [kg/m^3]
+SEA_LEVEL_PRESSURE = 101325.0  # [Pa]
 SEA_LEVEL_TEMPERATURE = 288.15  # [K]
-LAPSE, TROPOPAUSE = 0.0065, 11000.0  # [K/m] up to an altitude [m], zero above
+LAPSE = 0.0065  # [K/m] up to the tropopause, zero above
+TROPOPAUSE = 11000.0  # [m]
 
 
 def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
@@ -31,10 +35,9 @@ def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.
     >>> quaternion_to_euler(euler_to_quaternion(0.3, -0.2, 1.5)).round(12)
     array([ 0.3, -0.2,  1.5])
     """
-    phi, theta, psi = (0.5 * np.asarray(angle, dtype=float) for angle in (phi, theta, psi))
-    (c_phi, c_theta, c_psi), (s_phi, s_theta, s_psi) = (
-        [f(phi), f(theta), f(psi)] for f in (np.cos, np.sin)
-    )
+    halves = [0.5 * np.asarray(angle, dtype=float) for angle in (phi, theta, psi)]
+    c_phi, c_theta, c_psi = map(np.cos, halves)
+    s_phi, s_theta, s_psi = map(np.sin, halves)
     return _vector(
         c_phi * c_theta * c_psi + s_phi * s_theta * s_psi,
         s_phi * c_theta * c_psi - c_phi * s_theta * s_psi,
@@ -156,11 +159,9 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
 def _components(vector: ArrayLike) -> tuple[Any, ...]:
     """Return the components along the last axis: of one vector plain numbers, which are fastest."""
     vector = np.asarray(vector, dtype=float)
-    return (
-        tuple(vector.tolist())
-        if vector.ndim == 1
-        else tuple(vector[..., k] for k in range(vector.shape[-1]))
-    )
+    if vector.ndim == 1:
+        return tuple(vector.tolist())
+    return tuple(np.moveaxis(vector, -1, 0))
 
 
 def _vector(*components: ArrayLike) -> np.ndarray:

@@ -1,658 +1,636 @@
-"""Checks of physics: channels of a flight that contradict each other, and the most probable cause.
+"""Checks of physics: relations between channels that hold in every flight, and the flights that contradict them.
 
-A relation is a pair of signals y and x that are equal by kinematics. Their agreement is
+A check is a regression of one signal y on another, x. Kinematics make both equal, so the slope is
+1; or aerodynamics give its sign: lift grows with alpha, a positive aileron rolls right. Other
+regressors, such as an intercept, a steady wind and further effects, are removed from both signals
+first (Frisch & Waugh, 1933). With the residual e, the slope and its standard deviation are
 
-    2 sum(x y) / (sum(x^2) + sum(y^2)) * min(s, 1 / s),   s^2 = sum(y^2) / sum(x^2),
+    slope = x.y / x.x,   e = y - slope x,   std = sqrt(tau sum (x e)^2) / x.x.
 
-the concordance of Lin (1989) about zero, times the ratio of scales: 1 if they are equal, -1 if one
-has the wrong sign, near 0 if one is in another unit. Other relations are the sign of a slope in
-least squares: lift grows with alpha, a positive aileron rolls right. Their agreement is t /
-sqrt(t^2 + 16), with the t value of the slope. The t values allow for errors that are correlated in
-time. Slopes of moments are those at the lag of the surfaces that explains most: under feedback a
-servo that is late turns the sign of the slope at lag zero.
+Neighbouring samples are dependent: n of them are worth n / tau, where tau is the autocorrelation
+time of the products x e, 1 + 2 sum rho_x rho_e (Bartlett, 1946). A slope contradicts its relation
+if it is outside of the admissible interval by 5 standard deviations.
 
-A cause is named only if its correction makes signals agree that contradict each other, beyond
-chance, and no other relation worse. Of several causes the one with the largest sum of agreements is
-named, and its correction is the start of the search for the next. Noise, wind and missing channels
-therefore cause no finding.
+Signals are changes and integrals over windows, so no noisy signal is differentiated. The checks
+report: they never change a flight.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from operator import itemgetter
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.statistics import autocorrelation_time
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
-    BODY_VELOCITY,
-    CHANNELS,
     EARTH_VELOCITY,
     ELEVONS,
     EULER,
     MIXED,
-    POSITION,
     RATES,
     SPECIFIC_FORCE,
-    SURFACES,
-    VANES,
 )
 from skdgp._flight.clock import flight_rows, flight_segments
-from skdgp._flight.frames import STANDARD_GRAVITY as G
-from skdgp._flight.frames import air_data, air_velocity, euler_to_matrix
+from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_matrix
 
-RATE = 20.0  # rows are averaged to about this rate [Hz]
-LONG = 1.0  # window [s] over which kinematics are integrated
-SHORT = 0.1  # window [s] over which effects of angles and surfaces are integrated
-IMPROVEMENT = 0.5  # least improvement of an agreement by a correction
-WORSE = 0.3  # most that another agreement may lose by it
-AGREES = 0.3  # least agreement after a correction; below, signals contradict each other
-LEAST_T = 4.0  # least t value after a correction; slopes of t < -4 contradict
-LEAST_CLIMB = 0.1  # least standard deviation of v_down [m/s] to judge its sign by the airspeed
-PARALLEL = 0.9  # signals of this cosine contradict each other
-MULTIPLE = 1.5  # if the larger is so many times the other
-EXTRA_CHANNEL = 0.02  # agreement that a correction must gain by each further channel
-TIE = 0.01  # causes of agreements that are nearer are as probable
-CONTROL = ("Cl", "Cm", "Cn")  # may get worse by a correction: surfaces are judged after the axes
-LAGS = (0.0, -0.15, -0.1, -0.05, 0.05, 0.1)  # of the surfaces [s], positive where late
-UNEXPLAINED = 1.5  # a lag is possible that leaves less than so many times the least variance
-EXPLAINED = 0.75  # unexplained, and explains more than this fraction of the largest variance
-ENOUGH = 40  # least number of windows
-LONG_FLIGHT = 30.0  # shorter flights [s] are only judged together with others
-MOST = 8  # most findings of one table
-FLYING = 0.5  # rows slower than this fraction of the median airspeed do not count
 
-CONTROLS = frozenset(ALL_SURFACES)
-# Channels that only slopes, and only equalities, depend on
-INERTIAL = frozenset((*EULER, *BODY_VELOCITY, *POSITION, "altitude", "v_north", "v_east"))
-MOTION = (*VANES, *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *BODY_VELOCITY, *POSITION)
-SIGNED = (*MOTION, "altitude", *SURFACES)
-USED = ("airspeed", *SIGNED, *ELEVONS, "throttle")
-# Channels whose signs are changed together, and the cause
-SIGNS = {
-    "q r": "the gyro's axes are y left, z up",
-    "ay az": "the accelerometer's axes are y left, z up",
-    "q r ay az": "the axes of gyro and accelerometer are y left, z up",
-    "ax ay az": "the accelerometer's signs are reversed",
-    "p q r": "the gyro's signs are reversed",
-    "theta psi": "the attitude is of axes y left, z up",
-    "q r theta psi": "gyro and attitude are of axes y left, z up",
-    "q r ay az theta psi": "gyro, accelerometer and attitude are of axes y left, z up",
-    "v w": "u, v, w are along axes y left, z up",
-    "v_east v_down": "the velocity is north, west, up",
-    "v_east v_down east down": "velocity and position are north, west, up",
-    "v_down down": "velocity and position are positive up",
-    "q r ay az theta psi v w v_east v_down east down": "all axes are y left, z up and north, "
-    "west, up",
-}
-# Factor to SI, and channels that are in this unit together
-UNITS = {
-    "degrees": (
-        np.pi / 180,
-        ("alpha", "beta", "alpha beta", *RATES, "p q r", *EULER, "phi theta psi"),
-    ),
-    "degrees per second and degrees": (
-        np.pi / 180,
-        ("phi theta psi p q r", "alpha beta phi theta psi p q r"),
-    ),
-    "g": (G, ("ax ay az",)),
-    "feet": (0.3048, ("altitude", "down", "north east down")),
-    "feet per second": (0.3048, ("airspeed", "v_down", "v_north v_east v_down", "u v w")),
-    "knots": (0.514444, ("airspeed", "v_north v_east v_down", "u v w")),
-    "km/h": (1 / 3.6, ("airspeed", "v_north v_east v_down", "u v w")),
-}
-# Positions by velocities, which they integrate
-CLIMBS = {
-    **dict(zip(POSITION, EARTH_VELOCITY, strict=True)),
-    "altitude": "v_down",
-}
-# Response, its regressors, and the expected sign of the slope of the first of these
-SLOPES = {
-    "CZ": ("az", "alpha q elevator", -1, "lift grows with alpha"),
-    "CY": ("ay", "beta p r aileron rudder", -1, "the side force opposes beta"),
-    "Cl": ("p", "aileron beta p r rudder", 1, "a positive aileron rolls right"),
-    "Cm": ("q", "elevator alpha q", -1, "a positive elevator pitches down"),
-    "Cn": ("r", "rudder beta p r aileron", -1, "a positive rudder yaws left"),
-    "energy": ("airspeed", "sink throttle induced", 1, "the aircraft gains airspeed in descents"),
-}
-STAND_INS = {"alpha": "az", "beta": "ay"}  # specific forces, which grow with the angles
+@dataclass(frozen=True)
+class PhysicsSettings:
+    """Settings of the checks of physics."""
 
-Signals = dict[str, np.ndarray]
-Equality = tuple[str, str, np.ndarray, np.ndarray]  # name, words, y, x
+    # rows are averaged to about this rate [Hz], above the frequencies of flight dynamics
+    rate: float = 20.0
+    # window of kinematics [s], longer than the usual lags
+    kinematic_window: float = 1.0
+    # window of forces and moments [s], shorter than the time constant of roll
+    response_window: float = 0.1
+    # rows slower than this fraction of the median airspeed are on the ground
+    flying: float = 0.5
+    # fewer rows, or fewer effective samples, decide nothing
+    least_rows: int = 40
+    least_samples: float = 10.0
+    # standard deviations by which a slope is outside of its admissible interval
+    least_t: float = 5.0
+    # weaker effects of a wrong sign come from feedback, lags and gusts as well
+    least_correlation: float = 0.3
+    # a longer lag [s] is a contradiction: LagCorrector corrects 0.3 s, holds of slow GPS add to it
+    usual_lag: float = 0.5
+    # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
+    possible_lag: float = 1 / 3
+    # flights shorter than this [s] are judged together with others only
+    long_flight: float = 30.0
+
+
+DEFAULT = PhysicsSettings()
+
+
+class Slope(NamedTuple):
+    """A slope of a regression, and how well it is known."""
+
+    value: float
+    std: float
+    # partial correlation
+    correlation: float
+    n_effective: float
+    # root mean square of x without the other regressors
+    size: float
+
+    @property
+    def explained(self) -> float:
+        """Ratio of explained to unexplained variance."""
+        return self.correlation**2 / max(1 - self.correlation**2, 1e-12)
+
+    def t(self, least: float, most: float) -> float:
+        """Return how far the slope is outside of an interval, in standard deviations, 0 inside."""
+        nearest = np.clip(self.value, least, most)
+        return float(self.value - nearest) / max(self.std, 1e-9 * abs(self.value))
 
 
 class Contradiction(NamedTuple):
-    """Channels with a probable fault, and one sentence: cause, remedy, figures. ``flight`` is None for all flights."""
+    """A check that flights contradict, and its numbers. ``flight`` is None for all flights together."""
 
     flight: object
+    check: str
+    # channels that may be wrong
     channels: tuple[str, ...]
-    message: str
-    # Whether it is the sign of the channels, and no other cause is as probable
-    is_sign: bool = False
+    # "slope", or "lag" [s], of which ``slope`` is the value
+    quantity: str
+    slope: float
+    std: float
+    # distance from the admissible values, in standard deviations
+    t: float
+    correlation: float
+    n_effective: float
+
+    @property
+    def message(self) -> str:
+        """One sentence of the channels and the numbers."""
+        check = CHECKS[self.check]
+        names = " or ".join(self.channels)
+        result = (
+            f"the slope of {check.y} over {check.x} is {self.slope:.3g} ± {self.std:.2g}, "
+            f"but expected {check.expected}"
+        )
+        if self.quantity == "lag":
+            result = f"{check.y} is {self.slope:.2g} ± {self.std:.2g} s late against {check.x}"
+        return (
+            f"{names} is probably wrong: {result} (t = {self.t:.1f}, correlation "
+            f"{self.correlation:.2f}, {self.n_effective:.0f} effective samples)"
+        )
 
     def __str__(self) -> str:
         return self.message if self.flight is None else f"flight {self.flight}: {self.message}"
 
 
-class Cause(NamedTuple):
-    """A possible fault: its channels, the finding, the remedy, and the correction of signals."""
+@dataclass(frozen=True)
+class Signals:
+    """Channels of flights at one rate, and the segment of each row. A missing value is NaN."""
+
+    channels: dict[str, Vector]
+    segment: np.ndarray
+    step: float
+    settings: PhysicsSettings = DEFAULT
+
+    def __getitem__(self, name: str) -> Vector:
+        return self.channels[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.channels
+
+    @property
+    def ones(self) -> Vector:
+        """The regressor of an intercept."""
+        return np.ones(len(self.segment))
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation matrices from body to earth axes (n, 3, 3)."""
+        return euler_to_matrix(self["phi"], self["theta"], self["psi"])
+
+    def vector(self, names: tuple[str, ...]) -> Matrix:
+        """Return channels as vectors (n, k)."""
+        return np.column_stack([self[name] for name in names])
+
+    def change(self, values: Array, seconds: float | None = None) -> Array:
+        """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end."""
+        seconds = self.settings.kinematic_window if seconds is None else seconds
+        length = max(round(seconds / self.step), 1)
+        inside = self.segment[length:] == self.segment[:-length]
+        change = np.full(values.shape, np.nan)
+        change[:-length][inside] = (values[length:] - values[:-length])[inside]
+        return change
+
+    def integral(self, values: Array, seconds: float | None = None) -> Array:
+        """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
+        missing = ~np.isfinite(values)
+        known = np.where(missing, 0.0, values)
+        total = np.cumsum(known, axis=0) - known / 2
+        integral = self.step * self.change(total, seconds)
+        n_missing = self.change(np.cumsum(missing, axis=0, dtype=float), seconds)
+        integral[missing | (n_missing > 0)] = np.nan
+        return integral
+
+    def ahead(self, values: Vector, seconds: float) -> Vector:
+        """Return the value of each row ``seconds`` later, NaN beyond its segment."""
+        rows = np.arange(len(values))
+        place = rows + seconds / self.step
+        ahead = np.interp(place, rows, values, left=np.nan, right=np.nan)
+        for end in (np.floor(place), np.ceil(place)):
+            row = np.clip(end, 0, len(rows) - 1).astype(int)
+            ahead[self.segment[row] != self.segment] = np.nan
+        return ahead
+
+
+class Regression(NamedTuple):
+    """A response y, the regressor x whose slope is judged, and the other regressors, (n,) each."""
+
+    y: Vector
+    x: Vector
+    others: list[Vector]
+
+
+# -- kinematics: equal signals
+
+
+def roll(flight: Signals) -> Regression:
+    """Return the terms of phi_dot = p + (q sin phi + r cos phi) tan theta."""
+    phi = flight["phi"]
+    turn = flight["q"] * np.sin(phi) + flight["r"] * np.cos(phi)
+    coupling = flight.integral(turn * np.tan(flight["theta"]))
+    y = flight.change(phi) - coupling
+    return Regression(y, flight.integral(flight["p"]), [flight.ones])
+
+
+def pitch(flight: Signals) -> Regression:
+    """Return the terms of theta_dot = q cos phi - r sin phi."""
+    phi = flight["phi"]
+    coupling = flight.integral(flight["r"] * np.sin(phi))
+    y = flight.change(flight["theta"]) + coupling
+    return Regression(y, flight.integral(flight["q"] * np.cos(phi)), [flight.ones])
+
+
+def yaw(flight: Signals) -> Regression:
+    """Return the terms of psi_dot = (q sin phi + r cos phi) / cos theta."""
+    phi = flight["phi"]
+    cosine = np.cos(flight["theta"])
+    coupling = flight.integral(flight["q"] * np.sin(phi) / cosine)
+    y = flight.change(flight["psi"]) - coupling
+    return Regression(y, flight.integral(flight["r"] * np.cos(phi) / cosine), [flight.ones])
+
+
+def position(flight: Signals, name: str, velocity: str) -> Regression:
+    """Return the change of a coordinate and the integral of its velocity."""
+    sign = -1.0 if name == "altitude" else 1.0
+    y = sign * flight.change(flight[name])
+    return Regression(y, flight.integral(flight[velocity]), [flight.ones])
+
+
+def relative_velocity(flight: Signals, axis: int) -> Regression:
+    """Return the terms of a component of R^T v_ground = v_air + R^T wind, at a steady horizontal wind.
+
+    Along x the air velocity is V, across it about V beta and V alpha. Gusts move these only, so they
+    are the response there.
+    """
+    rotation = flight.rotation
+    airspeed = flight["airspeed"]
+    ground = np.einsum("nij,ni->nj", rotation, flight.vector(EARTH_VELOCITY))[:, axis]
+    wind = [rotation[:, 0, axis], rotation[:, 1, axis]]
+    if axis == 0:
+        return Regression(ground, airspeed, wind)
+    angle = flight["beta"] if axis == 1 else flight["alpha"]
+    return Regression(airspeed * angle, ground, [*wind, airspeed])
+
+
+def level_force(flight: Signals, axis: int) -> Regression:
+    """Return the terms of v_dot = R f + g along axes forward, right and down: changes and impulses.
+
+    Forward and right are level, by the heading at the middle of the window.
+    """
+    change = flight.change(flight.vector(EARTH_VELOCITY))
+    force = np.einsum("nij,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
+    impulse = flight.integral(force)
+    if axis == 2:
+        return Regression(change[:, 2], impulse[:, 2], [flight.ones])
+    middle = flight.settings.kinematic_window / 2
+    heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
+    direction = np.column_stack([np.cos(heading), np.sin(heading)])
+    y = np.sum(direction * change[:, :2], axis=1)
+    x = np.sum(direction * impulse[:, :2], axis=1)
+    return Regression(y, x, [flight.ones])
+
+
+def gravity(flight: Signals) -> Regression:
+    """Return the terms of (R f)_down = v_down_dot - g, without an intercept."""
+    change, impulse, _ = level_force(flight, axis=2)
+    return Regression(impulse, change - STANDARD_GRAVITY * flight.settings.kinematic_window, [])
+
+
+# -- aerodynamics: slopes of a known sign
+
+
+def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression:
+    """Return a rate or specific force, and its effects.
+
+    Responses over V^2 are linear in angles, rates over V and surfaces. A specific force stands for an
+    angle that was not measured.
+    """
+    window = flight.settings.response_window
+    airspeed = flight["airspeed"]
+    columns = []
+    for effect in effects:
+        stand_in = STAND_INS.get(effect, "")
+        if effect in RATES and effect in flight:
+            columns.append(airspeed * flight[effect])
+        elif effect in flight:
+            columns.append(airspeed**2 * flight[effect])
+        elif stand_in in flight:
+            columns.append(flight[stand_in])
+    columns.append(airspeed**2)
+    x, *others = [flight.integral(column, window) for column in columns]
+    grows = flight.change if name in RATES else flight.integral
+    return Regression(grows(flight[name], window), x, others)
+
+
+def thrust(flight: Signals) -> Regression:
+    """Return the terms of ax = thrust - parasitic and induced drag."""
+    squared = flight["airspeed"] ** 2
+    az = flight["az"]
+    others = [flight.integral(drag) for drag in (squared, az, az**2 / squared)]
+    x = flight.integral(flight["throttle"])
+    return Regression(flight.integral(flight["ax"]), x, [flight.ones, *others])
+
+
+# -- the table of checks
+
+Interval = tuple[float, float]
+EQUAL: Interval = (1 / 1.5, 1.5)
+# gusts move the air past the aircraft, which follows them
+GUSTY: Interval = (-0.5, 1.5)
+POSITIVE: Interval = (0.0, np.inf)
+NEGATIVE: Interval = (-np.inf, 0.0)
+EXPECTED = {EQUAL: "1", GUSTY: "0 to 1", POSITIVE: "a positive one", NEGATIVE: "a negative one"}
+# specific forces that grow with the angles
+STAND_INS = {"alpha": "az", "beta": "ay"}
+# lags that are tried [s], > 0 where y is late against x
+KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
+SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
+
+
+class Check(NamedTuple):
+    """A relation of y with x: the compared channels, its signals, and the admissible slopes."""
 
     channels: tuple[str, ...]
-    words: str
-    remedy: str
-    correct: Callable[[Signals], Signals]
-    needs: tuple[str, ...] = ()  # Channels that it is looked for in
-
-
-class Relation(NamedTuple):
-    """Two signals that are equal (``pair``), or a slope with a known sign and its ``t`` value (pair None)."""
-
-    words: str
-    agreement: float
-    contradicts: bool = False
-    t: float = 0.0
-    pair: tuple[np.ndarray, np.ndarray] | None = None
-    explained: float = 0.0  # Explained fraction of the variance of a slope's response
+    y: str
+    x: str
+    regression: Callable[[Signals], Regression]
+    slopes: Interval
+    # error of x [unit of x]: a signal of no larger root mean square decides nothing
+    noise: float
+    lags: tuple[float, ...]
+    # other channels that it needs
+    uses: tuple[str, ...]
 
     @property
-    def t_value(self) -> float:
-        """Return the t value of the slope of y over x."""
-        if self.pair is None:
-            return self.t
-        y, x = self.pair
-        return _t_value(x @ y, x * (y - x @ y / (x @ x) * x))
-
-    @property
-    def agrees(self) -> bool:
-        """Whether the signals agree beyond chance."""
-        return not self.contradicts and self.agreement >= AGREES and self.t_value >= LEAST_T
+    def expected(self) -> str:
+        """The slope that is expected."""
+        return EXPECTED[self.slopes]
 
 
-def find_contradictions(table: pd.DataFrame) -> list[Contradiction]:
-    """Return the channels of a flight table that contradict each other, with the most probable cause of each.
+def _rate(angle: str, rate: str, regression: Callable, uses: tuple[str, ...]) -> Check:
+    y, x = f"the change of {angle}", f"the integral of {rate}"
+    return Check((angle, rate), y, x, regression, EQUAL, 0.02, KINEMATIC_LAGS, uses)
+
+
+def _position(name: str, velocity: str) -> Check:
+    regression = partial(position, name=name, velocity=velocity)
+    return _rate(name, velocity, regression, ())._replace(noise=0.3)
+
+
+def _velocity(name: str, y: str, x: str, axis: int) -> Check:
+    regression = partial(relative_velocity, axis=axis)
+    uses = (*EULER, *EARTH_VELOCITY, "airspeed")
+    return Check((name,), y, x, regression, GUSTY, 0.5, (0.0,), uses)
+
+
+def _force(channels: tuple[str, ...], regression: Callable) -> Check:
+    y, x = "the change of velocity", "the integral of specific force and gravity"
+    uses = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
+    return Check(channels, y, x, regression, EQUAL, 0.5, KINEMATIC_LAGS, uses)
+
+
+def _effect(name: str, effects: tuple[str, ...], slopes: Interval) -> Check:
+    y = f"the change of {name}" if name in RATES else name
+    regression = partial(response, name=name, effects=effects)
+    lags = SURFACE_LAGS if effects[0] in ALL_SURFACES else (0.0,)
+    channels = (effects[0], name)
+    return Check(channels, y, effects[0], regression, slopes, 0.0, lags, ("airspeed",))
+
+
+# In this order: a check is left out if it uses a channel that an earlier one has found wrong.
+CHECKS: dict[str, Check] = {
+    "roll": _rate("phi", "p", roll, ("q", "r", "theta")),
+    "pitch": _rate("theta", "q", pitch, ("r", "phi")),
+    "yaw": _rate("psi", "r", yaw, ("q", "phi", "theta")),
+    "north": _position("north", "v_north"),
+    "east": _position("east", "v_east"),
+    "down": _position("down", "v_down"),
+    "altitude": _position("altitude", "v_down"),
+    "airspeed": _velocity(
+        "airspeed", "the ground velocity less a steady wind", "airspeed", axis=0
+    )._replace(
+        channels=("airspeed", "psi", "v_north", "v_east"),
+        slopes=EQUAL,
+        noise=3.0,
+        lags=KINEMATIC_LAGS,
+        uses=(*EULER, *EARTH_VELOCITY),
+    ),
+    "sideslip": _velocity("beta", "V beta", "the lateral ground velocity less a wind", axis=1),
+    "angle of attack": _velocity(
+        "alpha", "V alpha", "the normal ground velocity less a wind", axis=2
+    ),
+    "gravity": _force(("az",), gravity),
+    "forward force": _force(("theta", "psi", "v_north", "v_east"), partial(level_force, axis=0)),
+    "sideward force": _force(("phi", "psi", "v_north", "v_east"), partial(level_force, axis=1)),
+    "vertical force": _force(("v_down", "az"), partial(level_force, axis=2)),
+    "lift": _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
+    "side force": _effect("ay", ("beta", "p", "r", "aileron", "rudder"), NEGATIVE),
+    "roll moment": _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
+    "pitch moment": _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
+    "yaw moment": _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
+    "thrust": Check(
+        ("throttle", "ax"), "ax", "throttle", thrust, POSITIVE, 0.01, (0.0,), ("airspeed", "az")
+    ),
+}
+
+# Channels of the checks. Of the commanded ones a repeated value is a new sample.
+COMMANDED = (*ALL_SURFACES, "throttle")
+USED = sorted({*COMMANDED}.union(*((*check.channels, *check.uses) for check in CHECKS.values())))
+# larger angles [rad] are in degrees
+LARGEST_RADIANS = 2.1 * np.pi
+
+
+# -- decisions
+
+
+def find_contradictions(
+    table: pd.DataFrame, settings: PhysicsSettings = DEFAULT
+) -> list[Contradiction]:
+    """Return the checks that the flights of a table contradict.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
     Raises ValueError if time does not increase within a flight.
     """
-    contradictions = _of_flights(table, None)
+    contradictions = _of_flights(table, None, settings)
     flights = flight_rows(table["flight"]) if "flight" in table else {}
     if contradictions or len(flights) < 2:
         return contradictions
     time = table["time"].to_numpy(float)
-    return [
-        contradiction
-        for name, rows in flights.items()
-        if np.ptp(time[rows]) >= LONG_FLIGHT
-        for contradiction in _of_flights(table.iloc[rows], name)
-    ]
-
-
-def reversed_surfaces(table: pd.DataFrame) -> list[str]:
-    """Return the surfaces whose signs all flights of a table contradict, where nothing else is as probable a cause."""
-    return [
-        name
-        for contradiction in find_contradictions(table)
-        if contradiction.flight is None and contradiction.is_sign
-        for name in contradiction.channels
-        if name in CONTROLS
-    ]
-
-
-def _of_flights(table: pd.DataFrame, flight: object) -> list[Contradiction]:
-    contradictions: list[Contradiction] = []
-    windows, signals = _reduced(table)
-    while signals and len(contradictions) < MOST and (best := _most_probable(windows, signals)):
-        cause, message, is_sign = best
-        contradictions.append(Contradiction(flight, cause.channels, message, is_sign))
-        signals = cause.correct(signals)
+    for name, rows in flights.items():
+        if np.ptp(time[rows]) >= settings.long_flight:
+            contradictions += _of_flights(table.iloc[rows], name, settings)
     return contradictions
 
 
-class Windows(NamedTuple):
-    """Windows within segments: first and last rows, rows of a segment, and the step of the clock [s]."""
-
-    segment: np.ndarray
-    step: float
-    flying: np.ndarray
-
-    def ends(self, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return first and last row of each window."""
-        length = max(2, round(seconds / self.step))
-        first = np.arange(0, len(self.segment) - length, max(1, length // 4))
-        inside = (self.segment[first] == self.segment[first + length]) & self.flying[first]
-        return first[inside], first[inside] + length
-
-    def change(self, values: np.ndarray, seconds: float = LONG) -> np.ndarray:
-        """Return by how much values (n, ...) grow in each window."""
-        first, last = self.ends(seconds)
-        return values[last] - values[first]
-
-    def integral(self, values: np.ndarray, seconds: float = LONG) -> np.ndarray:
-        """Return the integrals of values (n, ...) by the trapezoidal rule, NaN where a value is missing."""
-        first, last = self.ends(seconds)
-        parts = 0.5 * self.step * (values[1:] + values[:-1])
-        missing = ~np.isfinite(parts)
-        start = np.zeros((1, *values.shape[1:]))
-        total = np.concatenate([start, np.cumsum(np.where(missing, 0.0, parts), axis=0)])
-        integral = total[last] - total[first]
-        if missing.any():
-            count = np.concatenate([start, np.cumsum(missing, axis=0)])
-            integral[count[last] > count[first]] = np.nan
-        return integral
+def _of_flights(
+    table: pd.DataFrame, flight: object, settings: PhysicsSettings
+) -> list[Contradiction]:
+    """Return the contradictions of all rows of a table."""
+    signals = flight_signals(table, settings)
+    contradictions: list[Contradiction] = []
+    confirmed: set[str] = set()
+    for name, check in CHECKS.items():
+        if set(signals.channels).issuperset(check.channels + check.uses):
+            contradiction, agrees = _judged(name, check, signals)
+            if contradiction is not None:
+                contradictions.append(contradiction._replace(flight=flight))
+            elif agrees:
+                confirmed.update(check.channels)
+    has_elevons = {*ELEVONS} <= {*table.columns}
+    results = []
+    for found in _with_suspects(contradictions, confirmed):
+        is_mixed = has_elevons and found.channels[0] in MIXED
+        channels = (*ELEVONS, *found.channels[1:]) if is_mixed else found.channels
+        results.append(found._replace(channels=channels))
+    return results
 
 
-def _reduced(table: pd.DataFrame) -> tuple[Windows, Signals]:
-    """Return windows and signals at about 20 Hz, interpolated between samples; angles without jumps."""
-    time = table["time"].to_numpy(float)
-    runs = [run for run in flight_segments(time, table.get("flight")) if run.stop - run.start > 1]
-    if not runs:
-        return Windows(np.empty(0, int), 1.0, np.empty(0, bool)), {}
-    step = float(np.median(np.concatenate([np.diff(time[run]) for run in runs])))
-    size = max(1, int(1 / step // RATE))
-    names = [name for name in USED if name in table and pd.api.types.is_numeric_dtype(table[name])]
-    columns = {name: table[name].to_numpy(float, na_value=np.nan) for name in names}
-    signals = {
-        name: np.concatenate([_averaged(name, values[run], time[run], size) for run in runs])
-        for name, values in columns.items()
-        if np.isfinite(values).any()
-    }
-    segment = np.repeat(np.arange(len(runs)), [(run.stop - run.start) // size for run in runs])
-    airspeed = signals.get("airspeed", np.ones(len(segment)))
-    flying = ~(airspeed < FLYING * np.nanmedian(airspeed)) if len(segment) else np.empty(0, bool)
-    return Windows(segment, size * step, flying), signals
+def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
+    """Return contradictions with only the channels that may be wrong, without those that follow from others.
 
-
-def _averaged(name: str, values: np.ndarray, time: np.ndarray, size: int) -> np.ndarray:
-    """Return the means of ``size`` rows each, between samples, without an incomplete block at the end."""
-    sampled = np.isfinite(values)
-    if sampled.any():
-        part = values[sampled]
-        if name in EULER:
-            part = np.unwrap(part, period=360.0 if np.abs(part).max() > 2.1 * np.pi else 2 * np.pi)
-        values = np.interp(time, time[sampled], part, left=np.nan, right=np.nan)
-    return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
-
-
-def _equal(
-    windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED
-) -> dict[str, Relation]:
-    """Return the pairs of signals that are equal, where they depend on the changed channels."""
-    if CONTROLS.issuperset(changed):
-        return {}
-    with np.errstate(all="ignore"):
-        return {
-            name: _agreement(statement, y, x, 0.01 if name in (*EULER, *VANES) else 0.1)
-            for name, statement, y, x in _kinematics(windows, signals)
-        }
-
-
-def _kinematics(windows: Windows, signals: Signals) -> list[Equality]:
-    """Return name, words, y and x of signals that are equal."""
-    equalities: list[Equality] = [
-        (
-            place,
-            f"the change of {place} and the integral of {rate}",
-            (-1.0 if place == "altitude" else 1.0) * windows.change(signals[place]),
-            windows.integral(signals[rate]),
-        )
-        for place, rate in CLIMBS.items()
-        if {place, rate} <= signals.keys()
-    ]
-    if {*EULER, *RATES} <= signals.keys():
-        equalities += _turns(windows, *(signals[name] for name in (*EULER, *RATES)))
-    moves = {*EARTH_VELOCITY} <= signals.keys() or {*BODY_VELOCITY} <= signals.keys()
-    if {*EULER} <= signals.keys() and moves:
-        return equalities + _motion(windows, signals)
-    if {*SPECIFIC_FORCE} <= signals.keys():
-        level = np.full(len(signals["az"]), -G)
-        equalities.append(("az", "az and the -9.8 m/s^2 of level flight", signals["az"], level))
-    return equalities
-
-
-def _turns(windows: Windows, phi, theta, psi, p, q, r) -> list[Equality]:
-    """Return the changes of attitude and the integrals of rates."""
-    change, integral = windows.change, windows.integral
-    statement = "the change of {} and the integral of {}".format
-    roll = integral((q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta))
-    yaw = integral(q * np.sin(phi) / np.cos(theta))
-    pitch = integral(r * np.sin(phi))
-    return [
-        ("phi", statement("phi", "p"), change(phi) - roll, integral(p)),
-        ("theta", statement("theta", "q"), change(theta) + pitch, integral(q * np.cos(phi))),
-        (
-            "psi",
-            statement("psi", "r"),
-            change(psi) - yaw,
-            integral(r * np.cos(phi) / np.cos(theta)),
-        ),
-    ]
-
-
-def _motion(windows: Windows, signals: Signals) -> list[Equality]:
-    """Return velocities, forces and air data that are equal at an attitude."""
-    equalities: list[Equality] = []
-    rotation = euler_to_matrix(*(signals[name] for name in EULER))
-    has = {
-        names: {*names} <= signals.keys()
-        for names in (EARTH_VELOCITY, BODY_VELOCITY, SPECIFIC_FORCE)
-    }
-
-    def stacked(names):
-        return np.stack([signals[name] for name in names], axis=-1)
-
-    if has[EARTH_VELOCITY]:
-        velocity = stacked(EARTH_VELOCITY)
-    else:
-        velocity = np.einsum("nij,nj->ni", rotation, stacked(BODY_VELOCITY))
-    if has[EARTH_VELOCITY] and has[BODY_VELOCITY]:
-        along = np.einsum("nji,nj->ni", rotation, velocity).T
-        equalities += [
-            (name, f"{name} and the velocity over the earth", y, signals[name])
-            for name, y in zip(BODY_VELOCITY, along, strict=True)
-        ]
-    if has[SPECIFIC_FORCE]:
-        force = stacked(SPECIFIC_FORCE)
-        parts = [windows.integral(rotation[:, :, k] * force[:, k : k + 1]) for k in range(3)]
-        missing = windows.change(velocity) - np.array([0.0, 0.0, G]) * LONG - sum(parts)
-        equalities += [
-            (
-                name,
-                f"the integral of {name} and the change of the velocity over the earth",
-                missing + part,
-                part,
-            )
-            for name, part in zip(SPECIFIC_FORCE, parts, strict=True)
-        ]
-    if "airspeed" in signals:
-        zero = np.zeros(len(rotation))
-        alpha, beta = signals.get("alpha", zero), signals.get("beta", zero)
-        air = np.einsum("nij,nj->ni", rotation, air_velocity(signals["airspeed"], alpha, beta))
-        wind = np.nanmean(velocity - air, axis=0) * [1.0, 1.0, 0.0]
-        statement = "the velocities through the air and over the earth"
-        equalities.append(("airspeed", statement, (velocity - wind)[:, :2], air[:, :2]))
-        _, *angles = air_data(np.einsum("nji,nj->ni", rotation, velocity - wind))
-        equalities += [
-            (name, f"{name} and the velocity over the earth in body axes", signals[name], angle)
-            for name, angle in zip(VANES, angles, strict=True)
-            if name in signals
-        ]
-    return equalities
-
-
-@np.errstate(all="ignore")
-def _slopes(
-    windows: Windows, signals: Signals, changed: Iterable[str] = SIGNED
-) -> dict[str, Relation]:
-    """Return the slopes of known sign, where they depend on the changed channels.
-
-    Slopes of moments are at the lag of the surfaces that explains most. Where another possible lag
-    gives a slope of the other sign, its agreement is NaN.
+    These are channels that no other check of equal signals confirms, and of them those that most
+    checks contradict.
     """
-    if INERTIAL.issuperset(changed):
-        return {}
-    slopes = {name: _slope_sign(*terms) for name, *terms in _aerodynamics(windows, signals)}
-    candidates = {name: [slopes[name]] for name in CONTROL if name in slopes}
-    for lag in LAGS[1:]:
-        shifted = _without_lag(windows, signals, lag)
-        for name, *terms in _aerodynamics(windows, shifted, candidates):
-            candidates[name].append(_slope_sign(*terms))
-    for name, lagged in candidates.items():
-        best = max(lagged, key=lambda slope: slope.explained)
-        lag_decides = any(
-            slope.t * best.t < 0
-            and 1 - slope.explained < UNEXPLAINED * (1 - best.explained)
-            and slope.explained > EXPLAINED * best.explained
-            for slope in lagged
-        )
-        slopes[name] = Relation(best.words, np.nan) if lag_decides else best
+    counts = Counter(name for found in contradictions for name in found.channels)
+    doubtful: set[str] = set()
+    remaining = []
+    for found in contradictions:
+        names = found.channels
+        # of two signals with a lag either may be late
+        if found.quantity == "slope" and not confirmed.issuperset(names):
+            names = tuple(name for name in names if name not in confirmed)
+        most = max(counts[name] for name in names)
+        suspects = tuple(name for name in names if counts[name] == most)
+        follows = doubtful.intersection(CHECKS[found.check].uses)
+        if not follows and not doubtful.issuperset(suspects):
+            doubtful.update(suspects)
+            remaining.append(found._replace(channels=suspects))
+    return remaining
+
+
+def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | None, bool]:
+    """Return the contradiction of a check, None if there is none, and whether its signals are equal.
+
+    Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that explain
+    y about as well as the best one: under feedback a late servo turns the sign at lag zero.
+    """
+    settings = signals.settings
+    slopes = slopes_by_lag(check, signals)
+    if not slopes:
+        return None, False
+    best = max(slopes.values(), key=lambda slope: slope.explained)
+    if best.size <= check.noise or best.n_effective < settings.least_samples:
+        return None, False
+    least, most = check.slopes
+    if check.slopes == EQUAL:
+        margin = min(best.value - least, most - best.value)
+        if margin > settings.least_t * best.std:
+            return _late(name, check, slopes, settings)
+        # the error of x attenuates the slope (Fuller 1987, section 1.1)
+        least *= 1 - (check.noise / best.size) ** 2
+        slope = slopes[0.0]
+    else:
+        enough = settings.possible_lag * best.explained
+        possible = [slope for slope in slopes.values() if slope.explained >= enough]
+        slope = min(possible, key=lambda slope: abs(slope.t(least, most)))
+    is_weak = check.slopes != EQUAL and abs(slope.correlation) < settings.least_correlation
+    t = slope.t(least, most)
+    if is_weak or abs(t) < settings.least_t:
+        return None, False
+    return _contradiction(name, check, "slope", slope, t), False
+
+
+def _late(
+    name: str, check: Check, slopes: dict[float, Slope], settings: PhysicsSettings
+) -> tuple[Contradiction | None, bool]:
+    """Return a contradiction if the best lag is longer than usual, by a likelihood ratio."""
+    lag, best = max(slopes.items(), key=lambda item: item[1].explained)
+    usual = max(slopes[late].explained for late in slopes if abs(late) <= settings.usual_lag)
+    # t^2 = n log of the ratio of unexplained variances
+    t = np.sqrt(best.n_effective * np.log((1 + best.explained) / (1 + usual)))
+    if abs(lag) <= settings.usual_lag or t < settings.least_t:
+        return None, True
+    spacing = KINEMATIC_LAGS[-1] - KINEMATIC_LAGS[-2]
+    late = best._replace(value=lag, std=spacing / np.sqrt(12))
+    return _contradiction(name, check, "lag", late, float(t)), False
+
+
+def _contradiction(name: str, check: Check, quantity: str, slope: Slope, t: float) -> Contradiction:
+    """Return the record of a contradiction."""
+    return Contradiction(
+        None,
+        name,
+        check.channels,
+        quantity,
+        slope.value,
+        slope.std,
+        t,
+        slope.correlation,
+        slope.n_effective,
+    )
+
+
+def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
+    """Return the slopes at the lags of a check where the rows tell them."""
+    y, x, others = check.regression(signals)
+    slopes: dict[float, Slope] = {}
+    for lag in check.lags:
+        regression = Regression(y, signals.ahead(x, -lag), others)
+        slope = estimated_slope(regression, signals.settings)
+        if slope is not None:
+            slopes[lag] = slope
     return slopes
 
 
-def _without_lag(windows: Windows, signals: Signals, lag: float) -> Signals:
-    """Return signals with surfaces corrected for a lag [s], NaN where a segment ends before."""
-    rows = np.arange(len(windows.segment))
-    place = rows + lag / windows.step
-    ends = np.clip([np.floor(place), np.ceil(place)], 0, rows[-1]).astype(int)
-    inside = (windows.segment[ends] == windows.segment).all(axis=0)
-    inside &= (place >= 0) & (place <= rows[-1])
-    return signals | {
-        name: np.where(inside, np.interp(place, rows, signals[name]), np.nan)
-        for name in ALL_SURFACES
-        if name in signals
-    }
-
-
-def _aerodynamics(
-    windows: Windows, signals: Signals, names: Iterable[str] = SLOPES
-) -> Iterator[tuple]:
-    """Yield name, words, change of the response, its regressors, and the expected sign of the first one's slope.
-
-    Responses over V^2 are linear in angles, rates over V and surfaces. Both sides are integrated,
-    which needs no derivative of a noisy signal. Without alpha or beta, az / V^2 or ay / V^2 stands
-    for it.
-    """
-    if "airspeed" not in signals:
-        return
-    speed = signals["airspeed"]
-    scaled = signals | {name: signals[name] / speed for name in RATES if name in signals}
-    if {*ELEVONS} <= signals.keys():
-        left_elevon, right_elevon = (signals[name] for name in ELEVONS)
-        scaled |= {
-            "elevator": (left_elevon + right_elevon) / 2,
-            "aileron": (left_elevon - right_elevon) / 2,
-        }
-    scaled = {
-        angle: signals[f] / speed**2 for angle, f in STAND_INS.items() if f in signals
-    } | scaled
-    if {"v_down", "throttle"} <= signals.keys() and np.nanstd(signals["v_down"]) > LEAST_CLIMB:
-        scaled["sink"] = signals["v_down"] / speed**3
-    if "az" in signals:
-        scaled["induced"] = (signals["az"] / speed**2) ** 2
-    integrals = {"": windows.integral(speed**2, SHORT)}
-    for name in names:
-        response, regressors, sign, statement = SLOPES[name]
-        first, *further = regressors.split()
-        measured = first in scaled and (first not in STAND_INS or first in signals)
-        if response in signals and measured:
-            growth = windows.integral if response in SPECIFIC_FORCE else windows.change
-            columns = [first, "", *(regressor for regressor in further if regressor in scaled)]
-            integrals |= {
-                column: windows.integral(speed**2 * scaled[column], SHORT)
-                for column in columns
-                if column not in integrals
-            }
-            X = np.stack([integrals[column] for column in columns], axis=-1)
-            yield name, statement, growth(signals[response], SHORT), X, sign
-
-
-def _agreement(statement: str, y: np.ndarray, x: np.ndarray, least: float) -> Relation:
-    """Return the agreement of two signals; they contradict if it is low, or if one is a multiple of the other.
-
-    If the root mean squares of both are smaller than ``least`` [rad, m, m/s or m/s^2], it is NaN.
-    """
-    sampled = np.isfinite(y) & np.isfinite(x)
-    y, x = y[sampled], x[sampled]
-    size_y, size_x = y @ y, x @ x
-    if len(y) < ENOUGH or not (
-        size_y > 0 and size_x > 0 and max(size_y, size_x) > len(y) * least**2
-    ):
-        return Relation(statement, np.nan)
-    scale = np.sqrt(size_y / size_x)
-    cosine = x @ y / np.sqrt(size_y * size_x)
-    agreement = float(2 * (x @ y) / (size_x + size_y) * min(scale, 1 / scale))
-    multiple = cosine > PARALLEL and max(scale, 1 / scale) > MULTIPLE
-    return Relation(statement, agreement, bool(agreement < AGREES or multiple), pair=(y, x))
-
-
-def _slope_sign(statement: str, y: np.ndarray, X: np.ndarray, sign: int) -> Relation:
-    """Return the agreement of the slope of the first column of X with its expected sign."""
-    sampled = np.isfinite(y) & np.isfinite(X).all(axis=1)
-    y, X = y[sampled], X[sampled]
-    norms = np.sqrt(np.mean(X**2, axis=0)) if len(y) else np.zeros(1)
-    if len(y) < ENOUGH or not norms[0] > 0:
-        return Relation(statement, np.nan)
-    X = X[:, norms > 0] / norms[norms > 0]
-    covariance = np.linalg.pinv(X.T @ X, rcond=1e-8, hermitian=True)
-    # the part of the first regressor that the others do not explain
-    x = X[:, 0] - X[:, 1:] @ np.linalg.lstsq(X[:, 1:], X[:, 0], rcond=1e-8)[0]
-    if x @ x < 1e-6 * len(x):
-        return Relation(statement, np.nan)
-    residual = y - X @ (covariance @ (X.T @ y))
-    t = sign * _t_value(x @ y, x * residual)
-    explained = 1 - float(residual @ residual / (y @ y)) if y.any() else 0.0
-    return Relation(statement, t / np.hypot(t, LEAST_T), t < -LEAST_T, t, explained=explained)
-
-
-def _t_value(total: float, products: np.ndarray) -> float:
-    """Return the t value of a slope: the sum of regressor times response, and the products regressor times residual."""
-    error = np.sqrt(autocorrelation_time(products) * (products @ products))
-    return float(total / max(error, 1e-9 * abs(total), 1e-300))
-
-
-def _most_probable(windows: Windows, signals: Signals) -> tuple[Cause, str, bool] | None:
-    """Return the cause whose correction makes most relations agree, its message, and whether it is a sign for sure.
-
-    None if none makes them agree clearly.
-    """
-    before = _equal(windows, signals) | _slopes(windows, signals)
-    contradictions = [name for name, relation in before.items() if relation.contradicts]
-    probable: list[tuple[float, Cause, Relation, Relation]] = []
-    for cause in _causes(signals) if contradictions else ():
-        corrected = cause.correct(signals)
-        after = before | _equal(windows, corrected, cause.channels)
-        if any(name in SLOPES or after[name].agrees for name in contradictions):
-            after |= _slopes(windows, corrected, cause.channels)
-        gains = {
-            name: after[name].agreement - relation.agreement for name, relation in before.items()
-        }
-        gains = {name: gain for name, gain in gains.items() if np.isfinite(gain)}
-        total = sum(gains.values()) - EXTRA_CHANNEL * len(cause.channels)
-        better = [
-            name
-            for name in contradictions
-            if gains.get(name, 0.0) >= IMPROVEMENT and after[name].agrees
-        ]
-        harms = any(gain <= -WORSE for name, gain in gains.items() if name not in CONTROL)
-        if better and total > 0 and not harms:
-            name = max(better, key=lambda name: gains[name])
-            probable.append((total, cause, before[name], after[name]))
-    if not probable:
+def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT) -> Slope | None:
+    """Return the slope of y over x beside the other regressors, None where the rows do not tell it."""
+    Z = np.column_stack([*regression.others, regression.x, regression.y])
+    Z = Z[np.isfinite(Z).all(axis=1)]
+    if len(Z) < settings.least_rows:
         return None
-    most, cause, now, then = max(probable, key=itemgetter(0))
-    rivals = [
-        rival.words for total, rival, *_ in probable if total > most - TIE and rival is not cause
-    ]
-    figures = f"{now.words} agree by {now.agreement:.2f} now, and by {then.agreement:.2f} then (equal: 1, opposite: -1)"
-    if now.pair is None:
-        figures = f'"{now.words}" has a t value of {now.t:.1f} now, and of {then.t:.1f} then'
-    message = f"{' or '.join([cause.words, *rivals])}: {cause.remedy}; {figures}"
-    return cause, message, not rivals and cause.words == _wrong_sign(cause.channels)
-
-
-def _causes(signals: Signals) -> Iterator[Cause]:
-    """Yield the possible faults of the channels that there are."""
-    judged = MIXED if {*ELEVONS} <= signals.keys() else ELEVONS
-    for name in (*SIGNED, *ELEVONS):
-        if name in signals and name not in judged:
-            remedy = f"change it ({CHANNELS[name].meaning})"
-            yield Cause((name,), _wrong_sign((name,)), remedy, _scaled((name,), -1.0))
-    for fault, cause in SIGNS.items():
-        names = tuple(name for name in fault.split() if name in signals)
-        if len(names) > 1:
-            remedy = f"change the signs of {', '.join(names)}"
-            yield Cause(names, f"probably {cause}", remedy, _scaled(names, -1.0))
-    for unit, (factor, groups) in UNITS.items():
-        for names in (tuple(group.split()) for group in groups):
-            if {*names} <= signals.keys():
-                fault = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} probably in {unit}"
-                yield Cause(names, fault, f"multiply by {factor:.5g}", _scaled(names, factor))
-    yield from (cause for cause in OTHERS if {*cause.needs} <= signals.keys())
-
-
-def _wrong_sign(names: tuple[str, ...]) -> str:
-    return f"the sign of {', '.join(names)} is probably wrong"
-
-
-def _scaled(names, factor: float) -> Callable[[Signals], Signals]:
-    return lambda signals: (
-        signals | {name: factor * signals[name] for name in names if name in signals}
+    scale = np.sqrt(np.mean(Z[:, :-2] ** 2, axis=0))
+    others = Z[:, :-2][:, scale > 0] / scale[scale > 0]
+    xy = Z[:, -2:]
+    if others.size:
+        xy = xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]
+    x, y = xy.T
+    x_size, y_size = np.linalg.norm(xy, axis=0)
+    if not (x_size > 1e-3 * np.linalg.norm(Z[:, -2]) and y_size > 0):
+        return None
+    slope = x @ y / x_size**2
+    products = x * (y - slope * x)
+    tau = autocorrelation_time(products)
+    return Slope(
+        value=float(slope),
+        std=float(np.sqrt(tau) * np.linalg.norm(products) / x_size**2),
+        correlation=float(x @ y / (x_size * y_size)),
+        n_effective=len(x) / tau,
+        size=float(x_size / np.sqrt(len(x))),
     )
 
 
-def _exchanged(first: str, second: str, factor: float = 1.0) -> Callable[[Signals], Signals]:
-    return lambda signals: (
-        signals | {first: factor * signals[second], second: factor * signals[first]}
-    )
+# -- signals of a table
 
 
-def _east_north_up(signals: Signals) -> Signals:
-    """Return signals with a velocity of east, north, up in the order of north, east, down."""
-    return _scaled(("v_down",), -1.0)(_exchanged("v_north", "v_east")(signals))
+def flight_signals(table: pd.DataFrame, settings: PhysicsSettings = DEFAULT) -> Signals:
+    """Return the channels of a flight table at about 20 Hz, without the rows on the ground."""
+    time = table["time"].to_numpy(float)
+    segments = flight_segments(time, table.get("flight"))
+    runs = [run for run in segments if run.stop - run.start > 1]
+    if not runs:
+        return Signals({}, np.empty(0, int), 1.0, settings)
+    step = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
+    size = max(1, int(1 / step // settings.rate))
+    segment = np.repeat(np.arange(len(runs)), [(run.stop - run.start) // size for run in runs])
+    channels = {}
+    for name in USED:
+        if name in table and pd.api.types.is_numeric_dtype(table[name]):
+            values = table[name].to_numpy(float, na_value=np.nan)
+            parts = [_averaged(name, time[run], values[run], size) for run in runs]
+            channels[name] = np.concatenate(parts)
+    if set(ELEVONS) <= channels.keys():
+        left, right = (channels[name] for name in ELEVONS)
+        channels["elevator"] = (left + right) / 2
+        channels["aileron"] = (left - right) / 2
+    channels = {name: values for name, values in channels.items() if np.isfinite(values).any()}
+    if "airspeed" in channels:
+        airspeed = channels["airspeed"]
+        on_ground = airspeed < settings.flying * np.nanmedian(airspeed)
+        channels = {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}
+    return Signals(channels, segment, size * float(step), settings)
 
 
-def _with_gravity(signals: Signals) -> Signals:
-    """Return signals with specific force of acceleration: minus gravity, which is along z in level flight."""
-    if not {*EULER, *SPECIFIC_FORCE} <= signals.keys():
-        return signals | {"az": signals["az"] - G}
-    gravity = G * euler_to_matrix(*(signals[name] for name in EULER))[:, 2, :]
-    return signals | {
-        name: signals[name] - part for name, part in zip(SPECIFIC_FORCE, gravity.T, strict=True)
-    }
+def _averaged(name: str, time: Vector, values: Vector, size: int) -> Vector:
+    """Return means of ``size`` rows each, linear between samples, without an incomplete block at the end.
 
-
-# Possible faults beside signs and units
-OTHERS = (
-    Cause(
-        ELEVONS,
-        _wrong_sign(ELEVONS),
-        "change it (> 0 trailing edge down)",
-        _scaled(ELEVONS, -1.0),
-        ELEVONS,
-    ),
-    Cause(
-        ELEVONS,
-        "the elevons are probably exchanged",
-        "exchange left and right",
-        _exchanged(*ELEVONS),
-        ELEVONS,
-    ),
-    Cause(
-        ELEVONS,
-        "the elevons are probably exchanged and of the wrong sign",
-        "exchange them, change their signs",
-        _exchanged(*ELEVONS, -1.0),
-        ELEVONS,
-    ),
-    Cause(
-        ("v_north", "v_east"),
-        "v_north and v_east are probably exchanged",
-        "exchange them",
-        _exchanged("v_north", "v_east"),
-        ("v_north", "v_east"),
-    ),
-    Cause(
-        EARTH_VELOCITY,
-        "the velocity is probably east, north, up",
-        "exchange v_north and v_east, change v_down's sign",
-        _east_north_up,
-        ("v_north", "v_east"),
-    ),
-    Cause(
-        ("psi",),
-        "psi is probably measured from east, counter-clockwise",
-        "use pi/2 - psi",
-        lambda signals: signals | {"psi": np.pi / 2 - signals["psi"]},
-        ("psi",),
-    ),
-    Cause(
-        SPECIFIC_FORCE,
-        "gravity is probably removed from ax, ay, az",
-        "subtract gravity in body axes: an accelerometer reads specific force",
-        _with_gravity,
-        ("az",),
-    ),
-)
+    A sensor that repeats its value holds it: only the first is a sample, as the others are late.
+    """
+    rows = np.flatnonzero(np.isfinite(values))
+    if rows.size:
+        if name not in COMMANDED:
+            is_first = np.diff(values[rows], prepend=np.nan) != 0
+            is_first[-1] = True
+            rows = rows[is_first]
+        samples = values[rows]
+        if name in EULER:
+            period = 360.0 if np.abs(samples).max() > LARGEST_RADIANS else 2 * np.pi
+            samples = np.unwrap(samples, period=period)
+        values = np.interp(time, time[rows], samples, left=np.nan, right=np.nan)
+    whole = len(values) // size * size
+    return values[:whole].reshape(-1, size).mean(axis=1)

@@ -21,8 +21,10 @@ from skdgp.identification._prepare import (
     check_controls,
     lacks_thrust,
     servos_for,
+    usable_flights,
 )
 from skdgp.io import FULL_THROW
+from skdgp.preprocessing import FlightDataWarning
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
 # Of a stable aircraft, of its dampings, and of its controls
@@ -191,3 +193,14 @@ def test_what_needs_none(given):
         warnings.simplefilter("error")
         check_controls({"a": TABLE.assign(**{given: 0.0})}, "quasi-steady")
         check_controls({"a": TABLE.assign(de=0.0)}, ["alpha", "aileron"])
+
+
+def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_minute):
+    train = first_minute().train
+    flight = train[train["flight"] == "latlon"].reset_index(drop=True)
+    left, right = flight.pop("elevon_left"), flight.pop("elevon_right")
+    surfaces = {"elevator": (left + right) / 2 / 0.4, "aileron": (right - left) / 2 / 0.4}
+    reversed_aileron = flight.assign(**surfaces)
+    with pytest.warns(FlightDataWarning, match="Contradiction in the flights: aileron"):
+        usable = usable_flights({"one": reversed_aileron}, ["aileron"], ["aileron"])
+    assert usable["one"]["aileron"].equals(reversed_aileron["aileron"])

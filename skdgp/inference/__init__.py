@@ -47,6 +47,7 @@ from skdgp.inference._starts import (
     single_output,
     starting_kernel,
 )
+from skdgp.inference._unbiased import unbiased_factor
 
 __all__ = [
     "AveragePosterior",
@@ -91,4 +92,5 @@ __all__ = [
     "starting_kernel",
     "stratified",
     "training_inputs",
+    "unbiased_factor",
 ]

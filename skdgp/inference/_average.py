@@ -7,7 +7,8 @@ has the weights
 
 for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018), where c is zero for the trend and
 two nats for each regressor for a process, whose hyperparameters the same rows have determined.
-Weights below 5 % are set to zero.
+The weights have a Dirichlet prior of three rows for each component, and those below 5 % are set to
+zero.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ class AverageSettings:
     #: Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen
     #: all of it
     least_weight: float = 0.05
+    #: Rows that the prior of the weights gives to each component (benchmark `coverage`)
+    prior_rows: float = 3.0
     #: Steps of expectation maximisation for the weights
     n_steps: int = 200
 
@@ -199,21 +202,25 @@ def held_out_weights(
         variance = variances[..., i][:, known]
         scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
         scores[:-1] -= cost / max(scores.shape[1], 1)
-        weights[:, i] = stacked(scores, settings.n_steps)
+        weights[:, i] = stacked(scores, settings)
     weights[weights < settings.least_weight] = 0.0
     return weights / weights.sum(axis=0)
 
 
-def stacked(scores: Matrix, n_steps: int = SETTINGS.n_steps) -> Vector:
-    """Return the weights (K,) of components with log densities (K, rows); without rows the last has all."""
+def stacked(scores: Matrix, settings: AverageSettings = SETTINGS) -> Vector:
+    """Return the weights (K,) of components with log densities (K, n); without rows the last has all.
+
+    Their prior is a Dirichlet distribution, as if each component had predicted some rows alone:
+    weights that few rows decide vary by chance.
+    """
     K, n = scores.shape
     if n == 0:
         return np.eye(K)[-1]
     weights = np.full(K, 1.0 / K)
-    for _ in range(n_steps):
-        with np.errstate(divide="ignore"):
-            log_weights = np.log(weights)
-        weights = softmax(scores + log_weights[:, None], axis=0).mean(axis=1)
+    for _ in range(settings.n_steps):  # expectation maximisation
+        component = softmax(scores + np.log(weights)[:, None], axis=0)
+        rows = component.sum(axis=1) + settings.prior_rows
+        weights = rows / rows.sum()
     return weights
 
 

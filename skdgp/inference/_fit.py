@@ -19,6 +19,7 @@ from skdgp.inference._noise import UNKNOWN, KnownNoise
 from skdgp.inference._posterior import ExactPosterior, Posterior, SinglePosterior
 from skdgp.inference._search import Hyperparameters, SearchOptions, best_noise, search
 from skdgp.inference._sparse import SparsePosterior
+from skdgp.inference._unbiased import unbiased, unbiased_factor
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle, inducing_features
 
 
@@ -84,7 +85,10 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    learned = search(kernel, X, Y, SearchOptions(**options), exact=True, known=known)
+    search_options = SearchOptions(**options)
+    learned = search(kernel, X, Y, search_options, exact=True, known=known)
+    if search_options.optimizer is not None:
+        learned = unbiased(learned, Y, known)
     data = learned.noisy(Data.from_table(X, Y, known.loading) if data is None else data)
     return Fit(ExactPosterior(learned.kernel, learned.noise, data), learned)
 
@@ -109,6 +113,8 @@ def as_exact(
     """
     kernel = learned.kernel
     learned = best_noise(learned, X, Y, data, known)
+    if learned.is_unbiased:
+        learned = learned._replace(noise=unbiased_factor(kernel, Y) * learned.noise)
     if kernel.n_processes:
         return Fit(ExactPosterior(kernel, learned.noise, data), learned)
     # the few weights of a trend are all that there is to know, so this is exact, and small

@@ -91,7 +91,7 @@ class Hyperparameters(NamedTuple):
 
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
     noise, None for exact regressors. ``remaining`` is the expected rise of the likelihood by
-    further iterations.
+    further iterations. ``is_unbiased``: variances are multiplied by ``unbiased_factor``.
     """
 
     kernel: MultiOutputKernel
@@ -101,6 +101,7 @@ class Hyperparameters(NamedTuple):
     interrupted: bool = False
     remaining: float = 0.0
     converged: bool = True
+    is_unbiased: bool = False
 
     def noisy(self, data: Data, passes: int = 2) -> Data:
         """Return observed values of exact regressors with the noise of the regressors.

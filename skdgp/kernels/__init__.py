@@ -1,6 +1,6 @@
 """Multi-output covariance functions as scikit-learn kernels."""
 
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Rescaled, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian, Filters, independent_processes, tied
 from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
 from skdgp.kernels._features import (
@@ -27,6 +27,7 @@ __all__ = [
     "LinearTrend",
     "MultiOutputKernel",
     "PathBundle",
+    "Rescaled",
     "Sum",
     "as_multi_output",
     "covariance_paths",

@@ -15,7 +15,7 @@ from skdgp.inference import (
     fit_exact,
     fit_sparse,
 )
-from skdgp.inference._average import held_out, of_terms, parts_of, stacked
+from skdgp.inference._average import AverageSettings, held_out, of_terms, parts_of, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N, D, P = 60, 2, 2
@@ -170,17 +170,21 @@ class TestParts:
 
 
 class TestStacking:
-    """The weights maximise the mean log density of the mixture."""
+    """The weights maximise the log density of the mixture plus that of their prior."""
 
-    def test_maximise(self):
+    @pytest.mark.parametrize("n", [20, 200])
+    @pytest.mark.parametrize("prior_rows", [0.5, 3.0])
+    def test_maximise(self, n, prior_rows):
         offset = np.array([[0.3], [0.0], [-0.2]])
-        scores = np.random.default_rng(0).normal(size=(3, 200)) + offset
+        scores = np.random.default_rng(0).normal(size=(3, n)) + offset
 
         def loss(z):
-            return -logsumexp(scores + (z - logsumexp(z))[:, None], axis=0).mean()
+            log_weights = z - logsumexp(z)
+            density = logsumexp(scores + log_weights[:, None], axis=0).sum()
+            return -density - prior_rows * log_weights.sum()
 
         best = softmax(minimize(loss, np.zeros(3), tol=1e-12).x)
-        found = stacked(scores)
+        found = stacked(scores, AverageSettings(prior_rows=prior_rows))
         assert found.sum() == pytest.approx(1.0)
         np.testing.assert_allclose(found, best, atol=1e-3)
 

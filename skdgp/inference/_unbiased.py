@@ -1,0 +1,50 @@
+r"""Unbiased variances of kernel and noise in place of those of the largest likelihood.
+
+Variances of the largest likelihood are too small by chance, as those of residuals are. As for the
+noise variance of least squares they are multiplied by :math:`n / (n - p)`, where the n values of an
+output have determined p hyperparameters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._noise import KnownNoise
+from skdgp.inference._search import Hyperparameters
+from skdgp.kernels import MultiOutputKernel, Rescaled
+
+#: Largest fraction of the values that hyperparameters count for (benchmark `coverage`)
+LARGEST_FRACTION = 0.5
+
+
+def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
+    """Return the factor (P,) of the variances learned from Y (n, P).
+
+    Hyperparameters are the scales of the slopes and the noise, and of processes the widths and the
+    amplitude.
+    """
+    n = np.isfinite(Y).sum(axis=0)
+    n_learned = kernel.n_features + 1
+    if kernel.n_processes:
+        n_learned += kernel.n_features + 1
+    return n / (n - np.minimum(n_learned, LARGEST_FRACTION * n))
+
+
+def unbiased(learned: Hyperparameters, Y: Matrix, known: KnownNoise) -> Hyperparameters:
+    """Return hyperparameters with unbiased variances, the same ones if values are fixed or would leave their bounds."""
+    kernel = learned.kernel
+    if learned.interrupted or known.loading is not None:
+        return learned
+    factor = unbiased_factor(kernel, Y)
+    noise = factor * learned.noise
+    if known.bounds is not None and (noise > known.bounds[:, 1]).any():
+        return learned
+    scaled = kernel.rescaled(np.sqrt(factor))
+    lower, upper = kernel.bounds.T
+    is_inside = np.all((lower <= scaled.theta) & (scaled.theta <= upper))
+    is_fixed = any(parameter.fixed for parameter in kernel.hyperparameters)
+    is_wrapped = any(isinstance(term, Rescaled) for term in scaled.summands())
+    if is_fixed or is_wrapped or not is_inside:
+        return learned
+    return learned._replace(kernel=scaled, noise=noise, is_unbiased=True)

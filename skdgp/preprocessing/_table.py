@@ -18,8 +18,8 @@ from skdgp._compute.sklearn_compat import (
     output_container,
     set_output_container,
 )
-from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.checks import check_table, numeric
+from skdgp._compute.typing import Vector
+from skdgp._flight.checks import check_table
 
 
 class TableTransformer(  # type: ignore[call-arg]
@@ -111,17 +111,6 @@ def as_pandas(X: Any) -> Any:
     if type(X).__module__.partition(".")[0] != "polars":
         return X
     return pd.DataFrame({name: X[name].to_numpy() for name in X.columns})
-
-
-def has_values(table: pd.DataFrame, *names: str) -> bool:
-    """Return whether the table has all these columns, each with a finite value."""
-    return all(name in table and np.isfinite(numeric(table, [name])).any() for name in names)
-
-
-def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
-    """Return columns (n, k) with linear interpolation of values that are not finite."""
-    table = pd.DataFrame(np.where(np.isfinite(values), values, np.nan), index=time)
-    return np.array(table.interpolate("index", limit_direction="both"), order="C")
 
 
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:

@@ -12,30 +12,21 @@ from scipy.linalg import block_diag
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
-from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import FlightPathReconstruction, estimate_air_motion
-from skdgp.preprocessing._air_motion_equations import (
-    N_STATES,
-    Layout,
-    Record,
-    lagged,
-    linearised,
-)
-from skdgp.preprocessing._air_motion_filter import (
-    Linearisation,
+from skdgp.estimation import AirSettings, estimate_air_motion
+from skdgp.estimation._air_linearization import N_STATES, Layout, linearized
+from skdgp.estimation._air_model import Inputs
+from skdgp.estimation._air_parameters import DERIVATIVES, OWN, SHARED, TERMS, derivatives_of
+from skdgp.estimation._air_records import Record, servo_output
+from skdgp.estimation._kalman import (
+    Linearization,
     Noise,
     filtered,
     innovation_slopes,
+    innovations,
     smoothed,
 )
-from skdgp.preprocessing._air_motion_model import (
-    DERIVATIVES,
-    OWN,
-    SHARED,
-    TERMS,
-    Inputs,
-    derivatives_of,
-)
+from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import FlightPathReconstruction
 
 BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "small_uav.py"
 SURFACES = ["elevator", "aileron", "rudder"]
@@ -65,7 +56,7 @@ def linear_system(rng, n=7, N=3, m=2):
     H = rng.standard_normal((n - 1, m, N))
     y = rng.standard_normal((n - 1, m))
     zero = np.zeros((n - 1, 0, 0))
-    linear = Linearisation(
+    linear = Linearization(
         states=np.zeros((n, N)),
         predicted=np.zeros((n - 1, N)),
         transition=Phi,
@@ -83,7 +74,11 @@ def linear_system(rng, n=7, N=3, m=2):
         response=zero,
     )
     noises = Noise(
-        rng.uniform(1, 2, N), np.zeros(N), np.zeros(()), rng.uniform(1, 2, m), rng.uniform(1, 2, N)
+        rate=rng.uniform(1, 2, (1, N)),
+        decay=np.zeros((1, N)),
+        surface=np.zeros(1),
+        sensor=rng.uniform(1, 2, (1, m)),
+        start=rng.uniform(1, 2, (1, N)),
     )
     return linear, noises
 
@@ -95,23 +90,25 @@ def test_linear_filter_and_smoother_equal_the_joint_gaussian_distribution():
     # x = M (x_0, w_1, ...), y = H x + v; the noise of a step by Simpson's rule
     M = np.zeros((n, N, n * N))
     M[0, :, :N] = np.eye(N)
-    Q = [np.diag(noises.start)]
+    Q = [np.diag(noises.start[0])]
     for k in range(1, n):
         Phi = linear.transition[k - 1]
         M[k] = Phi @ M[k - 1]
         M[k, :, k * N : (k + 1) * N] += np.eye(N)
-        half, rate = 0.5 * (np.eye(N) + Phi), np.diag(noises.rate * linear.step[k - 1])
+        half, rate = 0.5 * (np.eye(N) + Phi), np.diag(noises.rate[0] * linear.step[k - 1])
         Q.append((rate + 4 * half @ rate @ half.T + Phi @ rate @ Phi.T) / 6)
     M = M.reshape(n * N, n * N)
     X = M @ block_diag(*Q) @ M.T
     H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.residual_states)])
-    S = H @ X @ H.T + np.diag(np.tile(noises.sensor, n - 1))
+    S = H @ X @ H.T + np.diag(np.tile(noises.sensor[0], n - 1))
     y = linear.innovation.ravel()
     for k in range(n - 1):
         past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
         gain = S[now, past] @ np.linalg.inv(S[past, past])
-        np.testing.assert_allclose(run.innovation[k], y[now] - gain @ y[past], atol=1e-10)
-        np.testing.assert_allclose(run.covariance[k], S[now, now] - gain @ S[past, now], atol=1e-10)
+        np.testing.assert_allclose(run.innovations.values[k], y[now] - gain @ y[past], atol=1e-10)
+        np.testing.assert_allclose(
+            run.innovations.covariance[k], S[now, now] - gain @ S[past, now], atol=1e-10
+        )
     states, covariance = smoothed(linear, run)
     gain = X @ H.T @ np.linalg.inv(S)
     np.testing.assert_allclose(states.ravel(), gain @ y, atol=1e-10)
@@ -123,12 +120,12 @@ def test_linear_filter_and_smoother_equal_the_joint_gaussian_distribution():
 
 def test_sets_of_noises_are_filtered_as_one_by_one():
     linear, noises = linear_system(np.random.default_rng(1))
-    sets = Noise(*(np.stack([part, 2 * part]) for part in noises))
-    run = filtered(linear, sets, keep=False)
+    sets = Noise(*(np.concatenate([part, 2 * part]) for part in noises))
+    together = innovations(linear, sets)
     for k in range(2):
-        alone = filtered(linear, Noise(*(part[k] for part in sets)))
-        np.testing.assert_allclose(run.innovation[k], alone.innovation)
-        np.testing.assert_allclose(run.covariance[k], alone.covariance)
+        alone = filtered(linear, Noise(*(part[k : k + 1] for part in sets))).innovations
+        np.testing.assert_allclose(together.values[:, k], alone.values)
+        np.testing.assert_allclose(together.covariance[:, k], alone.covariance)
 
 
 @cache
@@ -143,7 +140,7 @@ def flight_of_sines(n=30):
     record = Record(
         0,
         np.arange(n),
-        np.full(n - 1, 0.02),
+        t[:, 0],
         0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
         attitude,
         measured,
@@ -165,7 +162,7 @@ DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
 def moved(name, move):
     record, layout, value, states = flight_of_sines()
     value = value | {name: value[name] + move}
-    return linearised(record, layout, AIRCRAFT, value, states, DECAY)
+    return linearized(record, layout, AIRCRAFT, value, states, DECAY)
 
 
 @pytest.mark.parametrize("name", flight_of_sines()[1].names)
@@ -190,12 +187,12 @@ def test_slopes_by_parameters_are_those_of_the_predictions(name):
 
 def test_slopes_by_states_are_those_of_the_predictions():
     record, layout, value, states = flight_of_sines()
-    here = linearised(record, layout, AIRCRAFT, value, states, DECAY)
+    here = linearized(record, layout, AIRCRAFT, value, states, DECAY)
     for i in range(N_STATES):
         shift = np.zeros(N_STATES)
         shift[i] = 1e-5
         later, before = (
-            linearised(record, layout, AIRCRAFT, value, states + sign * shift, DECAY)
+            linearized(record, layout, AIRCRAFT, value, states + sign * shift, DECAY)
             for sign in (1, -1)
         )
         for field, slopes in (
@@ -216,7 +213,7 @@ def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
     at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
     slopes, instruments = [], []
     for flown, states in ((record, calm), (record, gusty), (still, gusty)):
-        linear = linearised(flown, layout, AIRCRAFT, value, states, DECAY)
+        linear = linearized(flown, layout, AIRCRAFT, value, states, DECAY)
         for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
             offset, slope = linear.innovation_slopes[:, 2, columns].T
             out.append(
@@ -233,7 +230,7 @@ def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
     answer = np.convolve(np.append(0, pushes), 0.9 ** np.arange(50))[:2000]
     record.inputs.surfaces[:, 0] = answer
     record.inputs.surfaces[:, 1] = np.append(later[3:], np.zeros(4))
-    answers = record.with_answers(np.column_stack([pushes, later])).answers
+    answers = record.with_answers(np.column_stack([pushes, later]), AirSettings()).answers
     assert np.std(answer - answers[:, 0]) < 0.15 * np.std(answer)
     assert np.std(answers[:, 1]) < 0.2 * np.std(later)
 
@@ -254,14 +251,14 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
         innovation=linear.innovation - push[..., 0],
         residual=linear.residual - push[..., 0],
     )
-    change = (filtered(moved, noises).innovation - run.innovation) / 1e-6
+    change = (filtered(moved, noises).innovations.values - run.innovations.values) / 1e-6
     np.testing.assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
 
 
 def test_lag_of_a_ramp_is_the_lag():
     ramp = np.arange(200.0)[:, None]
-    np.testing.assert_allclose(lagged(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
-    np.testing.assert_allclose(lagged(ramp, 0.0, 0.02), ramp, atol=0.01)
+    np.testing.assert_allclose(servo_output(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
+    np.testing.assert_allclose(servo_output(ramp, 0.0, 0.02), ramp, atol=0.01)
 
 
 def simulated(case, seconds, *, pulses=True, seed=3, deflections=False, bank=0.0):
@@ -372,7 +369,7 @@ def test_logged_deflections_are_not_late():
 def test_slope_by_a_lag_of_zero_is_that_above_it():
     record, layout, value, states = flight_of_sines()
     at_zero, above = (
-        linearised(record, layout, AIRCRAFT, value | {"servo_lag": lag}, states, DECAY)
+        linearized(record, layout, AIRCRAFT, value | {"servo_lag": lag}, states, DECAY)
         for lag in (0.0, 1e-3)
     )
     j = layout.place("servo_lag")[0]
@@ -403,7 +400,7 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
     np.testing.assert_allclose(held.derivatives["value"], found.derivatives["value"])
     np.testing.assert_allclose(held.air["alpha"], out["alpha"])
     lag = found.constants.loc["servo_lag", "value"]
-    np.testing.assert_allclose(out[SURFACES], lagged(table[SURFACES].to_numpy(), lag, 0.02))
+    np.testing.assert_allclose(out[SURFACES], servo_output(table[SURFACES].to_numpy(), lag, 0.02))
     assert list(reconstruction().get_feature_names_out()) == [
         name for name in out if name != "alpha_true"
     ]
@@ -471,17 +468,17 @@ def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     np.testing.assert_array_equal(np.isnan(value[:, 0]), [True, False])
 
 
-def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide(monkeypatch):
+def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
     table, aircraft = table.drop(columns="alpha_true"), as_aircraft(plane)
 
-    def singular(*_):
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    monkeypatch.setattr("skdgp.preprocessing._air_motion.filtered", singular)
+    no_number = AirSettings(first_damping=np.nan)  # so that no step has a solution
     targets = thin_targets(aerodynamic_coefficients(table, aircraft), 300)
     regressor = DependentGPRegressor(structure="trend", random_state=0)
-    model = make_identification_pipeline(aircraft, regressor=regressor, lags=None)
+    step = FlightPathReconstruction(optional=True, aircraft=aircraft, settings=no_number)
+    model = make_identification_pipeline(
+        aircraft, reconstruction=step, regressor=regressor, lags=None
+    )
     with pytest.warns(UserWarning, match="Gusts are not known: The estimate diverged"):
         model.fit(table, targets)
     step = model["flightpathreconstruction"]
@@ -504,10 +501,10 @@ def test_flight_that_is_too_short_to_estimate_gusts_is_in_doubt():
     assert step.doubt_.startswith("Got no record")
 
 
-def test_estimate_that_does_not_converge_is_in_doubt(monkeypatch):
-    monkeypatch.setattr("skdgp.preprocessing._air_motion.MAX_PASSES", 1)
+def test_estimate_that_does_not_converge_is_in_doubt():
     table, plane = simulated("calm", seconds=4.0)
-    step = FlightPathReconstruction(aircraft=as_aircraft(plane))
+    settings = AirSettings(max_passes=1)
+    step = FlightPathReconstruction(aircraft=as_aircraft(plane), settings=settings)
     with pytest.warns(UserWarning, match="Gusts are not known: the estimate did not converge"):
         step.fit(table.drop(columns="alpha_true"))
     assert step.doubt_

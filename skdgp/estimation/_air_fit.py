@@ -20,7 +20,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import TURN, Layout, linearized
 from skdgp.estimation._air_noise import NoiseSearch, whitened
-from skdgp.estimation._air_parameters import WINDS, Parameters
+from skdgp.estimation._air_parameters import PATH_ERRORS, WINDS, Parameters
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._air_start import (
     LinearEquation,
@@ -155,9 +155,12 @@ class AirFit:
 
     def _is_plausible(self) -> bool:
         """Return whether errors of the path are as small as attitude and GPS make them."""
-        noises = self.noise_search.values
-        errors = [std for name, std in noises.items() if name.startswith("path_")]
-        return max(errors) < self.settings.largest_path_error
+        noises = self.noise_search.noises
+        largest = 0.0
+        for flight in range(len(noises.places)):
+            places = noises.places_of(flight, PATH_ERRORS)
+            largest = max(largest, np.exp(self.noise_search.psi[places]).max())
+        return bool(largest < self.settings.largest_path_error)
 
     def _bounded_step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the free parameters, with a lag that stays at or above zero."""

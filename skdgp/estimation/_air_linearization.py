@@ -30,7 +30,16 @@ from skdgp.estimation._air_model import (
     Inputs,
     differentiated,
 )
-from skdgp.estimation._air_parameters import ARM, OWN, SHARED, STATE_TERMS, WINDS, Gusts, stacked
+from skdgp.estimation._air_parameters import (
+    ARM,
+    OWN,
+    PATH_ERRORS,
+    SHARED,
+    STATE_TERMS,
+    WINDS,
+    Gusts,
+    stacked,
+)
 from skdgp.estimation._air_records import Record, servo_output, servo_slopes
 from skdgp.estimation._kalman import Linearization, Noise
 from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE, SensorErrors
@@ -121,7 +130,7 @@ class Layout(NamedTuple):
 def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
     """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
     gusts = Gusts.of(value)
-    path_std = stacked(value, "path_y", "path_z")
+    path_std = stacked(value, *PATH_ERRORS)
     path_time = np.full_like(path_std, settings.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
     std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std], axis=-1)
@@ -375,5 +384,5 @@ def _surface_noise(slopes: Array, model: AirMotionModel, inputs: Inputs) -> Arra
     jump = np.diff(inputs.surfaces, axis=0)
     push = slopes[:, RATES, ERRORS] @ model.by_surfaces * jump[:, None]
     covariance = np.zeros((len(jump), N_STATES, N_STATES))
-    covariance[:, TURN, TURN] = push @ np.swapaxes(push, 1, 2)
+    covariance[:, TURN, TURN] = push @ push.mT
     return covariance

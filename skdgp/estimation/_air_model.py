@@ -42,7 +42,7 @@ class Inputs(NamedTuple):
 
     def part(self, rows: slice) -> Inputs:
         """Return the inputs of some samples."""
-        return Inputs(self.surfaces[rows], self.thrust[rows], self.density[rows])
+        return Inputs(*(values[rows] for values in self))
 
     def between(self, fraction: float) -> Inputs:
         """Return the inputs of each step, interpolated between its samples."""

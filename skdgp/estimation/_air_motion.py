@@ -44,6 +44,7 @@ from skdgp.estimation._air_parameters import (
     TERMS,
     Gusts,
     Parameters,
+    coefficient_of,
     derivatives_of,
 )
 from skdgp.estimation._air_records import TINY, Record, quietest_noise, records_of, shortened
@@ -260,7 +261,7 @@ def estimate_air_motion(
         derivatives = _as_prior(known.derivatives)
     if not has_thrust:
         records = [record.with_axial_force(aircraft.mass) for record in records]
-        derivatives = {k: v for k, v in derivatives.items() if not k.startswith("CX_")}
+        derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
     layout = Layout.of(list(derivatives), surfaces)
     n_flights = 1 + max(record.flight for record in records)
     parameters = _parameters(derivatives, known, n_flights)
@@ -297,7 +298,7 @@ def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> 
     """Return the parameters of some flights; those of a known aircraft are held."""
     shared = dict(SHARED)
     n_held = 0
-    if not any(name.startswith("CX_") for name in derivatives):
+    if "CX" not in map(coefficient_of, derivatives):
         shared["thrust_scale"] = MEASURED_THRUST
     if known is not None:
         shared = dict(_as_prior(known.constants.loc[list(SHARED)]))

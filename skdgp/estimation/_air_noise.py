@@ -94,7 +94,7 @@ def _likelihood_slopes(run: Innovations, difference: float) -> tuple[Vector, Mat
     for moved in range(1, run.values.shape[1]):
         d = whitened(L_inverse, (run.values[:, moved] - e) / difference)
         dS = (run.covariance[:, moved] - S) / difference
-        V = L_inverse @ dS @ np.swapaxes(L_inverse, 1, 2)
+        V = L_inverse @ dS @ L_inverse.mT
         trace = np.einsum("nii->", V) - np.einsum("ni,nij,nj->", u, V, u)
         gradient.append(np.sum(d * u) + 0.5 * trace)
         rows.append(np.concatenate([d.ravel(), np.sqrt(0.5) * V.ravel()]))

@@ -73,6 +73,7 @@ OWN_NOISES: Prior = {
     "path_z": (0.1, 0.6),
 }
 GUST_AXES = ("gust_north", "gust_east", "gust_down")
+PATH_ERRORS = ("path_y", "path_z")
 
 
 class Parameters(NamedTuple):
@@ -138,6 +139,11 @@ class Gusts(NamedTuple):
 def stacked(value: Mapping[str, Any], *names: str) -> Array:
     """Return values by name along the last axis."""
     return np.stack([value[name] for name in names], axis=-1)
+
+
+def coefficient_of(derivative: str) -> str:
+    """Return the coefficient of a derivative, such as CZ of CZ_alpha."""
+    return derivative.split("_", 1)[0]
 
 
 def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) -> Prior:

@@ -52,15 +52,9 @@ class Record(NamedTuple):
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
-        return Record(
-            flight=self.flight,
-            rows=self.rows[rows],
-            time=self.time[rows],
-            velocity=self.velocity[rows],
-            attitude=self.attitude[rows],
-            measured=self.measured[rows],
-            inputs=self.inputs.part(rows),
-        )
+        flight, *arrays, inputs, _ = self
+        parts = [values[rows] for values in arrays]
+        return Record._make([flight, *parts, inputs.part(rows), None])
 
     def with_axial_force(self, mass: float) -> Record:
         """Return the record with the measured axial force in place of thrust and CX."""
@@ -90,7 +84,7 @@ class Record(NamedTuple):
 
     def earth_velocity(self) -> Matrix:
         """Return the velocity over the ground north, east, down (n, 3)."""
-        to_earth = np.swapaxes(self.attitude, 1, 2)
+        to_earth = self.attitude.mT
         return (to_earth @ self.velocity[..., None])[..., 0]
 
     @property
@@ -155,7 +149,7 @@ def records_of(
         measured = np.column_stack([*path.inertial(sensors), vanes[flight.rows]])
         values = interpolate_missing(sensors.time, known[flight.rows])
         k = len(surfaces)
-        attitude = np.swapaxes(path.attitude.as_matrix(), 1, 2)
+        attitude = path.attitude.as_matrix().mT
         whole = Record(
             flight=number,
             rows=flight.rows,

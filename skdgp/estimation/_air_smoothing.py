@@ -78,7 +78,7 @@ def _parameter_slopes(fit: AirFit, item: FittedRecord, G: Array, by_air: Array) 
 
 def _path(record: Record, mass: float) -> Matrix:
     """Return specific force, attitude and ground velocity (n, 9) without biases and lags."""
-    to_earth = np.swapaxes(record.attitude, 1, 2)
+    to_earth = record.attitude.mT
     angles = Rotation.from_matrix(to_earth).as_euler("ZYX")[:, ::-1]
     force = record.measured[:, FORCE].copy()
     if not record.sampled[0]:  # it took the place of thrust

@@ -21,7 +21,7 @@ n samples, N states, m sensors, p parameters, s sets of noises.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -102,13 +102,13 @@ class _StepModel(NamedTuple):
         """Return filtered state and covariance, predicted covariance and gain of sample k + 1."""
         Phi, H = self.Phi[k], self.H[k]
         x = Phi @ x
-        P_predicted = Phi @ P @ _transposed(Phi) + self.Q[k]
+        P_predicted = Phi @ P @ Phi.mT + self.Q[k]
         PHt = P_predicted @ H.T
         S = H @ PHt + self.R[k]
-        K = _transposed(np.linalg.solve(S, _transposed(PHt)))
+        K = np.linalg.solve(S, PHt.mT).mT
         x = self.c[k] + x + K @ (self.y[k] - H @ x)
-        P = P_predicted - K @ _transposed(PHt)
-        return x, 0.5 * (P + _transposed(P)), P_predicted, K
+        P = P_predicted - K @ PHt.mT
+        return x, 0.5 * (P + P.mT), P_predicted, K
 
 
 class _Chunk(NamedTuple):
@@ -156,19 +156,17 @@ def _chunks(linear: Linearization, noise: Noise) -> Iterator[_Chunk]:
 def _filtered_chunk(linear: Linearization, noise: Noise, rows: slice, x: Array, P: Array) -> _Chunk:
     """Return some steps of the filter, from deviation and covariance of the sample before."""
     model = _step_model(linear, noise, rows)
-    before = []
-    after = []
-    for k in range(len(model.Phi)):
-        before.append((x, P))
-        x, P, P_predicted, gain = model.step(x, P, k)
-        after.append((x, P, P_predicted, gain))
-    past = _innovations(linear, noise, rows, model.R, *_stacked(before))
-    return _Chunk(*past, *_stacked(after))
-
-
-def _stacked(steps: Sequence[tuple[Array, ...]]) -> list[Array]:
-    """Return the arrays of all steps, stacked."""
-    return [np.stack(arrays) for arrays in zip(*steps, strict=True)]
+    n, n_sets, N, _ = model.Phi.shape
+    xs = np.empty((n + 1, n_sets, N, 1))
+    Ps = np.empty((n + 1, n_sets, N, N))
+    P_predicted = np.empty((n, n_sets, N, N))
+    gain = np.empty((n, n_sets, N, model.H.shape[1]))
+    xs[0], Ps[0] = x, P
+    for k in range(n):
+        x, P, P_predicted[k], gain[k] = model.step(x, P, k)
+        xs[k + 1], Ps[k + 1] = x, P
+    past = _innovations(linear, noise, rows, model.R, xs[:-1], Ps[:-1])
+    return _Chunk(*past, xs[1:], Ps[1:], P_predicted, gain)
 
 
 def _step_model(linear: Linearization, noise: Noise, rows: slice) -> _StepModel:
@@ -201,9 +199,9 @@ def _innovations(
     D = linear.innovation_states[rows, None]
     L = linear.innovation_noise[rows, None]
     e = linear.innovation[rows, None, :, None] - D @ x
-    S = D @ P @ _transposed(D)
+    S = D @ P @ D.mT
     S += _step_noise(L, D, noise.rate * linear.step[rows, None, None])
-    surface = L @ linear.surface_noise[rows, None] @ _transposed(L)
+    surface = L @ linear.surface_noise[rows, None] @ L.mT
     S += noise.surface[:, None, None] * surface
     S += R
     return Innovations(e[..., 0], S)
@@ -217,14 +215,9 @@ def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     middle = 0.5 * (late + early)
 
     def square(G: Array) -> Array:
-        return (G * variance[..., None, :]) @ _transposed(G)
+        return (G * variance[..., None, :]) @ G.mT
 
     return (square(late) + 4 * square(middle) + square(early)) / 6
-
-
-def _transposed(matrices: Array) -> Array:
-    """Return the transposes of matrices (..., i, j)."""
-    return np.swapaxes(matrices, -1, -2)
 
 
 def innovation_slopes(linear: Linearization, run: Pass) -> Array:
@@ -249,9 +242,8 @@ def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     change = run.states - linear.states
     predicted = linear.predicted + (linear.transition @ change[:-1, :, None])[..., 0]
     P_predicted = run.predicted_covariance
-    PPhi = run.covariance[:-1] @ _transposed(linear.transition)
-    gains = np.linalg.solve(P_predicted, _transposed(PPhi))
-    C = np.swapaxes(gains, 1, 2)  # of the smoother
+    PPhi = run.covariance[:-1] @ linear.transition.mT
+    C = np.linalg.solve(P_predicted, PPhi.mT).mT  # gain of the smoother
 
     def step(x: Vector, P: Matrix, k: int) -> tuple[Vector, Matrix]:
         """Return smoothed state and covariance of sample k, from those of sample k + 1."""

@@ -50,7 +50,7 @@ class Equations(NamedTuple):
         if self.d_next is not None:
             columns.insert(1, self.d_next)
         J = np.concatenate(columns, axis=2)
-        return J.swapaxes(1, 2) @ J
+        return J.mT @ J
 
 
 class GaussianPrior(NamedTuple):

@@ -87,12 +87,8 @@ class FlightPath(NamedTuple):
 
     def part(self, first: int, last: int) -> FlightPath:
         """Return the states from first to before last."""
-        return FlightPath(
-            velocity=self.velocity[first:last],
-            attitude=self.attitude[first:last],
-            gust=self.gust[first:last],
-            constants=self.constants,
-        )
+        states = [values[first:last] for values in self[:-1]]
+        return FlightPath._make([*states, self.constants])
 
     def moved(self, states: Matrix, constants: Any) -> FlightPath:
         """Return the path with errors (n, 9), (c,) added."""
@@ -210,7 +206,7 @@ def _fill_air_data(
     residual, d_state, _, d_constants = equations
     velocity = path.air_velocity()
     slopes = air_data_slopes(velocity, least_airspeed)
-    by_ned = slopes @ path.attitude.as_matrix().swapaxes(1, 2)
+    by_ned = slopes @ path.attitude.as_matrix().mT
     airspeed, alpha, beta = air_data(velocity)
     residual[:, :3] = np.column_stack([airspeed, alpha, beta]) - measured
     residual[airspeed < least_airspeed, 1:3] = np.nan

@@ -126,15 +126,7 @@ class FlightSensors(NamedTuple):
 
     def part(self, first: int, last: int) -> FlightSensors:
         """Return the samples from first to before last."""
-        rows = slice(first, last)
-        return FlightSensors(
-            time=self.time[rows],
-            segment=self.segment[rows],
-            readings=self.readings[rows],
-            velocity=self.velocity[rows],
-            attitude=self.attitude[rows],
-            attitude_sampled=self.attitude_sampled[rows],
-        )
+        return FlightSensors._make(values[first:last] for values in self)
 
     def segments(self) -> list[Indices]:
         """Return the rows of each gap-free segment."""
@@ -165,10 +157,9 @@ def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
 
     Raise ValueError if time does not increase, or a needed channel has no value in a flight.
     """
+    names = np.zeros(len(table), int)
     if "flight" in table:
         names = np.asarray(table["flight"], dtype=object)
-    else:
-        names = np.zeros(len(table), int)
     time, codes = check_clock(numeric(table, ["time"])[:, 0], names)
     flights = []
     for runs in runs_by_flight(time, codes):

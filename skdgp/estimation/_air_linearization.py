@@ -4,11 +4,14 @@ States (11): gusts north, east, down in a slow and a fast part :math:`g_1, g_2` 
 and attitude e that add to the air velocity, body axes y and z [m/s]; rates :math:`\omega` [rad/s]. With
 the ground velocity v (body axes), attitude R (NED to body), steady wind w and position r of the sensors,
 
-.. math:: v_a = v - R (w + g_1 + g_2) - e - r \times \omega', \quad r \times \omega = -\omega \times r,
+.. math:: v_a = v - R (w + g_1 + g_2) - e - \omega \times r,
 
 which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the equations of motion
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
+
+Derivatives by parameters go by air velocity and coefficients (chain rule). Instruments, which follow the
+parameters, are the same derivatives with the terms of the coefficients in the motion that surfaces cause.
 """
 
 from __future__ import annotations
@@ -208,10 +211,10 @@ class _Expansion:
         self.changes = self.model.lag_and_thrust_slopes(self.air, raw, by_lag)
 
     def step(self) -> tuple[_Point, Matrix, Matrix]:
-        """Return the step from the filtered states to the next samples, (n - 1, 6), and the response.
+        """Return the step from the filtered states to the next samples, (n - 1, 6), and responses.
 
-        The response (n, f) are terms of the coefficients in the motion that surfaces cause; its mean
-        over each step comes last.
+        The response (n, f) has the terms of the coefficients in the motion that surfaces cause. Its
+        mean over each step (n - 1, f) comes last.
         """
         record, model, inputs = self.record, self.model, self.inputs
         variables = _variables(self.air, self.states[:, TURN])[:-1]

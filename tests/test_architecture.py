@@ -22,6 +22,7 @@ FLOORS = [
     ["_compute"],
     ["_flight"],
     ["dynamics"],
+    ["estimation"],
     [
         "kernels",
         "metrics",
@@ -47,6 +48,7 @@ AIRCRAFT = {
     "io",
     "preprocessing",
     "dynamics",
+    "estimation",
     "_excitation",
     "design",
     "datasets",
@@ -336,7 +338,7 @@ def test_extras_are_not_loaded_by_the_package():
     code = (
         "import sys, numpy, scipy, pandas, sklearn; before = set(sys.modules);"
         "import skdgp, skdgp.kernels, skdgp.inference, skdgp.io, skdgp.preprocessing, "
-        "skdgp.dynamics, skdgp.metrics,"
+        "skdgp.dynamics, skdgp.estimation, skdgp.metrics,"
         "skdgp.model_selection, skdgp.datasets, skdgp.plotting, skdgp.report, skdgp.identification;"
         "print(sorted({m.split('.')[0] for m in set(sys.modules) - before}))"
     )

@@ -20,11 +20,21 @@ from skdgp._compute.messages import warn
 from skdgp._flight.checks import check_number
 from skdgp._flight.clock import check_clock, runs_by_flight, uniform_grid
 
-ORDER = 2
-WINDOW_SECONDS = 6.4
-SHORTEST_WINDOW = 32
-LEAST_SAMPLES = 4 * SHORTEST_WINDOW
+ORDER = 2  # of the Butterworth filter, run forward and backward
+WINDOW_SECONDS = 6.4  # s, of a periodogram
+SHORTEST_WINDOW = 32  # samples
+LEAST_SAMPLES = 4 * SHORTEST_WINDOW  # of a segment that shows a spectrum
 EVIDENCE = 2.0  # least gain in log likelihood by white noise in a spectrum
+TINY = 1e-300  # avoids the logarithm of zero
+# remarks of `smooth`
+TOO_SHORT = (
+    f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to tell noise from signal, so "
+    "cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
+)
+NO_RATE = (
+    "A segment of a single sample has no rate of change: its derivative is NaN. Drop isolated samples, or "
+    "give the whole flight at its full rate."
+)
 
 
 def smooth(
@@ -58,9 +68,9 @@ def smooth(
     out = np.full(columns.shape, np.nan)
     remarks: set[str] = set()
     for rows, channels in _same_rows(columns):
-        part = columns[np.ix_(rows, channels)]
-        out[np.ix_(rows, channels)] = _per_flight(
-            part, times[rows], codes[rows], cutoff, joint, derivative, remarks
+        at = np.ix_(rows, channels)
+        out[at] = _per_flight(
+            columns[at], times[rows], codes[rows], cutoff, joint, derivative, remarks
         )
     for remark in sorted(remarks):
         warn(remark, stacklevel=2)
@@ -86,7 +96,9 @@ def noise_level(
     columns, times, codes = _checked(values, time, flight)
     std = np.full(columns.shape[1], np.nan)
     for rows, channels in _same_rows(columns):
-        part, levels, weights = columns[np.ix_(rows, channels)], [], []
+        part = columns[np.ix_(rows, channels)]
+        levels = []
+        weights = []
         for runs in runs_by_flight(times[rows], codes[rows]):
             spectrum = _flight_spectrum(part, times[rows], runs)
             if spectrum is not None:
@@ -100,10 +112,12 @@ def noise_level(
 def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return rows and channels of each group of channels that were sampled at the same rows."""
     masks, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
-    groups = (
-        (np.flatnonzero(keep), np.flatnonzero(group.ravel() == g)) for g, keep in enumerate(masks.T)
-    )
-    return [(rows, channels) for rows, channels in groups if rows.size]
+    groups = []
+    for number, sampled in enumerate(masks.T):
+        if sampled.any():
+            channels = np.flatnonzero(group.ravel() == number)
+            groups.append((np.flatnonzero(sampled), channels))
+    return groups
 
 
 def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[str]) -> np.ndarray:
@@ -113,22 +127,14 @@ def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[st
         if isinstance(cutoff, str):
             spectrum = _flight_spectrum(columns, time, runs)
             if spectrum is None:
-                remarks.add(
-                    f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to "
-                    f"tell noise from "
-                    "signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff "
-                    "in Hz."
-                )
+                remarks.add(TOO_SHORT)
             else:
                 gain = _joint_gain if joint else _single_gain
                 kernel = impulse_response(gain(spectrum, white_noise(spectrum)))
         for run in runs:
             out[run] = _filter_run(columns[run], time[run], cutoff, kernel, derivative)
             if derivative and run.stop - run.start == 1:
-                remarks.add(
-                    "A segment of a single sample has no rate of change: its derivative is NaN. "
-                    "Drop isolated samples, or give the whole flight at its full rate."
-                )
+                remarks.add(NO_RATE)
     return out
 
 
@@ -141,10 +147,11 @@ def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
     if cutoff is None or (kernel is None and isinstance(cutoff, str)):
         return interpolate.CubicSpline(at, columns)(at, 1) if derivative else columns
     on_grid = interpolate.CubicSpline(time, columns)(grid) if jittered else columns
-    step = (grid[-1] - grid[0]) / (len(grid) - 1)
-    smoothed = (
-        _butterworth(on_grid, 1 / step, cutoff) if kernel is None else convolve(on_grid, kernel)
-    )
+    if kernel is None:
+        step = (grid[-1] - grid[0]) / (len(grid) - 1)
+        smoothed = _butterworth(on_grid, 1 / step, cutoff)
+    else:
+        smoothed = convolve(on_grid, kernel)
     if not (jittered or derivative):
         return smoothed
     return interpolate.CubicSpline(grid, smoothed)(at, int(derivative))
@@ -153,24 +160,22 @@ def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
 def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
     if cutoff > rate / 2 * (1 - 1e-6):
         raise ValueError(
-            f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than "
-            f"half the "
-            f"sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
+            f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half "
+            f"the sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
     sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
-    return signal.sosfiltfilt(
-        sections, columns, axis=0, padlen=min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
-    )
+    padding = min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
+    return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
 
 
 def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the channels (n, k), time (n,) and flight codes (n,)."""
     columns = np.asarray(values, dtype=float).reshape(len(values), -1)
-    if np.isinf(columns).any():
+    n_infinite = int(np.isinf(columns).sum())
+    if n_infinite:
         raise ValueError(
-            f"Got {int(np.isinf(columns).sum())} infinite values, but expected finite ones or NaN "
-            f"(not "
-            "sampled): replace them by NaN."
+            f"Got {n_infinite} infinite values, but expected finite ones or NaN (not sampled): "
+            "replace them by NaN."
         )
     return columns, *check_clock(time, flight)
 
@@ -198,13 +203,15 @@ def _flight_spectrum(columns: np.ndarray, time: np.ndarray, runs: list[slice]) -
     if longest < LEAST_SAMPLES:
         return None
     step = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
-    size = 2 * (min(int(max(WINDOW_SECONDS / step, 2 * SHORTEST_WINDOW)), longest // 4) // 2)
-    pieces = np.concatenate(
-        [_windows(columns[run], size) for run in runs if run.stop - run.start >= size]
-    )
+    size = int(max(WINDOW_SECONDS / step, 2 * SHORTEST_WINDOW))
+    size = 2 * (min(size, longest // 4) // 2)
+    long_runs = [run for run in runs if run.stop - run.start >= size]
+    pieces = np.concatenate([_windows(columns[run], size) for run in long_runs])
     taper = signal.windows.hann(size)
-    waves = np.fft.rfft(signal.detrend(pieces, axis=-1) * taper, axis=-1).transpose(2, 1, 0)
-    power = waves @ waves.conj().swapaxes(1, 2) * (2 * step / (len(pieces) * np.sum(taper**2)))
+    tapered = signal.detrend(pieces, axis=-1) * taper
+    waves = np.fft.rfft(tapered, axis=-1).transpose(2, 1, 0)
+    unit = 2 * step / (len(pieces) * np.sum(taper**2))  # of a periodogram [1/Hz]
+    power = waves @ waves.conj().swapaxes(1, 2) * unit
     rounding = 2 * step * (1e-9 * np.abs(pieces).max(axis=(0, 2))) ** 2
     return Spectrum(
         frequency=np.fft.rfftfreq(size, step),
@@ -216,22 +223,16 @@ def _flight_spectrum(columns: np.ndarray, time: np.ndarray, runs: list[slice]) -
 
 def white_noise(spectrum: Spectrum) -> np.ndarray:
     """Return the white noise power of each channel, (k,)."""
-    floor = np.array(
-        [
-            _noise_floor(spectrum.frequency, power, spectrum.averages)
-            for power in spectrum.channel_power.T
-        ]
-    )
+    floor = np.zeros(len(spectrum.rounding))
+    for channel, power in enumerate(spectrum.channel_power.T):
+        floor[channel] = _noise_floor(spectrum.frequency, power, spectrum.averages)
     return np.where(floor > spectrum.rounding, floor, 0.0)
 
 
 def _single_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     """Return the smoother of each channel alone, (m, k)."""
-    steady = np.exp(
-        ndimage.gaussian_filter1d(
-            np.log(spectrum.channel_power + 1e-300), 1.0, axis=0, mode="nearest"
-        )
-    )
+    log_power = np.log(spectrum.channel_power + TINY)
+    steady = np.exp(ndimage.gaussian_filter1d(log_power, 1.0, axis=0, mode="nearest"))
     gain = np.where(floor > 0, np.clip(1 - floor / steady, 0, 1), 1.0)
     gain[0] = 1.0  # the mean of a channel is signal
     return gain * _falling(gain)
@@ -243,19 +244,18 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the
     edge of Marchenko and Pastur (1967); only those beyond it are signal.
     """
-    power, k = spectrum.channel_power, len(floor)
-    # The root of the noise power; of something small where there is no noise.
-    unit = np.sqrt(
-        np.where(floor > 0, floor, 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + 1e-300)
-    )
+    power = spectrum.channel_power
+    k = len(floor)
+    # root of the noise power, or of a small power where there is no noise
+    small = 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + TINY
+    unit = np.sqrt(np.where(floor > 0, floor, small))
     size, axes = np.linalg.eigh(spectrum.power / (unit[:, None] * unit))
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
     gains = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
     gain = np.einsum("mik,mk,mjk->mij", axes, gains, axes.conj()) * (unit[:, None] / unit)
     gain[0] = np.eye(k)
-    strength = np.einsum(
-        "mik,mk->mi", np.abs(axes) ** 2, gains * size
-    )  # signal found, in units of noise
+    # power of the signal, in units of noise
+    strength = np.einsum("mik,mk->mi", np.abs(axes) ** 2, gains * size)
     strength[0] = np.inf
     falling = _falling(1 / (1 + 1 / np.maximum(strength, 1e-12)))
     return np.where((floor > 0)[:, None], gain * falling[:, :, None], np.eye(k))
@@ -275,10 +275,10 @@ def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
     padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
     if response.ndim == 2:
         return signal.oaconvolve(padded, response, mode="valid", axes=0)
-    filtered = [
-        signal.oaconvolve(padded, part, mode="valid", axes=0).sum(axis=1)
-        for part in np.moveaxis(response, 1, 0)
-    ]
+    filtered = []
+    for part in np.moveaxis(response, 1, 0):
+        from_all = signal.oaconvolve(padded, part, mode="valid", axes=0)
+        filtered.append(from_all.sum(axis=1))
     return np.stack(filtered, axis=1)
 
 
@@ -300,7 +300,7 @@ def _noise_floor(frequency: np.ndarray, power: np.ndarray, averages: float) -> f
     """Return the flat part of the upper half of a spectrum, without the falling part.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
-    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative shares; the
+    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights; the
     constant stands only if Whittle's log likelihood without it is lower by more than ``EVIDENCE``.
     """
     top = slice(len(power) // 2, -1)
@@ -310,15 +310,15 @@ def _noise_floor(frequency: np.ndarray, power: np.ndarray, averages: float) -> f
     fall = np.sin(0.5 * np.pi * frequency[top] / frequency[-1]) ** -2
     shapes = np.column_stack([fall**k for k in (0, 1, 2, 4, 8)])
     shapes /= shapes.max(axis=0)
-    share, misfit = _fit_shares(shapes, observed)
-    _, misfit_without = _fit_shares(shapes[:, 1:], observed)
-    return share[0] if averages * (misfit_without - misfit) > EVIDENCE else 0.0
+    weights, misfit = _fit_weights(shapes, observed)
+    _, misfit_without = _fit_weights(shapes[:, 1:], observed)
+    return weights[0] if averages * (misfit_without - misfit) > EVIDENCE else 0.0
 
 
-def _fit_shares(shapes: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return non-negative shares of the shapes, and minus Whittle's log likelihood of one periodogram."""
+def _fit_weights(shapes: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return non-negative weights of the shapes, and minus Whittle's log likelihood of one periodogram."""
     fitted = observed
     for _ in range(4):
-        share, _ = optimize.nnls(shapes / fitted[:, None], observed / fitted)
-        fitted = shapes @ share
-    return share, np.sum(np.log(fitted) + observed / fitted)
+        weights, _ = optimize.nnls(shapes / fitted[:, None], observed / fitted)
+        fitted = shapes @ weights
+    return weights, np.sum(np.log(fitted) + observed / fitted)

@@ -2,81 +2,71 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from numbers import Integral
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval
-from skdgp._compute.typing import Indices, Matrix, Vector
-from skdgp._flight.channels import (
-    AIR_DATA,
-    ALL_SURFACES,
-    EARTH_VELOCITY,
-    EULER,
-    RATES,
-    SPECIFIC_FORCE,
-    VANES,
-    WIND,
-)
+from skdgp._compute.typing import Indices, Vector
+from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, EULER, RATES, VANES
 from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.frames import air_data
+from skdgp._flight.tables import has_values
 from skdgp.dynamics import Aircraft
-from skdgp.preprocessing._air_motion import AirMotion, estimate_air_motion
-from skdgp.preprocessing._air_motion_equations import lagged
-from skdgp.preprocessing._cleaning import FlightSmoother
-from skdgp.preprocessing._path import (
+from skdgp.estimation import (
+    CALIBRATED,
     GUSTS,
-    INERTIAL,
-    MEAN_WIND,
-    NEEDED,
-    NOISE,
-    Estimate,
-    FlightPath,
-    Log,
-    estimate,
-    flight_logs,
+    PATH_CHANNELS,
+    PATH_NOISE,
+    RECONSTRUCTED,
+    AirMotion,
+    AirSettings,
+    Contradiction,
+    FlightSensors,
+    PathEstimate,
+    PathSettings,
+    air_columns,
+    contradictions,
+    delayed_surfaces,
+    estimate_air_motion,
+    estimate_path,
+    flights_of,
     missing_channels,
+    overlapping_parts,
+    path_columns,
 )
-from skdgp.preprocessing._table import (
-    TableTransformer,
-    has_values,
-    interpolate_missing,
-    with_columns,
-    wrapped_near,
-)
+from skdgp.preprocessing._cleaning import FlightSmoother
+from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
-MADE = (*AIR_DATA, "alpha_dot", "beta_dot", *RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
-_PATH = tuple(name for name in MADE if name not in ("alpha_dot", "beta_dot"))
-# Weight of the gusts of the fit [seconds of flight]: 2 and 5 have the best median scores
-OPINION = 2.0
-MAX_AIR_NOISE = 1.4  # residual over the noise of a sensor of air data, above which it contradicts
-MAX_INERTIAL_NOISE = (
-    6.0  # as above, of an inertial sensor; half a minute of sound ones shows up to 4.4
+NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
+NOT_CONVERGED = (
+    "the estimate did not converge. Give longer flights with inputs of every surface, and look at the "
+    "signs and units of their sensors."
 )
-DIFFERENCES = (
-    3  # order of the differences that show noise: the squares of their coefficients add up to 20
-)
-OVERLAP = 32  # of the rows of a part of a long flight, one in so many is added on either side
-# By sensor: columns of a log, what contradicts if its residual is large, its unit and factor
-FOLLOWS = {
-    "gyro": ("rate", slice(3), "the attitude does not follow the gyros", "deg/s", 180 / np.pi),
-    "accelerometer": ("force", slice(3), "the velocity does not follow the accelerometers", "m/s2", 1.0),
-    "airspeed": ("air", 0, "airspeed does not follow the motion", "m/s", 1.0),
-    "alpha": ("air", 1, "alpha does not follow the motion", "deg", 180 / np.pi),
-    "beta": ("air", 2, "beta does not follow the motion", "deg", 180 / np.pi),
-}  # fmt: skip
+DEGREES = 180 / np.pi
+# text, unit and unit's size of a sensor that contradicts the others
+CONTRADICTIONS = {
+    "gyro": ("the attitude does not follow the gyros", "deg/s", DEGREES),
+    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
+    "airspeed": ("airspeed does not follow the motion", "m/s", 1.0),
+    "alpha": ("alpha does not follow the motion", "deg", DEGREES),
+    "beta": ("beta does not follow the motion", "deg", DEGREES),
+}
 
-FREE = (*INERTIAL, *MEAN_WIND)  # constants that are estimated
-Flights = list[tuple[Any, Indices, Log, Estimate]]
+
+class FlightPart(NamedTuple):
+    """A flight, or a part of a long one, with its path."""
+
+    name: object
+    rows: Indices  # of the table
+    sensors: FlightSensors
+    estimate: PathEstimate
 
 
 class FlightPathReconstruction(TableTransformer):
@@ -116,6 +106,8 @@ class FlightPathReconstruction(TableTransformer):
         construction: their errors on test flights say little.
     thrust : str or None, default="auto"
         For ``aircraft``, as in `skdgp.dynamics.aerodynamic_coefficients`.
+    settings : AirSettings, optional
+        For ``aircraft``, as in `estimate_air_motion`.
 
     Attributes
     ----------
@@ -166,6 +158,7 @@ class FlightPathReconstruction(TableTransformer):
         "max_rows": [Interval(Integral, 1, None, closed="left")],
         "aircraft": [Aircraft, None],
         "thrust": [str, None],
+        "settings": [AirSettings, None],
     }
 
     def __init__(
@@ -175,11 +168,13 @@ class FlightPathReconstruction(TableTransformer):
         max_rows: int = 65536,
         aircraft: Aircraft | None = None,
         thrust: str | None = "auto",
+        settings: AirSettings | None = None,
     ) -> None:
         self.optional = optional
         self.max_rows = max_rows
         self.aircraft = aircraft
         self.thrust = thrust
+        self.settings = settings
 
     @property
     def servo_lag_(self) -> float:
@@ -188,7 +183,7 @@ class FlightPathReconstruction(TableTransformer):
         return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
 
     def _fit_table(self, table):
-        self._check_any(table, (*NEEDED, *VANES))
+        self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
         self.used_ = not self.missing_
         self.reason_ = "no sensor contradicts the others"
@@ -202,71 +197,63 @@ class FlightPathReconstruction(TableTransformer):
         has_vanes = has_values(table, *AIR_DATA)
         if not has_vanes:
             self._fit_air_motion(table)
-        if self.air_motion_ is not None:
+        if self.air_motion_ is None:
+            self._fit_path(table, has_vanes)
+
+    def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
+        """Set the fitted attributes by the paths of the flights."""
+        parts = self._estimated_paths(table, PATH_NOISE, learn=PATH_NOISE | GUSTS)
+        self.converged_ = {part.name: True for part in parts}
+        for part in parts:
+            self.converged_[part.name] &= part.estimate.converged
+        samples = [len(part.sensors.time) for part in parts]
+        self.noise_std_ = {}
+        for name in PATH_NOISE:
+            stds = [part.estimate.noise[name] for part in parts]
+            self.noise_std_[name] = _mean_std(stds, samples)
+        self.gust_std_ = _mean_std([_gust_std(part.estimate) for part in parts], samples)
+        self.calibration_ = pd.concat([_calibration(part) for part in parts], ignore_index=True)
+        found = contradictions([part.sensors for part in parts], self.noise_std_)
+        if not found:
             return
-        self.noise_std_ = dict(NOISE)
-        estimates = self._estimates(table, learn=NOISE | GUSTS)
-        self.converged_ = {
-            name: all(each.converged for flight, *_, each in estimates if flight == name)
-            for name, *_ in estimates
-        }
-        samples = [len(log.time) for _, _, log, _ in estimates]
-        self.noise_std_ = {
-            name: float(
-                np.sqrt(
-                    np.average([each.noise[name] ** 2 for *_, each in estimates], weights=samples)
-                )
-            )
-            for name in NOISE
-        }
-        self.gust_std_ = float(
-            np.sqrt(np.average([_gust(each) ** 2 for *_, each in estimates], weights=samples))
-        )
-        self.calibration_ = pd.DataFrame(
-            {"flight": flight, "constant": name, "estimate": value, "std": std}
-            for flight, _, _, each in estimates
-            for name, value, std in zip(
-                FREE, each.path.constant(*FREE), np.sqrt(np.diag(each.covariance)), strict=True
-            )
-        )
-        if contradictions := _contradictions(estimates, self.noise_std_):
-            of_air = contradictions.keys() & {*AIR_DATA}
-            alone = len(contradictions) == len(of_air) == 1  # probably filtered by the autopilot
-            self.used_ = alone or not (self.optional and has_vanes)
-            self.reason_ = "although " * self.used_ + "; ".join(contradictions.values())
+        # one sensor of air data alone is probably filtered by the autopilot
+        is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
+        self.used_ = is_filtered or not (self.optional and has_vanes)
+        reasons = "; ".join(map(_contradiction_text, found))
+        self.reason_ = f"although {reasons}" if self.used_ else reasons
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
-            self.doubt_ = "no sensor measures alpha and beta, and no aircraft is given"
+            self.doubt_ = NO_AIRCRAFT
             return
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
             return
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
-        names = [name for name, _, _ in flight_logs(table)]
+        names = [flight.name for flight in flights_of(table)]
         self.converged_ = dict.fromkeys(names, motion.converged)
         self.reason_ = f"alpha and beta by the motion that gusts cause: {motion.summary}"
-        changes = [motion.gust_change(k) for k in range(len(names))]
+        changes = [motion.gust_change(number) for number in range(len(names))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
-        self.noise_std_ = NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
+        self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
 
     def _estimated_motion(
-        self, table: pd.DataFrame, known: Any = None
+        self, table: pd.DataFrame, known: AirMotion | None = None
     ) -> tuple[AirMotion | None, str]:
         """Return the motion of the air, None where it cannot be estimated, and why it is in doubt."""
         aircraft: Any = self.aircraft
+        settings = self.settings or AirSettings()
         motion, doubt = None, ""
         try:
-            motion = estimate_air_motion(table, aircraft, thrust=self.thrust, known=known)
+            motion = estimate_air_motion(
+                table, aircraft, thrust=self.thrust, known=known, settings=settings
+            )
         except ValueError as error:
             doubt = str(error)
         if motion is not None and not motion.converged:
-            doubt = (
-                "the estimate did not converge. Give longer flights with inputs of every surface, and "
-                "look at the signs and units of their sensors."
-            )
+            doubt = NOT_CONVERGED
         if doubt:
             numbers = {
                 "reason": doubt,
@@ -276,26 +263,6 @@ class FlightPathReconstruction(TableTransformer):
             report(Finding(Code.GUSTS_UNKNOWN, numbers=numbers), stacklevel=5)
         return motion, doubt
 
-    def _motion_of(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
-        """Return the columns of flights by the motion of the air, with the aircraft as ``known``."""
-        motion, _ = self._estimated_motion(table, known)
-        if motion is None:
-            return self._path_of(table)
-        air = motion.air
-        names = [name for name in ALL_SURFACES if has_values(table, name)]
-        new = {name: np.empty(len(table)) for name in (*MADE, "gust", *names)}
-        for k, (_, rows, log) in enumerate(flight_logs(table)):
-            values = interpolate_missing(log.time, air.iloc[rows][list(_PATH)].to_numpy())
-            part = dict(zip(_PATH, values.T, strict=True))
-            dots = _angle_rates(log, np.column_stack([part[name] for name in AIR_DATA]))
-            part |= dict(zip(("alpha_dot", "beta_dot"), dots.T, strict=True))
-            part["gust"] = np.nan_to_num(motion.gust_change(k), nan=self.gust_std_)
-            late = _late(log, numeric(table, names)[rows], self.servo_lag_)
-            part |= dict(zip(names, late.T, strict=True))
-            for name, column in part.items():
-                new[name][rows] = column
-        return new
-
     def _transform_table(self, table):
         if not self.used_:
             return table
@@ -304,113 +271,98 @@ class FlightPathReconstruction(TableTransformer):
             report(finding, FlightDataWarning, stacklevel=3)
             return FlightSmoother().fit_transform(table)
         self._check(table)
-        known = self.air_motion_
-        new = self._path_of(table) if known is None else self._motion_of(table, known)
+        if self.air_motion_ is None:
+            new = self._columns_by_path(table)
+        else:
+            new = self._columns_by_air(table, self.air_motion_)
         for name in EULER:
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
-    def _path_of(self, table: pd.DataFrame) -> dict[str, Vector]:
+    def _columns_by_path(self, table: pd.DataFrame) -> dict[str, Vector]:
         """Return the columns of flights by their most likely paths."""
-        new = {name: np.empty(len(table)) for name in (*MADE, "gust")}
-        for _, rows, log, solved in self._estimates(table, learn=GUSTS):
-            for name, values in _channels(solved.path, log).items():
+        new = {name: np.empty(len(table)) for name in (*RECONSTRUCTED, "gust")}
+        for part in self._estimated_paths(table, self.noise_std_, learn=GUSTS):
+            columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
+            columns["gust"] = self.gust_std_
+            if part.estimate.converged:
+                # gusts of the training flights count as some seconds of this flight
+                stds = [_gust_std(part.estimate), self.gust_std_]
+                seconds = [np.ptp(part.sensors.time), PathSettings().gust_prior_seconds]
+                columns["gust"] = _mean_std(stds, seconds)
+            for name, values in columns.items():
+                new[name][part.rows] = values
+        return new
+
+    def _columns_by_air(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
+        """Return the columns of flights by the motion of the air, with the aircraft as ``known``."""
+        motion, _ = self._estimated_motion(table, known)
+        if motion is None:
+            return self._columns_by_path(table)
+        surfaces = [name for name in ALL_SURFACES if has_values(table, name)]
+        deflections = numeric(table, surfaces)
+        new = {name: np.empty(len(table)) for name in (*RECONSTRUCTED, "gust", *surfaces)}
+        for number, (_, rows, sensors) in enumerate(flights_of(table)):
+            columns: dict[str, Any] = air_columns(motion.air.iloc[rows], sensors)
+            columns["gust"] = np.nan_to_num(motion.gust_change(number), nan=self.gust_std_)
+            late = delayed_surfaces(sensors, deflections[rows], self.servo_lag_)
+            columns |= dict(zip(surfaces, late.T, strict=True))
+            for name, values in columns.items():
                 new[name][rows] = values
-            # the variance of the gusts of the fit counts as `OPINION` seconds of this flight
-            squares = [_gust(solved) ** 2, self.gust_std_**2]
-            gust = np.sqrt(np.average(squares, weights=[np.ptp(log.time), OPINION]))
-            new["gust"][rows] = gust if solved.converged else self.gust_std_
         return new
 
     def _columns_out(self, names):
-        return names + [name for name in (*MADE, "gust") if self.used_ and name not in names]
+        if not self.used_:
+            return names
+        return names + [name for name in (*RECONSTRUCTED, "gust") if name not in names]
 
     def _check(self, table):
-        check_columns(table, ["time", *NEEDED])
-        check_radians(table, (*EULER, *RATES, "alpha", "beta"))  # roll and heading may be unwrapped
+        check_columns(table, ["time", *PATH_CHANNELS])
+        check_radians(table, (*EULER, *RATES, *VANES))  # roll and heading may be unwrapped
 
-    def _estimates(self, table: pd.DataFrame, *, learn: Mapping[str, float]) -> Flights:
-        """Return (name, rows, log, estimate) of every flight, of each part of a long one."""
-        estimates = []
-        for name, rows, whole in flight_logs(table):
-            for part, inner in _parts(len(rows), self.max_rows):
-                log = whole.part(part.start, part.stop)
-                each = estimate(log, self.noise_std_ | GUSTS, learn=learn, free=FREE)
-                path = each.path.part(inner.start, inner.stop)
-                kept = rows[part][inner], log.part(inner.start, inner.stop)
-                estimates.append((name, *kept, each._replace(path=path)))
-        for name in dict.fromkeys(name for name, *_, each in estimates if not each.converged):
+    def _estimated_paths(
+        self, table: pd.DataFrame, noise: dict[str, float], learn: Mapping[str, float]
+    ) -> list[FlightPart]:
+        """Return the path of every flight, of each part of a long one."""
+        parts = []
+        for name, rows, whole in flights_of(table):
+            for part, inner in overlapping_parts(len(rows), self.max_rows):
+                sensors = whole.part(part.start, part.stop)
+                estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
+                path = estimate.path.part(inner.start, inner.stop)
+                kept = sensors.part(inner.start, inner.stop)
+                estimate = estimate._replace(path=path)
+                parts.append(FlightPart(name, rows[part][inner], kept, estimate))
+        diverged = [part.name for part in parts if not part.estimate.converged]
+        for name in dict.fromkeys(diverged):
             report(Finding(Code.PATH_NOT_CONVERGED, flight=name), stacklevel=4)
-        return estimates
+        return parts
 
 
-def _parts(n: int, most: int) -> list[tuple[slice, slice]]:
-    """Return parts of n rows, of at most so many and the overlap, and of each the rows between the overlaps."""
-    margin = most // OVERLAP
-    edges = np.linspace(0, n, -(-n // most) + 1).round().astype(int).tolist()
-    parts = []
-    for first, last in pairwise(edges):
-        start = max(first - margin, 0)
-        parts.append((slice(start, min(last + margin, n)), slice(first - start, last - start)))
-    return parts
+def _mean_std(stds: Sequence[float], weights: Sequence[float]) -> float:
+    """Return the root of the weighted mean of variances."""
+    return float(np.sqrt(np.average(np.square(stds), weights=weights)))
 
 
-def _channels(path: FlightPath, log: Log) -> dict[str, Vector]:
-    """Return the reconstructed columns of a flight."""
-    air = np.column_stack(air_data(path.air_velocity()))
-    rotation = path.attitude.as_euler("ZYX")[:, ::-1]
-    parts = [
-        air,
-        _angle_rates(log, air),
-        path.rate(log),
-        path.force(log),
-        rotation,
-        path.velocity,
-        path.wind(),
-    ]
-    return dict(zip(MADE, np.column_stack(parts).T, strict=True))
-
-
-def _angle_rates(log: Log, air: Matrix) -> Matrix:
-    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3), NaN of single samples."""
-    dots = np.full((len(air), 2), np.nan)
-    for rows in log.segments():
-        if len(rows) > 1:
-            dots[rows] = CubicSpline(log.time[rows], air[rows, 1:])(log.time[rows], 1)
-    return dots
-
-
-def _late(log: Log, surfaces: Matrix, lag: float) -> Matrix:
-    """Return the outputs of servos with a first-order lag [s], by gap-free segments."""
-    out, surfaces = np.empty_like(surfaces), interpolate_missing(log.time, surfaces)
-    for rows in log.segments():
-        step = float(np.median(np.diff(log.time[rows]))) if len(rows) > 1 else 1.0
-        out[rows] = lagged(surfaces[rows], lag, step)
-    return out
-
-
-def _gust(solved: Estimate) -> float:
+def _gust_std(estimate: PathEstimate) -> float:
     """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
-    return float(np.sqrt(np.mean([solved.noise[name] ** 2 for name in GUSTS])))
+    return float(np.sqrt(np.mean([estimate.noise[name] ** 2 for name in GUSTS])))
 
 
-def _contradictions(estimates: Flights, residuals: Mapping[str, float]) -> dict[str, str]:
-    """Return the sensors whose residuals, learned with the path, exceed their noise, in words."""
-    words = {}
-    for name, (kind, columns, what, unit, factor) in FOLLOWS.items():
-        residual, noise = factor * residuals[name], factor * _noise(kind, columns, estimates)
-        if residual > (MAX_AIR_NOISE if name in AIR_DATA else MAX_INERTIAL_NOISE) * noise:
-            words[name] = f"{what} (residual {residual:.2g} {unit}, noise {noise:.2g})"
-    return words
+def _calibration(part: FlightPart) -> pd.DataFrame:
+    """Return the estimated constants of a flight."""
+    columns = {
+        "flight": part.name,
+        "constant": CALIBRATED,
+        "estimate": part.estimate.path.constant(*CALIBRATED),
+        "std": np.sqrt(np.diag(part.estimate.covariance)),
+    }
+    return pd.DataFrame(columns)
 
 
-def _noise(kind: str, columns: Any, estimates: Flights) -> float:
-    """Return the white noise in columns of each flight's log, from their third differences."""
-    squares = []
-    for _, _, log, _ in estimates:
-        for column in getattr(log, kind).T[columns].reshape(-1, len(log.time)):
-            rows = np.flatnonzero(np.isfinite(column))
-            joined = log.segment[rows[DIFFERENCES:]] == log.segment[rows[:-DIFFERENCES]]
-            squares.append(np.diff(column[rows], DIFFERENCES)[joined] ** 2 / 20)
-    values = np.concatenate(squares)
-    return float(np.sqrt(values.mean())) if len(values) else np.nan
+def _contradiction_text(contradiction: Contradiction) -> str:
+    """Return a contradiction in words."""
+    text, unit, factor = CONTRADICTIONS[contradiction.sensor]
+    residual = factor * contradiction.residual
+    noise = factor * contradiction.noise
+    return f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})"

@@ -12,8 +12,8 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
-from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.checks import check_table, numeric
+from skdgp._compute.typing import Vector
+from skdgp._flight.checks import check_table
 
 
 class TableTransformer(TransformerMixin, BaseEstimator, ABC):
@@ -86,17 +86,6 @@ def as_pandas(X: Any) -> Any:
     if type(X).__module__.partition(".")[0] != "polars":
         return X
     return pd.DataFrame({name: X[name].to_numpy() for name in X.columns})
-
-
-def has_values(table: pd.DataFrame, *names: str) -> bool:
-    """Return whether the table has all these columns, each with a finite value."""
-    return all(name in table and np.isfinite(numeric(table, [name])).any() for name in names)
-
-
-def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
-    """Return columns (n, k) with linear interpolation of values that are not finite."""
-    table = pd.DataFrame(np.where(np.isfinite(values), values, np.nan), index=time)
-    return np.array(table.interpolate("index", limit_direction="both"), order="C")
 
 
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:

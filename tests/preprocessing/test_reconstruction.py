@@ -13,23 +13,12 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import air_data
+from skdgp.estimation import PATH_CHANNELS
 from skdgp.preprocessing import (
     FlightDataWarning,
     FlightPathReconstruction,
     FlightSmoother,
     LagCorrector,
-)
-from skdgp.preprocessing._path import (
-    CONSTANTS,
-    NEEDED,
-    PLACE,
-    Equations,
-    Prior,
-    first_guess,
-    flight_logs,
-    measurement_equations,
-    process_equations,
-    solve,
 )
 
 GRAVITY = 9.80665
@@ -117,100 +106,6 @@ def error(table, out, name):
     return float(
         np.sqrt(np.mean(np.angle(np.exp(1j * gap)) ** 2 if name in ("phi", "psi") else gap**2))
     )
-
-
-def guess(table, **constants):
-    """The log, and a path near it that is no solution."""
-    log = flight_logs(table)[0][2]
-    values = np.zeros(len(CONSTANTS))
-    for name, value in constants.items():
-        values[PLACE[name]] = value
-    rng = np.random.default_rng(4)
-    return log, first_guess(log, values).moved(0.1 * rng.standard_normal((len(table), 9)), 0.0)
-
-
-class TestEquations:
-    @pytest.mark.parametrize(
-        "rows",
-        [
-            measurement_equations,
-            lambda path, log: process_equations(path, log, np.full(len(log.time) - 1, 0.9)),
-        ],
-    )
-    def test_slopes_are_those_of_the_residuals(self, rows):
-        log, path = guess(
-            flown(0.5),
-            p_bias=0.01,
-            wind_east=4.0,
-        )
-        base, eps = rows(path, log), 1e-6
-        states, constants = np.zeros((len(log.time), 9)), np.zeros(len(CONSTANTS))
-        for place in range(9):
-            for first in (
-                0,
-                1,
-            ):  # every other sample moves, so that each equation feels one of its two
-                moved = states.copy()
-                moved[first::2, place] = eps
-                slope = (rows(path.moved(moved, constants), log).residual - base.residual) / eps
-                np.testing.assert_allclose(
-                    slope[first::2], base.d_state[first::2, :, place], atol=2e-3, rtol=2e-3
-                )
-                if base.d_next is not None:
-                    np.testing.assert_allclose(
-                        slope[1 - first :: 2],
-                        base.d_next[1 - first :: 2, :, place],
-                        atol=2e-3,
-                        rtol=2e-3,
-                    )
-        for name, place in PLACE.items():
-            if name.endswith("_lag"):
-                continue  # to first order only: see the recovery of lags
-            moved = constants.copy()
-            moved[place] = eps
-            slope = (rows(path.moved(states, moved), log).residual - base.residual) / eps
-            np.testing.assert_allclose(slope, base.d_constants[:, :, place], atol=1e-3, rtol=1e-3)
-
-    def test_the_bordered_solution_is_that_of_the_dense_problem(self):
-        rng = np.random.default_rng(0)
-        n, s, c, k = 6, 3, 2, 40_000
-        process = Equations(
-            *(
-                rng.normal(size=shape)
-                for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)]
-            )
-        )
-        measured = Equations(
-            rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c))
-        )
-        prior = Prior(
-            np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c)
-        )
-        J, r = [], []
-        for i in range(n):
-            for rows in (process, measured) if i < n - 1 else (measured,):
-                block = np.zeros((rows.d_state.shape[1], n * s + c))
-                block[:, i * s : (i + 1) * s] = rows.d_state[i]
-                if rows.d_next is not None:
-                    block[:, (i + 1) * s : (i + 2) * s] = rows.d_next[i]
-                block[:, n * s :] = rows.d_constants[i]
-                J.append(block)
-                r.append(rows.residual[i])
-        J.append(np.diag(np.sqrt(np.r_[prior.states.ravel(), prior.constants])))
-        r.append(J[-1] @ np.r_[prior.states_offset.ravel(), prior.constants_offset])
-        J, r = np.vstack(J), np.concatenate(r)
-        covariance = np.linalg.inv(J.T @ J)
-        solution = -covariance @ J.T @ r
-        found = solve(process, measured, prior, rng.standard_normal((n * s + c, k)))
-        np.testing.assert_allclose(
-            np.r_[found.states.ravel(), found.constants], solution, atol=1e-10
-        )
-        np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
-        draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
-        std = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(
-            np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03
-        )
 
 
 class TestRecovery:
@@ -458,7 +353,7 @@ def test_gusts_are_told():
 
 
 class TestBadInput:
-    @pytest.mark.parametrize("name", NEEDED)
+    @pytest.mark.parametrize("name", PATH_CHANNELS)
     def test_missing_column(self, name):
         with pytest.raises(ValueError, match=f"lacks the columns '{name}'"):
             FlightPathReconstruction().fit(flown(2.0).drop(columns=name))

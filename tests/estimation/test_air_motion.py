@@ -1,4 +1,4 @@
-"""The filter-error method: its linear filter, its derivatives, and what it recovers from flights."""
+"""What the filter-error method recovers from flights, and what it says when it cannot."""
 
 import importlib.util
 import sys
@@ -7,45 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp._flight.frames import euler_to_matrix
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
+from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import FlightPathReconstruction, estimate_air_motion
-from skdgp.preprocessing._air_motion_equations import (
-    N_STATES,
-    Layout,
-    Record,
-    lagged,
-    linearised,
-)
-from skdgp.preprocessing._air_motion_filter import (
-    Linearisation,
-    Noise,
-    filtered,
-    innovation_slopes,
-    smoothed,
-)
-from skdgp.preprocessing._air_motion_model import (
-    DERIVATIVES,
-    OWN,
-    SHARED,
-    TERMS,
-    Inputs,
-    derivatives_of,
-)
+from skdgp.preprocessing import FlightPathReconstruction
 
 BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "small_uav.py"
 SURFACES = ["elevator", "aileron", "rudder"]
-AIRCRAFT = Aircraft(
-    mass=1.9,
-    inertia=[[0.09, 0.002, -0.015], [0.002, 0.11, 0.001], [-0.015, 0.001, 0.17]],
-    wing_area=0.32,
-    span=1.27,
-    chord=0.25,
-)
 
 
 @cache
@@ -57,211 +27,6 @@ def benchmark():
     spec.loader.exec_module(module)
     sys.path.remove(str(BENCHMARK.parent))
     return module
-
-
-def linear_system(rng, n=7, N=3, m=2):
-    """A filter that is linear, with predictions of a sample by way of the predicted state alone."""
-    Phi = 0.5 * rng.standard_normal((n - 1, N, N))
-    H = rng.standard_normal((n - 1, m, N))
-    y = rng.standard_normal((n - 1, m))
-    zero = np.zeros((n - 1, 0, 0))
-    linear = Linearisation(
-        states=np.zeros((n, N)),
-        predicted=np.zeros((n - 1, N)),
-        transition=Phi,
-        transition_slopes=zero,
-        innovation=y,
-        innovation_states=H @ Phi,
-        innovation_noise=H,
-        innovation_slopes=zero,
-        residual=y,
-        residual_states=H,
-        residual_slopes=zero,
-        step=rng.uniform(0.1, 0.2, n - 1),
-        surface_noise=np.zeros((n - 1, N, N)),
-        weight=np.ones((n - 1, m)),
-        response=zero,
-    )
-    noises = Noise(
-        rng.uniform(1, 2, N), np.zeros(N), np.zeros(()), rng.uniform(1, 2, m), rng.uniform(1, 2, N)
-    )
-    return linear, noises
-
-
-def test_linear_filter_and_smoother_equal_the_joint_gaussian_distribution():
-    linear, noises = linear_system(np.random.default_rng(0))
-    run = filtered(linear, noises)
-    (n, N), m = linear.states.shape, linear.innovation.shape[1]
-    # x = M (x_0, w_1, ...), y = H x + v; the noise of a step by Simpson's rule
-    M = np.zeros((n, N, n * N))
-    M[0, :, :N] = np.eye(N)
-    Q = [np.diag(noises.start)]
-    for k in range(1, n):
-        Phi = linear.transition[k - 1]
-        M[k] = Phi @ M[k - 1]
-        M[k, :, k * N : (k + 1) * N] += np.eye(N)
-        half, rate = 0.5 * (np.eye(N) + Phi), np.diag(noises.rate * linear.step[k - 1])
-        Q.append((rate + 4 * half @ rate @ half.T + Phi @ rate @ Phi.T) / 6)
-    M = M.reshape(n * N, n * N)
-    X = M @ block_diag(*Q) @ M.T
-    H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.residual_states)])
-    S = H @ X @ H.T + np.diag(np.tile(noises.sensor, n - 1))
-    y = linear.innovation.ravel()
-    for k in range(n - 1):
-        past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
-        gain = S[now, past] @ np.linalg.inv(S[past, past])
-        np.testing.assert_allclose(run.innovation[k], y[now] - gain @ y[past], atol=1e-10)
-        np.testing.assert_allclose(run.covariance[k], S[now, now] - gain @ S[past, now], atol=1e-10)
-    states, covariance = smoothed(linear, run)
-    gain = X @ H.T @ np.linalg.inv(S)
-    np.testing.assert_allclose(states.ravel(), gain @ y, atol=1e-10)
-    P = X - gain @ H @ X
-    for k in range(n):
-        at = slice(k * N, (k + 1) * N)
-        np.testing.assert_allclose(covariance[k], P[at, at], atol=1e-10)
-
-
-def test_sets_of_noises_are_filtered_as_one_by_one():
-    linear, noises = linear_system(np.random.default_rng(1))
-    sets = Noise(*(np.stack([part, 2 * part]) for part in noises))
-    run = filtered(linear, sets, keep=False)
-    for k in range(2):
-        alone = filtered(linear, Noise(*(part[k] for part in sets)))
-        np.testing.assert_allclose(run.innovation[k], alone.innovation)
-        np.testing.assert_allclose(run.covariance[k], alone.covariance)
-
-
-@cache
-def flight_of_sines(n=30):
-    """A record at states where nothing vanishes, parameters by name, and states of the filter."""
-    rng = np.random.default_rng(2)
-    t = 0.02 * np.arange(n)[:, None]
-    wave = lambda k: np.sin(2 * t + rng.uniform(0, 6, k))  # noqa: E731
-    attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + np.array([0.1, 0.2, 1.0])).T), 1, 2)
-    inputs = Inputs(0.1 * wave(3), wave(6) + 2, np.full(n, 1.2))
-    measured = np.column_stack([3 * wave(3), 0.5 * wave(3), 17 + wave(1), 0.1 * wave(2)])
-    record = Record(
-        0,
-        np.arange(n),
-        np.full(n - 1, 0.02),
-        0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
-        attitude,
-        measured,
-        inputs,
-    )
-    derivatives = derivatives_of(TERMS, SURFACES)
-    value = {name: DERIVATIVES.get(name, (0.01, 0))[0] for name in derivatives}
-    value |= {
-        name: mean + 0.3 * min(std, 5.0) for name, (mean, std) in (dict(SHARED) | OWN).items()
-    }
-    value |= {"servo_lag": 0.03}
-    states = 0.2 * wave(N_STATES)
-    return record, Layout.of(list(derivatives), SURFACES), value, states
-
-
-DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
-
-
-def moved(name, move):
-    record, layout, value, states = flight_of_sines()
-    value = value | {name: value[name] + move}
-    return linearised(record, layout, AIRCRAFT, value, states, DECAY)
-
-
-@pytest.mark.parametrize("name", flight_of_sines()[1].names)
-def test_slopes_by_parameters_are_those_of_the_predictions(name):
-    here, step = moved(name, 0.0), 1e-5
-    later, before = moved(name, step), moved(name, -step)
-    j = flight_of_sines()[1].names.index(name)
-    pairs = (
-        ("predicted", here.transition_slopes),
-        ("innovation", -here.innovation_slopes),
-        ("residual", -here.residual_slopes),
-    )
-    for field, slopes in pairs:
-        numeric = (getattr(later, field) - getattr(before, field)) / (2 * step)
-        if field == "residual":  # the state that it starts from moves as well
-            numeric += (here.residual_states @ here.transition_slopes)[..., j]
-        scale = np.abs(numeric).max() + 1e-3
-        # terms within a step are taken as the mean of its ends, which is least true of rates
-        atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
-        np.testing.assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
-
-
-def test_slopes_by_states_are_those_of_the_predictions():
-    record, layout, value, states = flight_of_sines()
-    here = linearised(record, layout, AIRCRAFT, value, states, DECAY)
-    for i in range(N_STATES):
-        shift = np.zeros(N_STATES)
-        shift[i] = 1e-5
-        later, before = (
-            linearised(record, layout, AIRCRAFT, value, states + sign * shift, DECAY)
-            for sign in (1, -1)
-        )
-        for field, slopes in (
-            ("predicted", here.transition),
-            ("innovation", -here.innovation_states),
-            ("residual", -here.residual_states @ here.transition),
-        ):
-            numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
-            np.testing.assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
-
-
-def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
-    record, layout, value, calm = flight_of_sines(200)
-    record.inputs.surfaces[:] *= 5
-    gusty = calm.copy()
-    gusty[:, :3] += np.random.default_rng(0).standard_normal((200, 3))
-    still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
-    at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
-    slopes, instruments = [], []
-    for flown, states in ((record, calm), (record, gusty), (still, gusty)):
-        linear = linearised(flown, layout, AIRCRAFT, value, states, DECAY)
-        for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
-            offset, slope = linear.innovation_slopes[:, 2, columns].T
-            out.append(
-                slope - offset * (offset @ slope) / (offset @ offset)
-            )  # without the pressure
-    assert np.corrcoef(slopes)[0, 1] < 0.7
-    assert np.corrcoef(instruments)[0, 1] > 0.95
-    assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
-
-
-def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
-    record, *_ = flight_of_sines(2000)
-    pushes, later = np.random.default_rng(0).standard_normal((2, 1999))
-    answer = np.convolve(np.append(0, pushes), 0.9 ** np.arange(50))[:2000]
-    record.inputs.surfaces[:, 0] = answer
-    record.inputs.surfaces[:, 1] = np.append(later[3:], np.zeros(4))
-    answers = record.with_answers(np.column_stack([pushes, later])).answers
-    assert np.std(answer - answers[:, 0]) < 0.15 * np.std(answer)
-    assert np.std(answers[:, 1]) < 0.2 * np.std(later)
-
-
-def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
-    linear, noises = linear_system(np.random.default_rng(3))
-    (n, N), m = linear.states.shape, linear.innovation.shape[1]
-    slopes = np.random.default_rng(4).standard_normal((n - 1, N, 1))
-    linear = linear._replace(
-        transition_slopes=slopes,
-        innovation_slopes=linear.residual_states @ slopes,
-        residual_slopes=np.zeros((n - 1, m, 1)),
-    )
-    run = filtered(linear, noises)
-    push = 1e-6 * linear.residual_states @ slopes
-    moved = linear._replace(
-        predicted=linear.predicted + 1e-6 * slopes[..., 0],
-        innovation=linear.innovation - push[..., 0],
-        residual=linear.residual - push[..., 0],
-    )
-    change = (filtered(moved, noises).innovation - run.innovation) / 1e-6
-    np.testing.assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
-
-
-def test_lag_of_a_ramp_is_the_lag():
-    ramp = np.arange(200.0)[:, None]
-    np.testing.assert_allclose(lagged(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
-    np.testing.assert_allclose(lagged(ramp, 0.0, 0.02), ramp, atol=0.01)
 
 
 def simulated(case, seconds, *, pulses=True, seed=3, deflections=False, bank=0.0):
@@ -369,20 +134,6 @@ def test_logged_deflections_are_not_late():
     assert 0.0 <= found.constants.loc["servo_lag", "value"] < 0.005
 
 
-def test_slope_by_a_lag_of_zero_is_that_above_it():
-    record, layout, value, states = flight_of_sines()
-    at_zero, above = (
-        linearised(record, layout, AIRCRAFT, value | {"servo_lag": lag}, states, DECAY)
-        for lag in (0.0, 1e-3)
-    )
-    j = layout.place("servo_lag")[0]
-    expected = above.innovation_slopes[..., j]
-    assert np.abs(expected).max() > 0.1
-    np.testing.assert_allclose(
-        at_zero.innovation_slopes[..., j], expected, atol=0.1 * np.abs(expected).max()
-    )
-
-
 def test_angle_of_attack_follows_the_gusts():
     found, table, plane = found_in_gusts()
     air = estimate_air_motion(table, as_aircraft(plane), known=found).air
@@ -403,7 +154,8 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
     np.testing.assert_allclose(held.derivatives["value"], found.derivatives["value"])
     np.testing.assert_allclose(held.air["alpha"], out["alpha"])
     lag = found.constants.loc["servo_lag", "value"]
-    np.testing.assert_allclose(out[SURFACES], lagged(table[SURFACES].to_numpy(), lag, 0.02))
+    late = delayed_surfaces(flights_of(table)[0].sensors, table[SURFACES].to_numpy(), lag)
+    np.testing.assert_allclose(out[SURFACES], late)
     assert list(reconstruction().get_feature_names_out()) == [
         name for name in out if name != "alpha_true"
     ]
@@ -471,17 +223,17 @@ def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     np.testing.assert_array_equal(np.isnan(value[:, 0]), [True, False])
 
 
-def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide(monkeypatch):
+def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     table, plane = simulated("0.5 m/s, 1 s", seconds=18.0)
     table, aircraft = table.drop(columns="alpha_true"), as_aircraft(plane)
 
-    def singular(*_):
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    monkeypatch.setattr("skdgp.preprocessing._air_motion.filtered", singular)
+    no_number = AirSettings(first_damping=np.nan)  # so that no step has a solution
     targets = thin_targets(aerodynamic_coefficients(table, aircraft), 300)
     regressor = DependentGPRegressor(structure="trend", random_state=0)
-    model = make_identification_pipeline(aircraft, regressor=regressor, lags=None)
+    step = FlightPathReconstruction(optional=True, aircraft=aircraft, settings=no_number)
+    model = make_identification_pipeline(
+        aircraft, reconstruction=step, regressor=regressor, lags=None
+    )
     with pytest.warns(UserWarning, match="Gusts are not known: The estimate diverged"):
         model.fit(table, targets)
     step = model["flightpathreconstruction"]
@@ -504,10 +256,10 @@ def test_flight_that_is_too_short_to_estimate_gusts_is_in_doubt():
     assert step.doubt_.startswith("Got no record")
 
 
-def test_estimate_that_does_not_converge_is_in_doubt(monkeypatch):
-    monkeypatch.setattr("skdgp.preprocessing._air_motion.MAX_PASSES", 1)
+def test_estimate_that_does_not_converge_is_in_doubt():
     table, plane = simulated("calm", seconds=4.0)
-    step = FlightPathReconstruction(aircraft=as_aircraft(plane))
+    settings = AirSettings(max_passes=1)
+    step = FlightPathReconstruction(aircraft=as_aircraft(plane), settings=settings)
     with pytest.warns(UserWarning, match="Gusts are not known: the estimate did not converge"):
         step.fit(table.drop(columns="alpha_true"))
     assert step.doubt_

@@ -1,0 +1,166 @@
+r"""Small aircraft in gusty air: its equations of motion, and one step of all samples at once.
+
+The velocity relative to the air and the rates, body axes, follow
+
+.. math:: \dot v_a = f + \gamma - \omega \times v_a - R^T \dot w, \quad
+          \dot\gamma = -\omega \times \gamma, \quad
+          \dot\omega = I^{-1} (M - \omega \times I \omega),
+
+with specific force f and moment M of coefficients that are linear in their derivatives, and gravity
+:math:`\gamma` (Stevens, Lewis & Johnson 2016, section 1.7). A sensor at r from the centre of
+gravity reads :math:`f + \dot\omega \times r + \omega \times (\omega \times r)`.
+
+Variables of the derivatives are air velocity, rates, and errors of the six coefficients, 12 numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.frames import air_data, cross, cross_matrix
+from skdgp.dynamics import Aircraft, aerodynamic_loads
+from skdgp.estimation._air_parameters import STATE_TERMS
+
+DIFFERENCE = 1e-6  # of the numerical derivatives; velocities [m/s] move by V times as much
+N_VARIABLES = 12
+AIR = slice(0, 3)
+RATES = slice(3, 6)
+ERRORS = slice(6, 12)
+"""Places of air velocity, rates and errors of the coefficients among the variables."""
+
+
+class Inputs(NamedTuple):
+    """Known inputs of n samples."""
+
+    surfaces: Matrix  # (n, k) deflections [rad]
+    thrust: Matrix  # (n, 6) force [N] and moment [N m] of the engine
+    density: Vector  # (n,) [kg/m^3]
+
+    def part(self, rows: slice) -> Inputs:
+        """Return the inputs of some samples."""
+        return Inputs(*(values[rows] for values in self))
+
+    def between(self, fraction: float) -> Inputs:
+        """Return the inputs of each step, interpolated between its samples."""
+        return Inputs(*((1 - fraction) * v[:-1] + fraction * v[1:] for v in self))
+
+
+class AirMotionModel:
+    """Equations of motion and sensors of an aircraft with coefficients linear in their derivatives.
+
+    Parameters
+    ----------
+    aircraft : Aircraft
+    derivatives : ndarray (6, k)
+        Of CX ... Cn by `STATE_TERMS` and the surfaces.
+    arm : ndarray (3,)
+        Position of the inertial sensors relative to the centre of gravity [m].
+    """
+
+    def __init__(self, aircraft: Aircraft, derivatives: Matrix, arm: Vector) -> None:
+        self.aircraft = aircraft
+        self.derivatives = derivatives
+        self.arm = arm
+
+    @property
+    def by_surfaces(self) -> Matrix:
+        """Derivatives of the coefficients by the surfaces, (6, n_surfaces)."""
+        return self.derivatives[:, len(STATE_TERMS) :]
+
+    def terms(self, air: Array, rates: Array, surfaces: Array) -> Array:
+        """Return the values (..., k) of the terms of the coefficients."""
+        airspeed, alpha, beta = air_data(air)
+        X = np.empty((*alpha.shape, self.derivatives.shape[1]))
+        X[..., 0] = 1.0
+        X[..., 1] = alpha
+        X[..., 2] = alpha**2
+        X[..., 3] = beta
+        X[..., 4:7] = rates * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
+        X[..., 7:] = surfaces
+        return X
+
+    def accelerations(self, air: Array, rates: Array, errors: Array, inputs: Inputs) -> Array:
+        """Return specific force and angular acceleration (..., 6); ``errors`` add to the coefficients."""
+        C = self.terms(air, rates, inputs.surfaces) @ self.derivatives.T + errors
+        airspeed = np.sqrt(np.einsum("...i,...i->...", air, air))
+        force, moment = aerodynamic_loads(C, airspeed, inputs.density, self.aircraft)
+        specific_force = (force + inputs.thrust[:, :3]) / self.aircraft.mass
+        gyroscopic = cross(rates, rates @ self.aircraft.inertia)
+        moment = moment + inputs.thrust[:, 3:] - gyroscopic
+        spin = moment @ self.aircraft.inertia_inverse
+        return np.concatenate([specific_force, spin], axis=-1)
+
+    def coefficients(
+        self, specific_force: Matrix, rates: Matrix, spin: Matrix, air: Matrix, inputs: Inputs
+    ) -> Matrix:
+        """Return the coefficients (n, 6) at which `accelerations` are ``specific_force`` and ``spin``."""
+        aircraft, thrust = self.aircraft, inputs.thrust
+        force = specific_force * aircraft.mass - thrust[:, :3]
+        gyroscopic = cross(rates, rates @ aircraft.inertia)
+        moment = spin @ aircraft.inertia + gyroscopic - thrust[:, 3:]
+        loads = np.concatenate([force, moment / aircraft.moment_lengths], axis=1)
+        return loads / self.force_unit(air, inputs)
+
+    def force_unit(self, air: Matrix, inputs: Inputs) -> Matrix:
+        """Return dynamic pressure times wing area (n, 1) [N]."""
+        pressure = 0.5 * inputs.density * np.sum(air**2, axis=1)
+        return (pressure * self.aircraft.wing_area)[:, None]
+
+    def step(
+        self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, step: Vector
+    ) -> Array:
+        """Return air velocity and rates (..., n - 1, 6) one ``step`` [s] after ``start`` (..., n - 1, 12).
+
+        The method of Runge & Kutta. ``drift`` (n - 1, 3) is the acceleration of the air seen from
+        the aircraft, ``gravity`` (n - 1, 3) that in body axes at the start.
+        """
+        errors = start[..., ERRORS]
+        h = step[:, None]
+        gravity = np.broadcast_to(gravity, (*start.shape[:-1], 3))
+        state = np.concatenate([start[..., AIR], start[..., RATES], gravity], axis=-1)
+        total = np.zeros_like(state)
+        slope = np.zeros_like(state)
+        for fraction, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+            now = state + fraction * h * slope
+            air, rates, down = now[..., AIR], now[..., RATES], now[..., 6:]
+            loads = self.accelerations(air, rates, errors, inputs.between(fraction))
+            air_rate = loads[..., :3] + down - cross(rates, air) + drift
+            slope = np.concatenate([air_rate, loads[..., 3:], -cross(rates, down)], axis=-1)
+            total += weight * slope
+        return (state + h / 6 * total)[..., :6]
+
+    def sensors(self, state: Array, inputs: Inputs) -> Array:
+        """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at states (..., n, 12)."""
+        air, rates = state[..., AIR], state[..., RATES]
+        loads = self.accelerations(air, rates, state[..., ERRORS], inputs)
+        turning = cross(loads[..., 3:], self.arm) + cross(rates, cross(rates, self.arm))
+        force = loads[..., :3] + turning
+        return np.concatenate([force, rates, np.stack(air_data(air), axis=-1)], axis=-1)
+
+    def arm_slopes(self, state: Matrix, inputs: Inputs) -> Array:
+        """Return d specific force / d arm (n, 3, 3)."""
+        rates = state[:, RATES]
+        loads = self.accelerations(state[:, AIR], rates, state[:, ERRORS], inputs)
+        turn = cross_matrix(rates)
+        return cross_matrix(loads[:, 3:]) + turn @ turn
+
+    def lag_and_thrust_slopes(self, air: Matrix, inputs: Inputs, by_lag: Matrix) -> Array:
+        """Return d coefficients / d (lag, thrust_scale), (n, 6, 2), by slopes of the surfaces ``by_lag`` (n, k)."""
+        lengths = np.append(np.ones(3), self.aircraft.moment_lengths)
+        by_thrust = inputs.thrust / lengths / self.force_unit(air, inputs)
+        return np.stack([by_lag @ self.by_surfaces.T, by_thrust], axis=-1)
+
+
+def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:
+    """Return a function (..., n, 12) -> (..., n, k) at states (n, 12), and its derivatives (n, k, 12)."""
+    airspeed = np.sqrt(np.mean(state[:, AIR] ** 2) * 3)
+    moves = np.full(N_VARIABLES, DIFFERENCE)
+    moves[AIR] *= airspeed
+    moved = state + np.concatenate([np.zeros((1, N_VARIABLES)), np.diag(moves)])[:, None]
+    values = function(moved)
+    slopes = (values[1:] - values[0]) / moves[:, None, None]
+    return values[0], np.moveaxis(slopes, 0, -1)

@@ -1,0 +1,414 @@
+r"""estimate_air_motion: derivatives, gusts and wind of flights without vanes, by the filter-error method.
+
+In order: records of the flights with their paths (``_air_records.py``), search for the parameters
+(``_air_fit.py``), covariance of the parameters (``_air_covariance.py``), and smoothed motion of the air
+(``_air_smoothing.py``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.linalg import eigen_root
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import ELEVONS, EULER, HAT, MIXED, RATES, SURFACES, THRUST_FORCES, VANES
+from skdgp._flight.checks import check_columns, check_radians, check_table
+from skdgp._flight.tables import has_values
+from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
+from skdgp.estimation._air_covariance import (
+    add_model_error,
+    add_scale_error,
+    correlated_scatter,
+    inflate_for_misfit,
+    misfit_of,
+    mix_with_prior,
+    sandwich,
+    widen,
+    without_estimate,
+)
+from skdgp.estimation._air_fit import AirFit, FittedRecord, Sums
+from skdgp.estimation._air_linearization import BIASES, Layout
+from skdgp.estimation._air_parameters import (
+    GUST_AXES,
+    OWN,
+    OWN_NOISES,
+    SENSOR_CONSTANTS,
+    SHARED,
+    SHARED_NOISES,
+    STATE_TERMS,
+    TERMS,
+    Gusts,
+    Parameters,
+    coefficient_of,
+    derivatives_of,
+)
+from skdgp.estimation._air_records import TINY, Record, quietest_noise, records_of, shortened
+from skdgp.estimation._air_smoothing import smoothed_air
+from skdgp.estimation._sensors import FORCE, PATH_CHANNELS, RATE, Prior
+from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
+
+DIVERGED = (
+    "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
+    "with inputs of every surface, and look at the signs and units of their sensors."
+)
+MEASURED_THRUST = (
+    0.0,
+    1e-6,
+)  # prior of its scale, where a measured force takes the place of thrust
+
+
+@dataclass(frozen=True)
+class AirMotion:
+    """What the flights of `estimate_air_motion` show.
+
+    Attributes
+    ----------
+    derivatives : DataFrame
+        A row per derivative, such as CZ_alpha [1/rad]: ``value``, ``std``, and ``prior_std``, which
+        ``std`` comes near where the flights cannot tell.
+    covariance : DataFrame
+        Of the derivatives.
+    constants : DataFrame
+        The same columns, of servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
+        sensors arm_x, arm_y, arm_z [m], and for each flight wind and biases.
+    noise : dict of str to float
+        Gusts [m/s], their correlation times [s], and noises of the sensors (SI).
+    air : DataFrame
+        For each row of the table, the smoothed airspeed, alpha, beta, p, q, r, and wind with gusts,
+        and ``_std`` of each; NaN in rows that no record contains. Then specific force, attitude and
+        ground velocity without bias and lag.
+    surfaces : list of str
+        Surfaces of the model.
+    converged : bool
+        Whether the last steps were small. Otherwise the results are not to be used; ``std`` has the
+        prior's variance and the distance from its mean.
+    seconds : float
+        Length of the records.
+    misfit : float
+        Root mean square of the sensors' constants over their prior standard deviations, at least
+        one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge
+        1932).
+    """
+
+    derivatives: pd.DataFrame
+    covariance: pd.DataFrame
+    constants: pd.DataFrame
+    noise: dict[str, float]
+    air: pd.DataFrame
+    surfaces: list[str]
+    converged: bool
+    seconds: float
+    misfit: float = 1.0
+
+    @property
+    def summary(self) -> str:
+        """What was found, in one line.
+
+        For example "gusts 1.0 m/s rms, 20 m; wind 3.6 m/s from 326 deg; servos 47 ± 2 ms late".
+        """
+        gust, length = self.gusts
+        north, east = self.constants["value"].loc[["wind_north 0", "wind_east 0"]].to_numpy(float)
+        origin = np.rad2deg(np.arctan2(-east, -north)) % 360
+        servo = self.constants.loc["servo_lag"]
+        parts = [
+            f"gusts {gust:.1f} m/s rms, {length:.0f} m",
+            f"wind {np.hypot(north, east):.1f} m/s from {origin:.0f} deg",
+            f"servos {1e3 * servo['value']:.0f} ± {1e3 * servo['std']:.0f} ms late",
+        ]
+        if not self.converged:
+            parts.append("not converged: do not use")
+        elif self.misfit > 1:
+            wider = f"{self.misfit:.1f} times as wide"
+            parts.append(f"sensors' constants are improbable: bands {wider}")
+        return "; ".join(parts)
+
+    @property
+    def gusts(self) -> tuple[float, float]:
+        """Intensity of the gusts of the first flight [m/s], and the length [m] over which they fall to 1/e."""
+        gusts = self._gusts(0)
+        std = np.sqrt(np.mean(gusts.slow_std**2 + gusts.fast_std**2))
+        # correlation of the horizontal gusts, over that of their slow part
+        slow_time = gusts.slow_time[0]
+        fast_variance = self.noise["fast_h"] ** 2
+        times = np.geomspace(0.01, 10.0, 500) * slow_time
+        fast = fast_variance * np.exp(-times / slow_time / self.noise["faster_h"])
+        correlation = np.exp(-times / slow_time) + fast
+        time = times[np.argmax(correlation < (1 + fast_variance) * np.exp(-1.0))]
+        return float(std), float(time * np.nanmean(self.air["airspeed"]))
+
+    def slopes(
+        self, coefficients: Sequence[str], regressors: Sequence[str]
+    ) -> tuple[Matrix, Array]:
+        """Return slopes (P, d) at the mean of alpha, NaN where there are none, and their errors (P, d, k).
+
+        ``regressors`` are alpha, beta, p_hat, q_hat, r_hat and surfaces. An error is the sum of its
+        last axis times independent standard normal numbers.
+        """
+        alpha = float(np.nanmean(self.air["alpha"]))
+        names = list(self.derivatives.index)
+        value = self.derivatives["value"].to_numpy()
+        columns = np.column_stack([value, eigen_root(self.covariance.to_numpy())])
+        out = np.full((len(coefficients), len(regressors), columns.shape[1]), np.nan)
+        for i, coefficient in enumerate(coefficients):
+            for j, regressor in enumerate(map(str, regressors)):
+                name = f"{coefficient}_{regressor.removesuffix(HAT)}"
+                if name in names and regressor not in RATES:
+                    out[i, j] = columns[names.index(name)]
+                curvature = f"{coefficient}_alpha2"
+                if regressor == "alpha" and curvature in names:
+                    out[i, j] += 2 * alpha * columns[names.index(curvature)]
+        return out[..., 0], np.nan_to_num(out[..., 1:])
+
+    def gust_change(self, flight: int) -> float:
+        """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
+        gusts = self._gusts(flight)
+        slow = 2 * gusts.slow_std**2 * -np.expm1(-1 / gusts.slow_time)
+        fast = 2 * gusts.fast_std**2 * -np.expm1(-1 / gusts.fast_time)
+        return float(np.sqrt(np.mean(slow + fast)))
+
+    def _gusts(self, flight: int) -> Gusts:
+        """Return the gusts of a flight, NaN if unknown."""
+        own = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
+        return Gusts.of({**self.noise, **own})
+
+
+def estimate_air_motion(
+    table: pd.DataFrame,
+    aircraft: Aircraft,
+    *,
+    terms: Mapping[str, Sequence[str]] | None = None,
+    thrust: str | None = "auto",
+    known: AirMotion | None = None,
+    settings: AirSettings = AIR_SETTINGS,
+) -> AirMotion:
+    r"""Estimate derivatives, gusts, wind and lag of the servos from flights with or without vanes.
+
+    The filter-error method (Maine & Iliff 1981; Jategaonkar 2015, chapter 5). Coefficients are
+    linear in derivatives :math:`\theta`; gusts are Gauss-Markov processes. With innovations
+    :math:`e_k` of an extended Kalman filter, of covariance :math:`S_k`, and
+    :math:`D_k = \partial e_k / \partial \theta` at given gains, the derivatives solve
+
+    .. math:: \sum_k Z_k^T e_k + \Lambda (\theta - \theta_0) = 0, \quad
+              Z_k = L_k^{-T} P (L_k^{-1} D_k), \quad S_k = L_k L_k^T,
+
+    where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
+    variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
+    gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot answers
+    gusts: the part of the surfaces that past innovations explain is left out of it. Noises maximise the
+    likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound what a flight does
+    not tell. The covariance is
+    :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
+    larger, times the square of `AirMotion.misfit`, and 4 % of each derivative are added for what a
+    linear model leaves out. All slopes by
+    alpha, and all by beta, share an error of 2 % of the scale of the angle. Where surfaces hardly move
+    a term, so that errors of path and sensors make most of its motion, ``std`` approaches ``prior_std``.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Flights with time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed,
+        density, surfaces (deflections or commands), thrust or what it follows from; ``flight``
+        names them. alpha and beta are used where they are. SI, radians. Of flights of more than
+        12,000 samples at 50 to 100 Hz, the first parts of the records are used.
+    aircraft : Aircraft
+    terms : mapping of str to sequence of str, optional
+        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces.
+    thrust : str or None, default="auto"
+        As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
+        measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
+    known : AirMotion, optional
+        Of other flights of the aircraft. Derivatives, lag of the servos and noise of the sensors
+        are held at its values; winds, biases and gusts are those of the given flights.
+    settings : AirSettings
+
+    Returns
+    -------
+    AirMotion
+
+    Raises
+    ------
+    ValueError
+        If no record has 100 samples without a gap, or the estimate diverges.
+    """
+    check_aircraft(aircraft)
+    check_columns(check_table(table), ["time", *PATH_CHANNELS, "density"])
+    check_radians(table, (*EULER, *RATES, *VANES))
+    table = _with_elevator_and_aileron(table)
+    has_thrust = thrust is not None and _has_thrust(table, aircraft)
+    loads = propulsive_loads(table, aircraft, thrust if has_thrust else None)
+    if known is None:
+        surfaces = [
+            name for name in SURFACES if has_values(table, name) and np.ptp(table[name]) > 0
+        ]
+        fewest = settings.fewest_samples
+    else:
+        surfaces, fewest = known.surfaces, 2
+    records = records_of(table, surfaces, np.concatenate(loads, axis=1), fewest, settings)
+    if not records:
+        raise ValueError(
+            f"Got no record of {settings.fewest_samples} samples without a gap, but expected one: "
+            "give a longer flight."
+        )
+    if known is None:
+        records = shortened(records, settings)
+        derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
+    else:
+        derivatives = _as_prior(known.derivatives)
+    if not has_thrust:
+        records = [record.with_axial_force(aircraft.mass) for record in records]
+        derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
+    layout = Layout.of(list(derivatives), surfaces)
+    n_flights = 1 + max(record.flight for record in records)
+    parameters = _parameters(derivatives, known, n_flights)
+    noises = _noises(records, known, n_flights, settings)
+    for n_before in settings.attempts:
+        with contextlib.suppress(np.linalg.LinAlgError):
+            fit = AirFit(records, aircraft, layout, parameters, noises, settings)
+            converged = fit.search(n_before)
+            return _air_motion(fit, converged, surfaces, len(table))
+    raise ValueError(DIVERGED)
+
+
+def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table with elevator and aileron of its elevons, where it has no others."""
+    if not {*ELEVONS} <= {*table} or {*MIXED} & {*table}:
+        return table
+    left, right = (table[name] for name in ELEVONS)
+    return table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)
+
+
+def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
+    """Return whether thrust is in the table, or follows from the propeller."""
+    if any(has_values(table, name) for name in ("thrust", *THRUST_FORCES)):
+        return True
+    return propeller_speed_of(aircraft.propeller, table) is not None
+
+
+def _as_prior(estimates: pd.DataFrame) -> Prior:
+    """Return value and standard deviation of estimates by name."""
+    return {str(name): (row["value"], row["std"]) for name, row in estimates.iterrows()}
+
+
+def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
+    """Return the parameters of some flights; those of a known aircraft are held."""
+    shared = dict(SHARED)
+    n_held = 0
+    if "CX" not in map(coefficient_of, derivatives):
+        shared["thrust_scale"] = MEASURED_THRUST
+    if known is not None:
+        shared = dict(_as_prior(known.constants.loc[list(SHARED)]))
+        n_held = len(derivatives) + len(shared)
+    return Parameters.of(dict(derivatives) | shared, OWN, n_flights, n_held)
+
+
+def _noises(
+    records: list[Record], known: AirMotion | None, n_flights: int, settings: AirSettings
+) -> Parameters:
+    """Return the noises of some flights, as priors; those of a known aircraft are held."""
+    if known is not None:
+        shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
+        return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
+    shared = dict(SHARED_NOISES)
+    for names, columns in ((("ax", "ay", "az"), FORCE), (("gyro",), RATE)):
+        median = quietest_noise(records, columns, settings.least_noise)
+        for name in names:
+            shared[name] = (median, SHARED_NOISES[name][1])
+    return Parameters.of(shared, OWN_NOISES, n_flights)
+
+
+def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
+    """Return the result of a search, from one more pass at its parameters."""
+    sums, fitted = fit.run()
+    learned = converged and not fit.is_known
+    prior_std = fit.parameters.std
+    nd = fit.layout.n_derivatives
+    misfit = _misfit(fit) if learned else 1.0
+    covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
+    if converged:
+        covariance = _covariance(sums)
+    if learned:
+        covariance = inflate_for_misfit(covariance, misfit)
+        covariance = _with_model_errors(covariance, fit)
+    air = smoothed_air(fit, fitted, covariance, n_rows)
+    if learned:
+        fraction = np.zeros(len(prior_std))
+        fraction[:nd] = _error_fractions(fit, fitted)
+        covariance = mix_with_prior(covariance, prior_std, fraction)
+    names = fit.parameters.names
+    std = np.sqrt(np.diag(covariance))
+    if not fit.is_known:
+        std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
+    columns = {"value": fit.x, "std": std, "prior_std": prior_std}
+    estimates = pd.DataFrame(columns, index=names)
+    return AirMotion(
+        derivatives=estimates[:nd],
+        covariance=pd.DataFrame(covariance[:nd, :nd], index=names[:nd], columns=names[:nd]),
+        constants=estimates[nd:],
+        noise=fit.noise_search.values,
+        air=air,
+        surfaces=surfaces,
+        converged=converged,
+        seconds=sum(record.seconds for record in fit.records),
+        misfit=misfit,
+    )
+
+
+def _covariance(sums: Sums) -> Matrix:
+    """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
+    covariance = sandwich(sums.information, sums.scatter)
+    by_blocks = sandwich(sums.information, correlated_scatter(np.concatenate(sums.blocks)))
+    return widen(covariance, by_blocks)
+
+
+def _misfit(fit: AirFit) -> float:
+    """Return the misfit of the sensors' constants."""
+    is_of_sensor = [name.split()[0] in SENSOR_CONSTANTS for name in fit.parameters.names]
+    offset = fit.x - fit.parameters.mean
+    return misfit_of(offset[is_of_sensor], fit.parameters.std[is_of_sensor])
+
+
+def _with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
+    """Return the covariance with errors of a linear model, and of the scale of angles without a vane."""
+    settings = fit.settings
+    derivatives = fit.x[: fit.layout.n_derivatives]
+    covariance = add_model_error(covariance, derivatives, settings.model_error)
+    for vane in VANES:
+        place = BIASES[f"{vane}_bias"]
+        if not any(record.sampled[place] for record in fit.records):
+            slopes = fit.layout.is_by(vane) * derivatives
+            covariance = add_scale_error(covariance, slopes, settings.angle_error)
+    return covariance
+
+
+def _error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
+    """Return the fraction (p,) of errors of path and sensors in the variance of each derivative's term.
+
+    One where surfaces do not move the term: an error then looks like motion.
+    """
+    motion = []
+    for item in fitted:
+        # in the motion without the answers to gusts that the last innovations show
+        response = fit.linearized(item.record, item.linear.states).response
+        motion.append(response - response.mean(axis=0))
+    variance = np.concatenate(motion).var(axis=0)
+    velocity = np.concatenate([item.record.velocity for item in fitted])
+    speed = np.linalg.norm(velocity, axis=1).mean()
+    error = _term_errors(fit, speed, len(variance))
+    fraction = error**2 / np.maximum(error**2 + variance, TINY)
+    fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
+    return fraction[fit.layout.columns]
+
+
+def _term_errors(fit: AirFit, speed: float, n_terms: int) -> Vector:
+    """Return the errors of the terms (n_terms,) of the coefficients by path, rates and surfaces."""
+    settings = fit.settings
+    angle = settings.velocity_error / speed
+    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
+    error = np.full(n_terms, settings.surface_error)
+    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
+    return error

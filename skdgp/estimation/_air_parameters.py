@@ -1,0 +1,170 @@
+"""Parameters of the filter-error method, with their priors: derivatives, constants and noises.
+
+Derivatives and constants of sensors and servos are shared by all flights of an aircraft; wind and
+biases of rates belong to one flight. Noises likewise: gusts are two Gauss-Markov processes on each axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
+from skdgp.estimation._sensors import AIR_NOISE, AIR_SENSOR_ERRORS, RATE_BIASES, WIND_STD, Prior
+
+STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r")
+"""Terms of a coefficient before those of the surfaces."""
+TERMS: dict[str, tuple[str, ...]] = {
+    "CX": ("0", "alpha", "alpha2"),
+    "CY": ("0", "beta", "p", "r", "rudder"),
+    "CZ": ("0", "alpha", "q", "elevator"),
+    "Cl": ("0", "beta", "p", "r", "aileron", "rudder"),
+    "Cm": ("0", "alpha", "q", "elevator"),
+    "Cn": ("0", "beta", "p", "r", "aileron", "rudder"),
+}
+"""Terms of each coefficient; those of surfaces that a flight lacks are left out."""
+DERIVATIVES: Prior = {
+    "CX_alpha": (0.2, 1.0), "CX_alpha2": (0.0, 5.0), "CY_beta": (-0.5, 0.5), "CY_p": (0.0, 0.5),
+    "CY_r": (0.1, 0.5), "CZ_alpha": (-4.5, 1.5), "CZ_q": (-5.0, 10.0), "CZ_elevator": (-0.2, 0.5),
+    "Cl_beta": (-0.05, 0.1), "Cl_p": (-0.4, 0.3), "Cl_r": (0.1, 0.2), "Cm_alpha": (-0.5, 0.7),
+    "Cm_q": (-8.0, 10.0), "Cn_beta": (0.06, 0.1), "Cn_p": (-0.03, 0.2), "Cn_r": (-0.1, 0.2),
+}  # fmt: skip
+"""Of small aircraft (Beard & McLain 2012, appendix E; Paw 2009), with wide standard deviations [1/rad]."""
+OTHER_DERIVATIVE = (0.0, 1.0)
+WINDS = ("wind_north", "wind_east", "wind_down")
+PITOT = ("airspeed_scale", "wind_north", "wind_east")
+ARM = ("arm_x", "arm_y", "arm_z")
+SHARED: Prior = {
+    "servo_lag": (0.03, 0.05),  # [s]
+    "thrust_scale": (0.0, 0.1),
+    **AIR_SENSOR_ERRORS,
+}
+"""Constants of an aircraft and its sensors."""
+OWN: Prior = {
+    "wind_north": (0.0, WIND_STD),  # steady [m/s]
+    "wind_east": (0.0, WIND_STD),
+    "wind_down": (0.0, 0.1),
+    **RATE_BIASES,
+}
+"""Constants of a flight."""
+SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", *RATE_BIASES)
+"""Constants whose priors hold for any flight, with a mean of zero."""
+SHARED_NOISES: Prior = {
+    "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
+    "time_v": (1.5, 0.8),
+    "fast_h": (0.1, 0.5),  # intensity of the faster part of gusts, over that of the slower one
+    "fast_v": (0.1, 0.5),
+    "faster_h": (0.2, 0.5),  # its correlation time, over that of the slower one
+    "faster_v": (0.2, 0.5),
+    "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
+    "drive_q": (0.02, 1.0),
+    "drive_r": (0.02, 1.0),
+    "surface": (0.05, 1.0),  # error of a surface's position, in its change within a step
+    **AIR_NOISE,
+}
+OWN_NOISES: Prior = {
+    "gust_north": (0.5, 1.5),  # [m/s]
+    "gust_east": (0.5, 1.5),
+    "gust_down": (0.5, 1.5),
+    "path_y": (0.1, 1.0),  # air velocity that errors of attitude and ground path make, body axes
+    "path_z": (0.1, 0.6),
+}
+GUST_AXES = ("gust_north", "gust_east", "gust_down")
+PATH_ERRORS = ("path_y", "path_z")
+
+
+class Parameters(NamedTuple):
+    """Parameters of some flights: those that all share, and those of each."""
+
+    names: list[str]
+    mean: Vector  # (p,)
+    std: Vector  # (p,)
+    places: Indices  # (n_flights, k) of the k parameters of each flight
+    local_names: list[str]
+    n_held: int  # the first ones, which are not estimated
+
+    @classmethod
+    def of(cls, shared: Prior, own: Prior, n_flights: int, n_held: int = 0) -> Parameters:
+        """Return the parameters of ``n_flights`` flights."""
+        priors = dict(shared)
+        places = []
+        for flight in range(n_flights):
+            first = len(priors)
+            priors |= {f"{name} {flight}": prior for name, prior in own.items()}
+            places.append([*range(len(shared)), *range(first, len(priors))])
+        mean, std = np.array(list(priors.values())).T.copy()
+        return cls([*priors], mean, std, np.array(places), [*shared, *own], n_held)
+
+    def values(self, x: Array, flight: int) -> dict[str, Array]:
+        """Return the values (...) of the parameters of one flight, from all (..., p)."""
+        local = np.moveaxis(x[..., self.places[flight]], -1, 0)
+        return dict(zip(self.local_names, local, strict=True))
+
+    def places_of(self, flight: int, names: Sequence[str]) -> Indices:
+        """Return the places of parameters of a flight by name."""
+        return self.places[flight][[self.local_names.index(name) for name in names]]
+
+    def free_places(self, flight: int) -> Indices:
+        """Return the places of the parameters of a flight that are estimated."""
+        places = self.places[flight]
+        return places[places >= self.n_held]
+
+    @property
+    def free(self) -> slice:
+        """Places of all parameters that are estimated."""
+        return slice(self.n_held, None)
+
+
+class Gusts(NamedTuple):
+    """Gusts north, east, down: a slow and a fast Gauss-Markov process, (..., 3)."""
+
+    slow_std: Array  # [m/s]
+    slow_time: Array  # [s]
+    fast_std: Array
+    fast_time: Array
+
+    @classmethod
+    def of(cls, value: Mapping[str, Any]) -> Gusts:
+        """Return the gusts of noises by name."""
+        slow_std = stacked(value, *GUST_AXES)
+        slow_time = stacked(value, "time_h", "time_h", "time_v")
+        fast_std = slow_std * stacked(value, "fast_h", "fast_h", "fast_v")
+        fast_time = slow_time * stacked(value, "faster_h", "faster_h", "faster_v")
+        return cls(slow_std, slow_time, fast_std, fast_time)
+
+
+def stacked(value: Mapping[str, Any], *names: str) -> Array:
+    """Return values by name along the last axis."""
+    return np.stack([value[name] for name in names], axis=-1)
+
+
+def coefficient_of(derivative: str) -> str:
+    """Return the coefficient of a derivative, such as CZ of CZ_alpha."""
+    return derivative.split("_", 1)[0]
+
+
+def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) -> Prior:
+    """Return the priors of the derivatives of all terms but those of surfaces that are not there."""
+    missing = {*SURFACES} - {*surfaces}
+    priors = {}
+    for coefficient in COEFFICIENTS:
+        for term in terms[coefficient]:
+            if term not in missing:
+                name = f"{coefficient}_{term}"
+                priors[name] = DERIVATIVES.get(name, OTHER_DERIVATIVE)
+    return priors
+
+
+def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:
+    """Return prior standard deviations (P, d) of derivatives, NaN where `TERMS` has none."""
+    priors = derivatives_of(TERMS, SURFACES)
+    stds = np.full((len(coefficients), len(regressors)), np.nan)
+    for i, coefficient in enumerate(coefficients):
+        for j, regressor in enumerate(regressors):
+            name = f"{coefficient}_{str(regressor).removesuffix(HAT)}"
+            if name in priors:
+                stds[i, j] = priors[name][1]
+    return stds

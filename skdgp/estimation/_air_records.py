@@ -1,0 +1,221 @@
+"""Records of the filter-error method: gap-free samples of a flight, its path over the ground, and its inputs.
+
+Biases of the inertial sensors and lags of GPS and attitude are taken out by the path, which needs no
+aerodynamics. Surfaces follow their commands by servos of first order; an autopilot moves them in answer to
+gusts.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.signal import lfilter
+
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.channels import AIR_DATA
+from skdgp._flight.checks import numeric
+from skdgp._flight.tables import interpolate_missing
+from skdgp.estimation._air_model import Inputs
+from skdgp.estimation._path import estimate_path
+from skdgp.estimation._sensors import (
+    DIFFERENCE_GAIN,
+    DIFFERENCES,
+    GUSTS,
+    INERTIAL_BIASES,
+    LAGS,
+    PATH_NOISE,
+    RATE,
+    FlightSensors,
+    flights_of,
+)
+from skdgp.estimation._settings import AirSettings
+
+TINY = 1e-300  # avoids a division by zero
+LEAST_LAG = 1e-4  # s, of a servo
+LAG_DIFFERENCE = 1e-4  # s, of slopes by the lag
+
+
+class Record(NamedTuple):
+    """n samples of a flight without a gap, and its path over the ground."""
+
+    flight: int
+    rows: Indices  # (n,) of the table
+    time: Vector  # (n,) [s]
+    velocity: Matrix  # (n, 3) over the ground, body axes [m/s]
+    attitude: Array  # (n, 3, 3) NED to body
+    measured: Matrix  # (n, 9) of the sensors, without biases of the path; NaN where not sampled
+    inputs: Inputs  # as logged
+    answers: Matrix | None = None  # (n, k) part of the surfaces by which an autopilot answers gusts
+
+    def part(self, rows: slice) -> Record:
+        """Return some samples."""
+        flight, *arrays, inputs, _ = self
+        parts = [values[rows] for values in arrays]
+        return Record._make([flight, *parts, inputs.part(rows), None])
+
+    def with_axial_force(self, mass: float) -> Record:
+        """Return the record with the measured axial force in place of thrust and CX."""
+        measured = self.measured.copy()
+        thrust = self.inputs.thrust.copy()
+        thrust[:, 0] = mass * measured[:, 0]
+        measured[:, 0] = np.nan
+        return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
+
+    def with_answers(self, innovation: Matrix, settings: AirSettings) -> Record:
+        """Return the record with the part of its surfaces that innovations (n - 1, m) up to each sample explain.
+
+        By least squares on sums of the innovations over bins of the past, wider the earlier. Other
+        motion of a surface is a first-order process of the surface's own correlation (Cochrane &
+        Orcutt 1949): inputs hold their values for a while.
+        """
+        X = _past_sums(innovation, self.median_step, settings)
+        surfaces = self.inputs.surfaces - self.inputs.surfaces.mean(axis=0)
+        answers = np.empty_like(surfaces)
+        for k, surface in enumerate(surfaces.T):
+            residual = surface - X @ _least_squares(X, surface)
+            rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, TINY)
+            X_rest = X[1:] - rho * X[:-1]
+            rest = surface[1:] - rho * surface[:-1]
+            answers[:, k] = X @ _least_squares(X_rest, rest)
+        return self._replace(answers=answers)
+
+    def earth_velocity(self) -> Matrix:
+        """Return the velocity over the ground north, east, down (n, 3)."""
+        to_earth = self.attitude.mT
+        return (to_earth @ self.velocity[..., None])[..., 0]
+
+    @property
+    def step(self) -> Vector:
+        """Steps of the clock (n - 1,) [s]."""
+        return np.diff(self.time)
+
+    @property
+    def rates(self) -> Matrix:
+        """Measured rates (n, 3) [rad/s]."""
+        return self.measured[:, RATE]
+
+    @property
+    def seconds(self) -> float:
+        """Length [s]."""
+        return float(self.step.sum())
+
+    @property
+    def median_step(self) -> float:
+        """Usual step [s]."""
+        return float(np.median(self.step))
+
+    @property
+    def sampled(self) -> Mask:
+        """Whether a sensor has any sample, (9,)."""
+        return np.any(np.isfinite(self.measured[1:]), axis=0)
+
+
+def _past_sums(innovation: Matrix, step: float, settings: AirSettings) -> Matrix:
+    """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample."""
+    n = len(innovation) + 1
+    reach = max(settings.answer_time / step, 2.0)
+    edges = np.unique(np.geomspace(1, reach, settings.answer_bins).round().astype(int))
+    edges = np.append(0, edges)
+    before = np.zeros((edges[-1] + 2, innovation.shape[1]))
+    total = np.cumsum(np.concatenate([before, innovation]), axis=0)
+    at = np.arange(n) + edges[-1] + 1
+    sums = [total[at - early] - total[at - late] for early, late in pairwise(edges)]
+    return np.concatenate(sums, axis=1)
+
+
+def _least_squares(X: Matrix, y: Vector) -> Vector:
+    """Return the least-squares coefficients of y by X."""
+    return np.asarray(np.linalg.lstsq(X, y, rcond=None)[0], dtype=float)
+
+
+def records_of(
+    table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: int, settings: AirSettings
+) -> list[Record]:
+    """Return the records of a table with propulsive ``loads`` (n, 6) that have ``fewest`` samples or more."""
+    deflections = numeric(table, surfaces)
+    density = numeric(table, ["density"])
+    known = np.concatenate([deflections, loads, density], axis=1)
+    vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
+    records = []
+    for number, flight in enumerate(flights_of(table)):
+        sensors = flight.sensors.without_air_data()
+        # of the sensors without air data
+        learn = PATH_NOISE.keys() - {*AIR_DATA}
+        free = [*INERTIAL_BIASES, *LAGS]
+        path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
+        measured = np.column_stack([*path.inertial(sensors), vanes[flight.rows]])
+        values = interpolate_missing(sensors.time, known[flight.rows])
+        k = len(surfaces)
+        attitude = path.attitude.as_matrix().mT
+        whole = Record(
+            flight=number,
+            rows=flight.rows,
+            time=sensors.time,
+            velocity=(attitude @ path.velocity[..., None])[..., 0],
+            attitude=attitude,
+            measured=measured,
+            inputs=Inputs(values[:, :k], values[:, k:-1], values[:, -1]),
+        )
+        for rows in sensors.segments():
+            if len(rows) >= fewest:
+                records.append(whole.part(_thinned(sensors.time, rows, settings.sample_rate)))
+    return records
+
+
+def _thinned(time: Vector, rows: Indices, sample_rate: float) -> slice:
+    """Return the samples of a segment at one to two times the sample rate, or at its own."""
+    rate = (len(rows) - 1) / np.ptp(time[rows])
+    stride = max(1, int(rate / sample_rate + 1e-6))
+    return slice(rows[0], rows[-1] + 1, stride)
+
+
+def shortened(records: list[Record], settings: AirSettings) -> list[Record]:
+    """Return the first part of each record, ``settings.most_samples`` samples together."""
+    fraction = settings.most_samples / sum(len(record.rows) for record in records)
+    shorter = []
+    for record in records:
+        n = max(settings.fewest_samples, int(fraction * len(record.rows)))
+        shorter.append(record.part(slice(n)))
+    return shorter
+
+
+def quietest_noise(records: list[Record], sensors: slice, least: float) -> float:
+    """Return the standard deviation of white noise of the quietest of some sensors.
+
+    Gusts shake one axis more than another; all have the same sensor.
+    """
+    differences = [np.diff(record.measured[:, sensors], DIFFERENCES, axis=0) for record in records]
+    squares = np.mean(np.concatenate(differences) ** 2, axis=0)
+    return float(max(np.sqrt(np.nanmin(squares) / DIFFERENCE_GAIN), least))
+
+
+def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
+    """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
+    r = max(lag, LEAST_LAG) / step
+    a = np.exp(-1 / r)
+    numerator = [1 - (1 - a) * r, (1 - a) * r - a]
+    denominator = [1, -a]
+    return lfilter(numerator, denominator, surfaces - surfaces[0], axis=0) + surfaces[0]
+
+
+def servo_slopes(surfaces: Matrix, lag: float, step: float) -> tuple[Matrix, Matrix]:
+    """Return the outputs (n, k) of servos, and their derivatives by the lag."""
+    lag = max(lag, LEAST_LAG)
+    output = servo_output(surfaces, lag, step)
+    later = servo_output(surfaces, lag + LAG_DIFFERENCE, step)
+    return output, (later - output) / LAG_DIFFERENCE
+
+
+def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Matrix:
+    """Return the outputs (n, k) of servos with a first-order lag [s], by gap-free segments."""
+    out = np.empty_like(surfaces)
+    surfaces = interpolate_missing(sensors.time, surfaces)
+    for rows in sensors.segments():
+        step = 1.0
+        if len(rows) > 1:
+            step = float(np.median(np.diff(sensors.time[rows])))
+        out[rows] = servo_output(surfaces[rows], lag, step)
+    return out

@@ -1,0 +1,155 @@
+r"""What flights show before the filter runs: steady wind, scale of the pitot, and derivatives in steady wind.
+
+Airspeed V is the speed over the ground less the steady wind w, but for gusts and a scale error s,
+
+.. math:: (1 + s) |v - w| - V = 0.
+
+In steady wind the coefficients follow from specific force and rates by inverse dynamics, and their
+derivatives by least squares.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp.dynamics import Aircraft
+from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
+from skdgp.estimation._air_parameters import PITOT, SHARED, Parameters
+from skdgp.estimation._air_records import Record
+from skdgp.estimation._sensors import AIRSPEED, FORCE
+from skdgp.estimation._settings import AirSettings
+
+RATE_WINDOW = 0.05  # s, half of the moving mean of the rates before they are differentiated
+
+
+class SteadyWind(NamedTuple):
+    """Scale of the pitot and steady wind of a flight."""
+
+    pitot: Vector  # (3,) of `PITOT`
+    variance: float  # of a sample of the airspeed [m^2/s^2]
+
+
+def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
+    """Return the derivatives by `PITOT` of the airspeed in a steady wind less the measured one, and this error."""
+    sampled = np.isfinite(record.measured[:, AIRSPEED])
+    scale, north, east = pitot
+    air = record.earth_velocity()[sampled] - [north, east, 0.0]
+    speed = np.linalg.norm(air, axis=1)
+    by_wind = -(1 + scale) * air[:, :2] / speed[:, None]
+    error = (1 + scale) * speed - record.measured[sampled, AIRSPEED]
+    return np.column_stack([speed, by_wind]), error
+
+
+def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
+    """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton, five steps).
+
+    Gusts correlate over seconds: a sample has the variance of a mean over ``settings.gust_window``,
+    times the samples of the mean, so that n samples tell as much as they do.
+    """
+    _, scale_std = SHARED["airspeed_scale"]
+    prior = np.diag([settings.pitot_noise / scale_std, 0.1, 0.1])
+    pitot = np.zeros(3)
+    for _ in range(5):
+        slopes, errors = [prior], [prior @ pitot]
+        for record in records:
+            by_pitot, error = airspeed_error(record, pitot)
+            slopes.append(by_pitot)
+            errors.append(error)
+        residual = np.concatenate(errors)
+        pitot = pitot - np.linalg.lstsq(np.vstack(slopes), residual, rcond=None)[0]
+    error = residual[len(prior) :]
+    least = settings.least_pitot_std**2
+    if not len(error):
+        return SteadyWind(pitot, least)
+    seconds = sum(record.seconds for record in records)
+    width = max(1, int(len(error) * min(settings.gust_window / seconds, 0.25)))
+    means = uniform_filter1d(error, width, mode="nearest")
+    variance = max(width * float(means.var()), float(error.var()), least)
+    return SteadyWind(pitot, variance)
+
+
+class SteadyRegression:
+    """Coefficients of records by inverse dynamics in steady wind, and their regressors."""
+
+    def __init__(self, aircraft: Aircraft, layout: Layout, parameters: Parameters) -> None:
+        self.aircraft = aircraft
+        self.layout = layout
+        self.parameters = parameters
+
+    def __call__(self, record: Record, x: Vector) -> tuple[Matrix, Matrix]:
+        """Return terms (n, f) and coefficients (n, 6) at parameters x."""
+        value = self.parameters.values(x, record.flight)
+        air, _ = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
+        width = 2 * round(RATE_WINDOW / record.median_step) + 1
+        smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
+        elapsed = np.append(0.0, np.cumsum(record.step))
+        spin = np.gradient(smooth, elapsed, axis=0)
+        model = self.layout.model(self.aircraft, value)
+        force = record.measured[:, FORCE]
+        coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
+        return model.terms(air, record.rates, record.inputs.surfaces), coefficients
+
+    def derivatives(self, records: list[Record], x: Vector) -> Vector:
+        """Return parameters with derivatives by least squares, but slopes by alpha and beta as in x.
+
+        In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
+        """
+        terms, coefficients = [], []
+        for record in records:
+            X, C = self(record, x)
+            terms.append(X)
+            coefficients.append(C)
+        X, C = np.concatenate(terms), np.concatenate(coefficients)
+        x = x.copy()
+        columns = self.layout.columns
+        by_air = self.layout.is_by("alpha", "beta")
+        for row in range(6):
+            of_row = self.layout.rows == row
+            held = np.flatnonzero(of_row & by_air)
+            free = np.flatnonzero(of_row & ~by_air)
+            if not len(free):
+                continue
+            rest = C[:, row] - X[:, columns[held]] @ x[held]
+            x[free] = np.linalg.lstsq(X[:, columns[free]], rest, rcond=None)[0]
+        return x
+
+
+class LinearEquation(NamedTuple):
+    """Equations slopes @ (x - x0) + residual = 0 of some parameters, with the variance of each."""
+
+    places: Indices
+    slopes: Matrix
+    residual: Vector
+    variance: float
+
+
+def mean_lift(
+    record: Record, x: Vector, regression: SteadyRegression, settings: AirSettings
+) -> LinearEquation:
+    """Return the equation that the mean lift of a record is that of steady wind, but for a mean vertical gust.
+
+    Alpha shows in forces alone, so that its mean and CZ_0 would not be told apart.
+    """
+    X, C = regression(record, x)
+    places = regression.layout.of_coefficient("CZ")
+    slopes = X.mean(axis=0)[regression.layout.columns[places]]
+    residual = slopes @ x[places] - C[:, 2].mean()
+    speed = np.linalg.norm(record.velocity, axis=1).mean()
+    std = settings.lift_slope * settings.mean_gust / speed
+    return LinearEquation(places, slopes[None], np.array([residual]), std**2)
+
+
+def pitot_equation(
+    record: Record, x: Vector, parameters: Parameters, variance: float
+) -> LinearEquation:
+    """Return the equations of the airspeed in a steady wind.
+
+    Turns tell wind and scale, without coefficients or attitudes, and instruments hardly show them.
+    """
+    places = parameters.places_of(record.flight, PITOT)
+    slopes, error = airspeed_error(record, x[places])
+    return LinearEquation(places, slopes, error, variance)

@@ -1,0 +1,257 @@
+r"""Extended Kalman filter and smoother of the filter-error method, linear about the last pass.
+
+The nonlinear functions are evaluated for all samples at once, at the states X of the pass before
+(``_air_linearization.py``); the loop over time is a linear filter of the deviation x from X,
+
+.. math:: x_{k+1} = \Phi_k x_k + c_k + w_k, \quad y_k = H_k x_{k+1}^- + v_k, \quad
+          w_k \sim N(0, Q_k), \quad v_k \sim N(0, R_k),
+
+whose step predicts and corrects (Kalman 1960; Jategaonkar 2015, chapter 5):
+
+.. math:: P^- = \Phi P \Phi^T + Q, \quad S = H P^- H^T + R, \quad K = P^- H^T S^{-1}, \quad
+          P = P^- - K H P^-.
+
+At the fixed point of the passes this is the extended Kalman filter. Each sample is used twice: its
+innovation, for the estimation, is the error of a prediction from earlier samples alone; the update of
+the state also knows the recorded motion over the ground. A gust moves the aircraft within the step,
+so an innovation that knows this motion would have part of the gust taken out of it.
+
+n samples, N states, m sensors, p parameters, s sets of noises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Matrix, Vector
+
+CHUNK = 256  # steps whose matrices at all noises are in memory at a time
+
+
+class Linearization(NamedTuple):
+    """A record of n samples of m sensors, linear in N states and p parameters, about states X."""
+
+    states: Matrix  # (n, N) X, filtered states of the last pass
+    predicted: Matrix  # (n - 1, N) of samples 1 to n - 1, from X
+    transition: Array  # (n - 1, N, N)
+    transition_slopes: Array  # (n - 1, N, p)
+    innovation: Matrix  # (n - 1, m) of the past alone, from X
+    innovation_states: Array  # (n - 1, m, N) d prediction / d X of the sample before
+    innovation_noise: Array  # (n - 1, m, N) d prediction / d state of the same sample
+    innovation_slopes: Array  # (n - 1, m, p) d prediction / d parameters
+    residual: Matrix  # (n - 1, m) with the recorded motion, from X
+    residual_states: Array  # (n - 1, m, N) d prediction / d predicted state
+    residual_slopes: Array  # (n - 1, m, p)
+    step: Vector  # (n - 1,) [s]
+    surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
+    weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
+    response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
+
+    def middle(self, n_samples: int) -> Linearization:
+        """Return the linearization of at most ``n_samples`` steps in the middle."""
+        n = len(self.step)
+        first = max(n - n_samples, 0) // 2
+        parts = []
+        for values in self:
+            extra = len(values) - n  # there is a state more than steps
+            parts.append(values[first : first + n_samples + extra])
+        return Linearization(*parts)
+
+
+class Noise(NamedTuple):
+    """s sets of noises."""
+
+    rate: Matrix  # (s, N) of the process [units^2/s]
+    decay: Matrix  # (s, N) 1 / correlation time of states, 0 where the transition has it
+    surface: Vector  # (s,) kappa^2
+    sensor: Matrix  # (s, m) variances
+    start: Matrix  # (s, N) variances of the first state
+
+
+class Innovations(NamedTuple):
+    """Innovations of the past alone at s sets of noises, or at one."""
+
+    values: Array  # (n - 1, s, m)
+    covariance: Array  # (n - 1, s, m, m)
+
+
+class Pass(NamedTuple):
+    """One pass of the filter at one set of noises."""
+
+    innovations: Innovations  # (n - 1, m), (n - 1, m, m)
+    states: Matrix  # (n, N)
+    covariance: Array  # (n, N, N)
+    predicted_covariance: Array  # (n - 1, N, N)
+    gain: Array  # (n - 1, N, m)
+
+
+class _StepModel(NamedTuple):
+    """Matrices of the linear filter, a few steps k at s sets of noises."""
+
+    Phi: Array  # (k, s, N, N)
+    Q: Array  # (k, s, N, N)
+    c: Array  # (k, N, 1) predicted less expansion point
+    H: Array  # (k, m, N)
+    R: Array  # (k, s, m, m)
+    y: Array  # (k, m, 1)
+
+    def step(self, x: Array, P: Array, k: int) -> tuple[Array, Array, Array, Array]:
+        """Return filtered state and covariance, predicted covariance and gain of sample k + 1."""
+        Phi, H = self.Phi[k], self.H[k]
+        x = Phi @ x
+        P_predicted = Phi @ P @ Phi.mT + self.Q[k]
+        PHt = P_predicted @ H.T
+        S = H @ PHt + self.R[k]
+        K = np.linalg.solve(S, PHt.mT).mT
+        x = self.c[k] + x + K @ (self.y[k] - H @ x)
+        P = P_predicted - K @ PHt.mT
+        return x, 0.5 * (P + P.mT), P_predicted, K
+
+
+class _Chunk(NamedTuple):
+    """Filtered steps k of a pass at s sets of noises."""
+
+    innovation: Array  # (k, s, m) of the past alone
+    innovation_covariance: Array  # (k, s, m, m)
+    x: Array  # (k, s, N, 1) deviations from the expansion point
+    P: Array  # (k, s, N, N)
+    P_predicted: Array  # (k, s, N, N)
+    gain: Array  # (k, s, N, m)
+
+
+def filtered(linear: Linearization, noise: Noise) -> Pass:
+    """Return the filter's pass at one set of noises."""
+    chunks = list(_chunks(linear, noise))
+    e, S, x, P, P_predicted, gain = (
+        np.concatenate(parts)[:, 0] for parts in zip(*chunks, strict=True)
+    )
+    states = linear.states.copy()
+    states[1:] += x[..., 0]
+    start = np.diag(noise.start[0])
+    P = np.concatenate([start[None], P])
+    return Pass(Innovations(e, S), states, P, P_predicted, gain)
+
+
+def innovations(linear: Linearization, noise: Noise) -> Innovations:
+    """Return the innovations at all sets of noises."""
+    parts = [chunk[:2] for chunk in _chunks(linear, noise)]
+    return Innovations(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _chunks(linear: Linearization, noise: Noise) -> Iterator[_Chunk]:
+    """Filter the record, and yield its chunks."""
+    N = linear.states.shape[1]
+    x = np.zeros((len(noise.start), N, 1))
+    P = noise.start[:, :, None] * np.eye(N)
+    for first in range(0, len(linear.step), CHUNK):
+        rows = slice(first, first + CHUNK)
+        chunk = _filtered_chunk(linear, noise, rows, x, P)
+        yield chunk
+        x, P = chunk.x[-1], chunk.P[-1]
+
+
+def _filtered_chunk(linear: Linearization, noise: Noise, rows: slice, x: Array, P: Array) -> _Chunk:
+    """Return some steps of the filter, from deviation and covariance of the sample before."""
+    model = _step_model(linear, noise, rows)
+    n, n_sets, N, _ = model.Phi.shape
+    xs = np.empty((n + 1, n_sets, N, 1))
+    Ps = np.empty((n + 1, n_sets, N, N))
+    P_predicted = np.empty((n, n_sets, N, N))
+    gain = np.empty((n, n_sets, N, model.H.shape[1]))
+    xs[0], Ps[0] = x, P
+    for k in range(n):
+        x, P, P_predicted[k], gain[k] = model.step(x, P, k)
+        xs[k + 1], Ps[k + 1] = x, P
+    past = _innovations(linear, noise, rows, model.R, xs[:-1], Ps[:-1])
+    return _Chunk(*past, xs[1:], Ps[1:], P_predicted, gain)
+
+
+def _step_model(linear: Linearization, noise: Noise, rows: slice) -> _StepModel:
+    """Return the matrices of some steps."""
+    step = linear.step[rows, None, None]
+    Phi = np.repeat(linear.transition[rows, None], len(noise.rate), axis=1)
+    decaying = np.flatnonzero(noise.decay[0] > 0)
+    Phi[:, :, decaying, decaying] = np.exp(-step * noise.decay[:, decaying])
+    Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.rate * step)
+    Q += noise.surface[:, None, None] * linear.surface_noise[rows, None]
+    sensor = noise.sensor * linear.weight[rows, None]
+    shift = linear.predicted[rows] - linear.states[1:][rows]
+    return _StepModel(
+        Phi=Phi,
+        Q=Q,
+        c=shift[:, :, None],
+        H=linear.residual_states[rows],
+        R=sensor[..., None] * np.eye(sensor.shape[-1]),
+        y=linear.residual[rows, :, None],
+    )
+
+
+def _innovations(
+    linear: Linearization, noise: Noise, rows: slice, R: Array, x: Array, P: Array
+) -> Innovations:
+    """Return the errors of predictions from the filtered sample before, and their covariances.
+
+    The noise of the step reaches the sensors through its end as well.
+    """
+    D = linear.innovation_states[rows, None]
+    L = linear.innovation_noise[rows, None]
+    e = linear.innovation[rows, None, :, None] - D @ x
+    S = D @ P @ D.mT
+    S += _step_noise(L, D, noise.rate * linear.step[rows, None, None])
+    surface = L @ linear.surface_noise[rows, None] @ L.mT
+    S += noise.surface[:, None, None] * surface
+    S += R
+    return Innovations(e[..., 0], S)
+
+
+def _step_noise(late: Array, early: Array, variance: Array) -> Array:
+    """Return the covariance (..., k, k) that a step's white noise of ``variance`` (..., N) makes.
+
+    By Simpson's rule, from the derivatives (..., k, N) by noise ``late`` and ``early`` in the step.
+    """
+    middle = 0.5 * (late + early)
+
+    def square(G: Array) -> Array:
+        return (G * variance[..., None, :]) @ G.mT
+
+    return (square(late) + 4 * square(middle) + square(early)) / 6
+
+
+def innovation_slopes(linear: Linearization, run: Pass) -> Array:
+    """Return d innovation / d parameters (n - 1, m, p), the gains being given."""
+    Z = state_slopes(linear, run)
+    return -(linear.innovation_states @ Z[:-1] + linear.innovation_slopes)
+
+
+def state_slopes(linear: Linearization, run: Pass) -> Array:
+    """Return d filtered states / d parameters (n, N, p), the gains being given."""
+    correction = np.eye(linear.states.shape[1]) - run.gain @ linear.residual_states  # I - K H
+    T = correction @ linear.transition
+    B = correction @ linear.transition_slopes - run.gain @ linear.residual_slopes
+    Z = np.zeros((len(T) + 1, *B.shape[1:]))
+    for k in range(len(T)):
+        Z[k + 1] = T[k] @ Z[k] + B[k]
+    return Z
+
+
+def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
+    """Return the states given all samples (n, N), and their covariances (Rauch, Tung & Striebel 1965)."""
+    change = run.states - linear.states
+    predicted = linear.predicted + (linear.transition @ change[:-1, :, None])[..., 0]
+    P_predicted = run.predicted_covariance
+    PPhi = run.covariance[:-1] @ linear.transition.mT
+    C = np.linalg.solve(P_predicted, PPhi.mT).mT  # gain of the smoother
+
+    def step(x: Vector, P: Matrix, k: int) -> tuple[Vector, Matrix]:
+        """Return smoothed state and covariance of sample k, from those of sample k + 1."""
+        x = run.states[k] + C[k] @ (x - predicted[k])
+        P = run.covariance[k] + C[k] @ (P - P_predicted[k]) @ C[k].T
+        return x, P
+
+    states, covariance = run.states.copy(), run.covariance.copy()
+    for k in reversed(range(len(C))):
+        states[k], covariance[k] = step(states[k + 1], covariance[k + 1], k)
+    return states, covariance

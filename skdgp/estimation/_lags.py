@@ -1,0 +1,288 @@
+r"""Lags of air data, surfaces, attitude and GPS against the inertial sensors.
+
+Attitude and GPS velocity are late by constants of the path over the ground (``_path.py``). Vanes and
+surfaces are related to rates :math:`\omega` and specific force f by local linear models,
+
+.. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
+          (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
+
+within a band of frequencies. The lag maximises the profile likelihood
+:math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` (Jategaonkar 2006, chapter 10).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import pandas as pd
+from scipy import linalg, signal
+from scipy.interpolate import CubicSpline
+from scipy.stats import norm as normal
+from scipy.stats import t as student
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED, RATES, SPECIFIC_FORCE, VANES
+from skdgp._flight.checks import check_radians, numeric
+from skdgp._flight.clock import check_clock, flight_codes, runs_by_flight, uniform_grid
+from skdgp._flight.tables import has_values, interpolate_missing
+from skdgp.estimation._path import estimate_path
+from skdgp.estimation._sensors import (
+    GUSTS,
+    MEAN_WIND,
+    PATH_CONSTANTS,
+    PATH_NOISE,
+    flights_of,
+    missing_channels,
+)
+from skdgp.estimation._settings import LAG_SETTINGS, LagSettings
+
+INERTIAL = (*SPECIFIC_FORCE, *RATES)
+ACCELERATIONS = tuple(f"{name}_dot" for name in RATES)
+PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
+"""Constants of a path by group of channels."""
+
+
+class Lag(NamedTuple):
+    """A lag [s], positive if late, and its standard deviation."""
+
+    lag: float
+    std: float
+
+    def is_significant(self, settings: LagSettings) -> bool:
+        """Return whether the flights show the lag."""
+        return abs(self.lag) > settings.significance * self.std
+
+
+UNKNOWN = Lag(0.0, np.nan)
+
+
+def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
+    """Return the lag to remove [s], zero where it is not significant or too small to change a model."""
+    is_large = abs(lag.lag) >= settings.least_lag
+    return lag.lag if lag.is_significant(settings) and is_large else 0.0
+
+
+def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:
+    """Return the lags of air data, surfaces, attitude and GPS by group; a lag of std NaN is unknown.
+
+    Without vanes the lag of surfaces is a parameter of `estimate_air_motion`, and unknown here.
+    """
+    segments = _segments_of(table, settings)
+    surfaces = _surface_lag(segments, settings)
+    lags = {"air": _vane_lag(segments, removable(surfaces, settings), settings)}
+    lags["surfaces"] = surfaces
+    lags |= dict.fromkeys(PATH_LAGS, UNKNOWN)
+    if segments and not missing_channels(table):
+        if not has_values(table, *VANES):
+            lags["surfaces"] = UNKNOWN
+        lags |= _lags_of_path(table, settings)
+    return lags
+
+
+def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
+    """Return the lags of attitude and GPS velocity against gyros and accelerometers, over all flights.
+
+    Vanes are left out, as gusts would resemble a lag. Flights are weighted by their precision, with
+    the prior counted once.
+    """
+    check_radians(table, ("theta", *RATES))
+    lags = list(PATH_LAGS.values())
+    biases = ("p_bias", "q_bias", "r_bias")
+    free = [*biases, *lags, *MEAN_WIND]
+    at = slice(len(biases), len(biases) + len(lags))
+    noise = PATH_NOISE | GUSTS
+    prior = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
+    precision = prior.copy()
+    weighted = np.zeros(len(lags))
+    first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
+    for flight in flights_of(first):
+        solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
+        of_flight = np.linalg.inv(solved.covariance[at, at])
+        weighted += of_flight @ solved.path.constant(*lags)
+        precision += of_flight - prior
+    values = np.linalg.solve(precision, weighted)
+    stds = np.sqrt(np.diag(np.linalg.inv(precision)))
+    rows = zip(PATH_LAGS, values.tolist(), stds.tolist(), strict=True)
+    return {group: Lag(value, std) for group, value, std in rows}
+
+
+def _first_rows(table: pd.DataFrame, settings: LagSettings) -> pd.DataFrame:
+    """Return the first minutes of each flight."""
+    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
+    flights = table.groupby(codes)
+    elapsed = table["time"] - flights["time"].transform("min")
+    is_early = elapsed < settings.path_seconds
+    return table[is_early & (flights.cumcount() < settings.path_rows)]
+
+
+class _Segment:
+    """A gap-free segment: splines of its channels within the band, rates over V, accelerations over V^2."""
+
+    def __init__(self, time: Vector, table: pd.DataFrame, settings: LagSettings) -> None:
+        clock = uniform_grid(time)[0]
+        rate_hz = (len(time) - 1) / (time[-1] - time[0])
+        low, high = settings.band
+        high = min(high, 0.2 * rate_hz)
+        channels = _on_clock(time, table, clock)
+        speed = np.ones(len(clock))
+        if "airspeed" in channels:
+            speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
+            speed = np.maximum(speed, 0.1 * np.median(speed))
+        for name in RATES:
+            rate = CubicSpline(clock, _low_pass(channels[name], 2 * high, rate_hz))
+            channels[f"{name}_dot"] = rate(clock, 1) / speed**2
+            channels[name] = channels[name] / speed
+        for name in SPECIFIC_FORCE:
+            channels[name] = channels[name] / speed**2
+        sections = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
+        self.splines = {}
+        for name, values in channels.items():
+            self.splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
+        step = 1 / min(rate_hz, settings.oversampling * high)
+        self.time = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the segment without its ends [s]."""
+        return float(np.ptp(self.time))
+
+    def present(self, names: Sequence[str]) -> list[str]:
+        """Return the names that this segment has; elevons in place of elevator and aileron."""
+        here = [name for name in names if name in self.splines]
+        if not {*ELEVONS} <= {*here}:
+            return here
+        return [name for name in here if name not in MIXED]
+
+    def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
+        """Return channels (n, k) within the band, corrected for a lag."""
+        columns = [self.splines[name](self.time + lag) for name in self.present(names)]
+        return np.reshape(columns, (len(columns), len(self.time))).T
+
+
+def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
+    """Return the channels of a segment on a uniform clock."""
+    names = [*INERTIAL, *VANES, *ALL_SURFACES, "airspeed"]
+    names = [name for name in names if has_values(table, name)]
+    values = interpolate_missing(time, numeric(table, names))
+    columns = zip(names, values.T, strict=True)
+    return {name: CubicSpline(time, column)(clock) for name, column in columns}
+
+
+def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
+    """Return values without frequencies above the given one [Hz], and without delay."""
+    sections = signal.butter(2, frequency, fs=rate_hz, output="sos")
+    padding = min(len(values) - 1, round(2 * rate_hz / frequency))
+    return signal.sosfiltfilt(sections, values, padlen=padding)
+
+
+def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
+    """Return the segments that are long enough and have all inertial sensors."""
+    if not has_values(table, *INERTIAL):
+        return []
+    time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
+    segments = []
+    for runs in runs_by_flight(time, codes):
+        for run in runs:
+            part = table.iloc[run]
+            if np.ptp(time[run]) > settings.shortest and has_values(part, *INERTIAL):
+                segments.append(_Segment(time[run], part, settings))
+    return segments
+
+
+Regression: TypeAlias = Callable[[_Segment, float], tuple[Matrix, Matrix]]
+"""Responses (n, k) and predictors (n, p) of a segment at a lag."""
+
+
+def _surface_lag(segments: list[_Segment], settings: LagSettings) -> Lag:
+    """Return the lag of surfaces, which with rates and forces explain angular accelerations."""
+
+    def regression(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
+        predictors = [segment.channels(ALL_SURFACES, lag), segment.channels(INERTIAL)]
+        return segment.channels(ACCELERATIONS), np.hstack(predictors)
+
+    return _most_likely_lag(segments, ALL_SURFACES, regression, settings)
+
+
+def _vane_lag(segments: list[_Segment], surface_lag: float, settings: LagSettings) -> Lag:
+    """Return the lag of vanes, which forces, rates and surfaces explain."""
+
+    def regression(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
+        predictors = [segment.channels(INERTIAL), segment.channels(ALL_SURFACES, surface_lag)]
+        return segment.channels(VANES, lag), np.hstack(predictors)
+
+    return _most_likely_lag(segments, VANES, regression, settings)
+
+
+def _most_likely_lag(
+    segments: list[_Segment], names: Sequence[str], regression: Regression, settings: LagSettings
+) -> Lag:
+    """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
+
+    RSS is the residual sum of squares of n samples over that of the response. Each piece of a
+    segment has its own least squares and lag. The standard deviation is the standard error of the
+    mean of their lags, by Student's quantile at the significance, and the distance to that mean.
+    """
+    segments = [segment for segment in segments if segment.present(names)]
+    if not segments:
+        return UNKNOWN
+    total = sum(segment.seconds for segment in segments)
+    seconds = max(settings.shortest_piece, total / settings.n_pieces)
+
+    def profile(lag: float) -> Vector:
+        """Return n log RSS of all segments, summed, and of each piece, (1 + pieces,)."""
+        whole = 0.0
+        pieces: list[float] = []
+        for segment in segments:
+            response, predictors = regression(segment, lag)
+            whole += _log_rss(response, predictors, settings)
+            count = max(1, round(segment.seconds / seconds))
+            responses = np.array_split(response, count)
+            parts = zip(responses, np.array_split(predictors, count), strict=True)
+            pieces += [_log_rss(y, X, settings) for y, X in parts]
+        return np.array([whole, *pieces])
+
+    steps = np.arange(-settings.largest, settings.largest + settings.coarse / 2, settings.coarse)
+    profiles = np.array([profile(step) for step in steps])
+    lag, *pieces = (_minimum(steps, values) for values in profiles.T)
+    if abs(lag) >= settings.largest or len(pieces) < settings.least_pieces:
+        return UNKNOWN
+    for _ in range(2):
+        around = [profile(lag + step)[0] for step in (-settings.fine, 0, settings.fine)]
+        lag += _vertex(around, settings.fine)
+    n_pieces = len(pieces)
+    probability = normal.sf(settings.significance)
+    quantile = student.isf(probability, n_pieces - 1) / settings.significance
+    error = np.std(pieces, ddof=1) / np.sqrt(n_pieces)
+    std = np.hypot(quantile * error, lag - np.mean(pieces))
+    return Lag(lag, float(std))
+
+
+def _log_rss(response: Matrix, predictors: Matrix, settings: LagSettings) -> float:
+    """Return n log RSS, summed over responses, of least squares; RSS is relative to their sums of squares."""
+    scale = np.linalg.norm(predictors, axis=0)
+    X = predictors / np.where(scale > 0, scale, 1.0)
+    Q, R, _ = linalg.qr(X, mode="economic", pivoting=True)
+    Q = Q[:, np.abs(np.diag(R)) > settings.rank_tolerance]
+    residuals = response - Q @ (Q.T @ response)
+    rss = np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
+    return len(response) * float(np.log(rss).sum())
+
+
+def _minimum(steps: Vector, values: Vector) -> float:
+    """Return the place of the least of the values, by a parabola through its neighbours unless at either end."""
+    place = int(np.argmin(values))
+    if place in (0, len(steps) - 1):
+        return float(steps[place])
+    neighbours = values[place - 1 : place + 2]
+    return float(steps[place] + _vertex(neighbours, float(steps[1] - steps[0])))
+
+
+def _vertex(values: Sequence[float] | Vector, step: float) -> float:
+    """Return where the parabola through three values, a step apart, is smallest, relative to the middle."""
+    before, here, after = values
+    curvature = before - 2 * here + after
+    if not curvature > 0:
+        return 0.0
+    return float(np.clip(step * (before - after) / (2 * curvature), -step, step))

@@ -1,0 +1,48 @@
+"""Columns of a reconstructed flight, by its path over the ground or by the motion of the air."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
+from skdgp._flight.frames import air_data
+from skdgp._flight.tables import interpolate_missing
+from skdgp.estimation._path_equations import FlightPath
+from skdgp.estimation._sensors import FlightSensors
+
+ANGLE_RATES = ("alpha_dot", "beta_dot")
+MOTION_COLUMNS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
+RECONSTRUCTED = (*AIR_DATA, *ANGLE_RATES, *MOTION_COLUMNS)
+"""Columns of a reconstructed flight."""
+
+
+def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
+    """Return the reconstructed columns of a flight by its most likely path."""
+    air = np.column_stack(air_data(path.air_velocity()))
+    force, rate = path.inertial(sensors)
+    euler = path.attitude.as_euler("ZYX")[:, ::-1]
+    motion = [rate, force, euler, path.velocity, path.wind()]
+    columns = np.column_stack([air, angle_rates(sensors, air), *motion])
+    return dict(zip(RECONSTRUCTED, columns.T, strict=True))
+
+
+def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
+    """Return the reconstructed columns of a flight by the motion of the air, the rows of `AirMotion.air`."""
+    names = [*AIR_DATA, *MOTION_COLUMNS]
+    values = interpolate_missing(sensors.time, air[names].to_numpy())
+    columns = dict(zip(names, values.T, strict=True))
+    rates = angle_rates(sensors, values[:, : len(AIR_DATA)])
+    return columns | dict(zip(ANGLE_RATES, rates.T, strict=True))
+
+
+def angle_rates(sensors: FlightSensors, air: Matrix) -> Matrix:
+    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3), NaN of single samples."""
+    rates = np.full((len(air), 2), np.nan)
+    for rows in sensors.segments():
+        if len(rows) > 1:
+            time = sensors.time[rows]
+            rates[rows] = CubicSpline(time, air[rows, 1:])(time, 1)
+    return rates

@@ -1,0 +1,226 @@
+r"""Sensors of a flight, and the one model of their biases, lags and noises for path and air.
+
+A reading of the nine sensors ax, ay, az, p, q, r, airspeed, alpha, beta is
+
+.. math:: y = s \, h(x) + b + v,
+
+with the true value h(x), scale s (of the airspeed alone), constant bias b and white noise v. GPS
+velocity and attitude are late by a constant lag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.checks import numeric
+from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
+from skdgp._flight.tables import has_values, interpolate_missing
+
+SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
+FORCE = slice(0, 3)
+RATE = slice(3, 6)
+AIR = slice(6, 9)
+AIRSPEED = 6
+PATH_CHANNELS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
+"""Channels that a path needs; alpha and beta are optional."""
+
+WIND_STD = 30.0  # m/s, of the steady horizontal wind; wide
+INERTIAL_BIASES = dict.fromkeys(("ax_bias", "ay_bias", "az_bias"), 0.3) | dict.fromkeys(
+    ("p_bias", "q_bias", "r_bias"), 0.02
+)
+"""Prior standard deviations of the biases [m/s^2, rad/s], guesses."""
+LAGS = {"velocity_lag": 0.1, "attitude_lag": 0.1}
+"""Prior standard deviations of the lags of GPS velocity and attitude [s], guesses."""
+MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), WIND_STD)
+PATH_CONSTANTS = INERTIAL_BIASES | LAGS | MEAN_WIND
+"""Prior standard deviations of all constants of a path; prior means are zero."""
+
+Prior = Mapping[str, tuple[float, float]]
+"""Mean and standard deviation by name; of noises the median, and that of the logarithm."""
+
+AIR_SENSOR_ERRORS: Prior = {
+    "airspeed_scale": (0.0, 0.03),
+    "arm_x": (0.0, 0.03),  # inertial sensors from the centre of gravity [m]
+    "arm_y": (0.0, 0.01),
+    "arm_z": (0.0, 0.03),
+    "alpha_bias": (0.0, 0.02),  # of vanes [rad]
+    "beta_bias": (0.0, 0.02),
+}
+"""Errors of sensors that all flights of an aircraft share."""
+RATE_BIASES: Prior = {
+    "p_bias": (0.0, 0.003),  # left over by the path [rad/s]
+    "q_bias": (0.0, 0.003),
+    "r_bias": (0.0, 0.003),
+}
+"""Errors of sensors of one flight, after its path."""
+BIASED = {f"{name}_bias": place for place, name in enumerate(SENSORS)}
+"""Place of each bias among the sensors."""
+
+PATH_NOISE = {
+    "accelerometer": 0.05,
+    "gyro": 0.003,
+    "airspeed": 0.5,
+    "alpha": 0.01,
+    "beta": 0.01,
+    "v_horizontal": 0.2,
+    "v_down": 0.2,
+    "tilt": 0.01,
+    "heading": 0.02,
+}
+"""Initial white noise of the sensors, standard deviation of a sample [SI]; data sheets."""
+GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
+"""Initial standard deviation of a change of the gusts in 1 s [m/s]."""
+AIR_NOISE: Prior = {
+    "ax": (0.1, 0.3),  # sensors, with effects that the model lacks; medians follow the flight
+    "ay": (0.1, 0.3),
+    "az": (0.1, 0.3),
+    "gyro": (0.005, 0.3),
+    "airspeed": (0.3, 1.0),
+    "vane": (0.01, 1.0),
+}
+"""Noises of the sensors as the filter of the air sees them."""
+
+DIFFERENCES = 3  # order of the differences that show white noise
+DIFFERENCE_GAIN = 20  # sum of the squares of their coefficients 1, 3, 3, 1
+
+
+class SensorErrors(NamedTuple):
+    """Scale and bias of the nine sensors."""
+
+    scale: Vector  # (9,)
+    bias: Vector  # (9,)
+
+    @classmethod
+    def of(cls, value: Mapping[str, Any]) -> SensorErrors:
+        """Return the errors of constants by name; others are absent."""
+        scale = np.ones(len(SENSORS))
+        scale[AIRSPEED] += value.get("airspeed_scale", 0.0)
+        bias = np.array([value.get(name, 0.0) for name in BIASED])
+        return cls(scale, bias)
+
+    def readings(self, truth: Array) -> Array:
+        """Return the readings (..., 9) of true values."""
+        return self.scale * truth + self.bias
+
+    def truth(self, readings: Array) -> Array:
+        """Return the true values (..., 9) of readings."""
+        return (readings - self.bias) / self.scale
+
+
+class FlightSensors(NamedTuple):
+    """Sensors of one flight, n samples."""
+
+    time: Vector  # (n,) [s]
+    segment: Indices  # (n,) number of the gap-free segment of a sample
+    readings: Matrix  # (n, 9) of `SENSORS`, SI; air data NaN where not sampled
+    velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
+    attitude: Rotation  # n attitudes, body to NED
+    attitude_sampled: Mask  # (n,) where the attitude was sampled
+
+    def part(self, first: int, last: int) -> FlightSensors:
+        """Return the samples from first to before last."""
+        return FlightSensors._make(values[first:last] for values in self)
+
+    def segments(self) -> list[Indices]:
+        """Return the rows of each gap-free segment."""
+        return [np.flatnonzero(self.segment == number) for number in np.unique(self.segment)]
+
+    def without_air_data(self) -> FlightSensors:
+        """Return the sensors without airspeed, alpha and beta."""
+        readings = self.readings.copy()
+        readings[:, AIR] = np.nan
+        return self._replace(readings=readings)
+
+    @property
+    def joined(self) -> Mask:
+        """Whether a sample and the next are in one segment, (n - 1,)."""
+        return self.segment[1:] == self.segment[:-1]
+
+
+class NamedFlight(NamedTuple):
+    """One flight of a table."""
+
+    name: object
+    rows: Indices  # of the table
+    sensors: FlightSensors
+
+
+def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
+    """Return name, rows and sensors of every flight in the table.
+
+    Raise ValueError if time does not increase, or a needed channel has no value in a flight.
+    """
+    names = np.zeros(len(table), int)
+    if "flight" in table:
+        names = np.asarray(table["flight"], dtype=object)
+    time, codes = check_clock(numeric(table, ["time"])[:, 0], names)
+    flights = []
+    for runs in runs_by_flight(time, codes):
+        rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+        segment = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
+        sensors = _sensors_of(table.iloc[rows], time[rows], segment)
+        flights.append(NamedFlight(names[rows[0]], rows, sensors))
+    return flights
+
+
+def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSensors:
+    """Return the sensors of one flight; inertial sensors and attitude are interpolated."""
+    silent = [name for name in PATH_CHANNELS if not has_values(table, name)]
+    if silent:
+        flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
+        raise ValueError(
+            f"Got no value of {', '.join(silent)} in {flight}, but expected some: a path cannot be "
+            "reconstructed without them. Leave the flight out, or smooth it with FlightSmoother."
+        )
+    angles = numeric(table, EULER).copy()
+    sampled = np.all(np.isfinite(angles), axis=1)
+    angles[sampled] = np.unwrap(angles[sampled], axis=0)
+    angles = interpolate_missing(time, angles)
+    inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
+    air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
+    return FlightSensors(
+        time=time,
+        segment=segment,
+        readings=np.concatenate([inertial, air], axis=1),
+        velocity=numeric(table, EARTH_VELOCITY),
+        attitude=Rotation.from_euler("ZYX", angles[:, ::-1]),
+        attitude_sampled=sampled,
+    )
+
+
+def missing_channels(table: pd.DataFrame) -> list[str]:
+    """Return the channels needed by a path that are absent, or have no value in some flight."""
+    rows: Any = [slice(None)]
+    if "flight" in table:
+        rows = flight_rows(table["flight"]).values()
+    flights = [table.iloc[part] for part in rows]
+    silent = [name for name in PATH_CHANNELS if not all(has_values(t, name) for t in flights)]
+    return silent if "time" in table else ["time", *silent]
+
+
+def white_noise_squares(column: Vector, segment: Indices) -> Vector:
+    """Return estimates of the variance of white noise in a channel, one for each third difference.
+
+    Samples that are not finite are left out; differences do not cross gaps.
+    """
+    rows = np.flatnonzero(np.isfinite(column))
+    joined = segment[rows[DIFFERENCES:]] == segment[rows[:-DIFFERENCES]]
+    differences = np.diff(column[rows], DIFFERENCES)[joined]
+    return differences**2 / DIFFERENCE_GAIN
+
+
+def white_noise(flights: Sequence[FlightSensors], columns: slice) -> float:
+    """Return the standard deviation of the white noise in some readings of all flights; NaN if unknown."""
+    squares = []
+    for sensors in flights:
+        for column in sensors.readings.T[columns]:
+            squares.append(white_noise_squares(column, sensors.segment))
+    values = np.concatenate(squares)
+    return float(np.sqrt(values.mean())) if len(values) else np.nan

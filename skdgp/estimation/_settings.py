@@ -1,0 +1,167 @@
+"""Settings of the three algorithms of state estimation, each number with its unit and source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """Settings of `estimate_path`.
+
+    The sources "guess" and "trials" say whether a number was varied on simulated flights.
+    """
+
+    # correlation time of gusts [s]; guess, docs/preprocessing.md
+    gust_time: float = 10.0
+    # airspeed below which vanes show no angle [m/s]; guess
+    least_airspeed: float = 3.0
+    # prior standard deviation of the velocity where a segment begins [m/s]; wide
+    start_velocity: float = 100.0
+    # prior standard deviation of the attitude where a segment begins [rad]; wide
+    start_attitude: float = 1.0
+    # residuals that the initial noise of a sensor counts for, where a flight shows nothing; guess
+    prior_count: float = 10.0
+    # least noise of a sensor [SI]; avoids a division by zero
+    least_noise: float = 1e-9
+    # Gauss-Newton steps in which lags may change by whole samples; trials
+    delay_steps: int = 6
+    # Gauss-Newton steps at most; trials
+    max_steps: int = 40
+    # fraction of a step that the next one takes back, from which steps are halved; trials
+    overshoot: float = 0.5
+    # largest change of the logarithm of a noise, and of a state in standard deviations, at the end
+    tolerance: float = 0.02
+    # draws from the posterior that estimate traces, an even number; trials
+    n_draws: int = 32
+    # residual over the noise of a sensor of air data, above which it contradicts the others; trials
+    air_ratio: float = 1.4
+    # as above, of an inertial sensor: half a minute of sound ones shows up to 4.4; trials
+    inertial_ratio: float = 6.0
+    # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
+    gust_prior_seconds: float = 2.0
+    # one row in so many of a part of a long flight overlaps on either side; trials
+    overlap: int = 32
+
+
+@dataclass(frozen=True)
+class LagSettings:
+    """Settings of `estimate_lags`."""
+
+    # lags below this many standard deviations are not removed; convention
+    significance: float = 3.0
+    # lags below this do not change a model [s]; trials
+    least_lag: float = 0.01
+    # first seconds of each flight that show lags of attitude and GPS to the millisecond [s]; trials
+    path_seconds: float = 120.0
+    # first rows of each flight, of 20 kB each, for these lags
+    path_rows: int = 32768
+    # frequencies of the response to surfaces and gusts, between trim and noise [Hz]; trials
+    band: tuple[float, float] = (0.3, 4.0)
+    # airspeed below this frequency scales accelerations to coefficients [Hz]; below the band
+    steady_frequency: float = 0.2
+    # either end of a segment that the filter or a lag may distort [s]
+    edge: float = 1.5
+    # least length of a segment [s]
+    shortest: float = 20.0
+    # largest lag [s]
+    largest: float = 0.3
+    # step of the scan over lags [s]
+    coarse: float = 0.02
+    # step of the parabolas around the minimum of the scan [s]
+    fine: float = 0.01
+    # predictors nearer than this to a combination of others are left out, relative
+    rank_tolerance: float = 1e-6
+    # samples in a period of the upper end of the band
+    oversampling: float = 6.0
+    # pieces of all flights, each with a lag of its own
+    n_pieces: int = 8
+    # least number of pieces that show a standard error
+    least_pieces: int = 3
+    # least length of a piece [s]
+    shortest_piece: float = 10.0
+
+
+@dataclass(frozen=True)
+class AirSettings:
+    """Settings of `estimate_air_motion`, chosen on simulated flights of six aircraft unless said."""
+
+    # samples of a shortest record of flights to learn from
+    fewest_samples: int = 100
+    # samples to learn from at most, of all records
+    most_samples: int = 12000
+    # rate of samples [Hz]; faster logs are thinned to 50 to 100 Hz
+    sample_rate: float = 50.0
+    # samples of each record, from its middle, that show the noises
+    noise_samples: int = 2000
+
+    # correlation time of errors of the path [s]; guess
+    path_time: float = 10.0
+    # variance of the rates of the first sample [(rad/s)^2]; wide
+    start_rate_variance: float = 0.1
+    # standard deviation of the mean vertical gust of a record [m/s]
+    mean_gust: float = 0.2
+    # slope of lift by alpha for `mean_gust` [1/rad]; typical
+    lift_slope: float = 4.5
+    # length of a moving mean that is longer than gusts last [s]
+    gust_window: float = 20.0
+    # mean airspeed of a flight times the root of its samples, standard deviation [m/s]; typical
+    pitot_noise: float = 10.0
+    # least error of a sample of the airspeed [m/s]
+    least_pitot_std: float = 0.1
+    # least noise of accelerometers and gyros [SI]
+    least_noise: float = 1e-4
+
+    # memory of the motion that surfaces cause [s]
+    response_time: float = 4.0
+    # samples by which this motion is late: a command follows the noise of the same sample
+    response_delay: int = 1
+    # memory of the surfaces' answers to gusts [s]
+    answer_time: float = 8.0
+    # bins of this memory, wider the earlier
+    answer_bins: int = 16
+    # least singular value of the instruments, relative to the largest
+    least_direction: float = 1e-6
+
+    # passes before the instruments are used, whose slopes are small far from the solution; the
+    # second number where the first attempt diverges
+    attempts: tuple[int, ...] = (0, 6)
+    # passes at most of one attempt
+    max_passes: int = 45
+    # damping of the first step, over the information (Levenberg 1944); a quarter in each next one
+    first_damping: float = 0.3
+    # factor of the fraction of a step that is taken, where steps turn back; least fraction; else
+    shorter: float = 0.5
+    least_fraction: float = 0.25
+    longer: float = 1.4
+    # squared length of the last two steps, in standard deviations of all parameters
+    tolerance: float = 0.5
+    # squared length of the last step of the noises
+    noise_tolerance: float = 5.0
+    # difference of the logarithm of a noise in numerical slopes
+    noise_difference: float = 1e-3
+    # damping of steps of the noises, over the information
+    noise_damping: float = 0.02
+    # largest step of the logarithm of a noise
+    largest_noise_step: float = 0.7
+    # largest air velocity that errors of the path may make, else the estimate is implausible [m/s]
+    largest_path_error: float = 2.0
+
+    # length of the sums of scores whose covariance is taken [s]
+    block: float = 2.0
+    # standard deviation of a lag by what a surface does between samples, in steps
+    lag_error: float = 0.1
+    # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
+    # out in turn, docs/preprocessing.md
+    model_error: float = 0.04
+    # standard deviation of the scale of alpha, and of beta, by a wrong spectrum of gusts; likewise
+    angle_error: float = 0.02
+    # errors of the path [m/s], rates [rad/s] and surfaces [rad] that look like motion; guesses
+    velocity_error: float = 0.02
+    rate_error: float = 0.002
+    surface_error: float = 0.001
+
+
+PATH_SETTINGS = PathSettings()
+LAG_SETTINGS = LagSettings()
+AIR_SETTINGS = AirSettings()

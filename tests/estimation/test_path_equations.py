@@ -1,0 +1,115 @@
+"""Equations of a path: their slopes, and the solution of their normal equations."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skdgp.estimation import FlightPath, FlightSensors
+from skdgp.estimation._least_squares import Equations, GaussianPrior, solve
+from skdgp.estimation._path_equations import (
+    PLACE,
+    measurement_equations,
+    process_equations,
+)
+
+EPS = 1e-6
+
+
+@pytest.fixture
+def near_path():
+    """Sensors of a turning flight, and a path near it that is no solution."""
+    rng = np.random.default_rng(4)
+    n = 12
+    time = 0.04 * np.arange(n)
+    angles = np.column_stack([0.3 * time, 0.1 + 0.2 * time, 0.3 * np.sin(time)])
+    readings = rng.normal([0.5, -0.3, -9.0, 0.1, 0.2, 0.3, 25.0, 0.1, 0.05], 0.1, (n, 9))
+    sensors = FlightSensors(
+        time=time,
+        segment=np.zeros(n, dtype=int),
+        readings=readings,
+        velocity=rng.normal([24.0, 5.0, 1.0], 0.1, (n, 3)),
+        attitude=Rotation.from_euler("ZYX", angles),
+        attitude_sampled=np.ones(n, dtype=bool),
+    )
+    constants = np.zeros(len(PLACE))
+    constants[PLACE["p_bias"]] = 0.01
+    constants[PLACE["wind_east"]] = 4.0
+    path = FlightPath.initial(sensors).moved(0.1 * rng.standard_normal((n, 9)), constants)
+    return sensors, path
+
+
+def measurements(path, sensors):
+    return measurement_equations(path, sensors, np.zeros(6, dtype=int), least_airspeed=3.0)
+
+
+def process(path, sensors):
+    return process_equations(path, sensors, np.full(len(sensors.time) - 1, 0.9))
+
+
+@pytest.mark.parametrize("equations", [measurements, process])
+def test_slopes_by_states_are_those_of_the_residuals(equations, near_path):
+    sensors, path = near_path
+    base = equations(path, sensors)
+    for place in range(9):
+        for first in (0, 1):  # every other sample moves: each equation feels one of its two
+            states = np.zeros((len(sensors.time), 9))
+            states[first::2, place] = EPS
+            slope = (equations(path.moved(states, 0.0), sensors).residual - base.residual) / EPS
+            pairs = [(slope[first::2], base.d_state[first::2, :, place])]
+            if base.d_next is not None:
+                pairs.append((slope[1 - first :: 2], base.d_next[1 - first :: 2, :, place]))
+            for numeric, expected in pairs:
+                np.testing.assert_allclose(numeric, expected, atol=2e-3, rtol=2e-3)
+
+
+@pytest.mark.parametrize("equations", [measurements, process])
+@pytest.mark.parametrize("name", [name for name in PLACE if not name.endswith("_lag")])
+def test_slopes_by_constants_are_those_of_the_residuals(name, equations, near_path):
+    """Those by lags are of first order only: see the recovery of lags."""
+    sensors, path = near_path
+    base = equations(path, sensors)
+    constants = np.zeros(len(PLACE))
+    constants[PLACE[name]] = EPS
+    moved = equations(path.moved(np.zeros((len(sensors.time), 9)), constants), sensors)
+    slope = (moved.residual - base.residual) / EPS
+    np.testing.assert_allclose(slope, base.d_constants[:, :, PLACE[name]], atol=1e-3, rtol=1e-3)
+
+
+def test_the_bordered_solution_is_that_of_the_dense_problem():
+    rng = np.random.default_rng(0)
+    n, s, c, k = 6, 3, 2, 40_000
+    process = Equations(
+        *(
+            rng.normal(size=shape)
+            for shape in [(n - 1, 2), (n - 1, 2, s), (n - 1, 2, s), (n - 1, 2, c)]
+        )
+    )
+    measured = Equations(
+        rng.normal(size=(n, 4)), rng.normal(size=(n, 4, s)), None, rng.normal(size=(n, 4, c))
+    )
+    prior = GaussianPrior(
+        np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c)
+    )
+    J, r = [], []
+    for i in range(n):
+        for rows in (process, measured) if i < n - 1 else (measured,):
+            block = np.zeros((rows.d_state.shape[1], n * s + c))
+            block[:, i * s : (i + 1) * s] = rows.d_state[i]
+            if rows.d_next is not None:
+                block[:, (i + 1) * s : (i + 2) * s] = rows.d_next[i]
+            block[:, n * s :] = rows.d_constants[i]
+            J.append(block)
+            r.append(rows.residual[i])
+    J.append(np.diag(np.sqrt(np.r_[prior.states.ravel(), prior.constants])))
+    r.append(J[-1] @ np.r_[prior.states_offset.ravel(), prior.constants_offset])
+    J, r = np.vstack(J), np.concatenate(r)
+    covariance = np.linalg.inv(J.T @ J)
+    solution = -covariance @ J.T @ r
+    found = solve(process, measured, prior, rng.standard_normal((n * s + c, k)))
+    np.testing.assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
+    np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
+    draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
+    std = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(
+        np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03
+    )

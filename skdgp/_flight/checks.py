@@ -408,12 +408,12 @@ def _density(flight: pd.DataFrame) -> None:
 
 def _warn_of_commands(flight: pd.DataFrame) -> None:
     """Warn of surfaces that are probably commands from -1 to 1: beyond `LARGEST_DEFLECTION`, or at 1 exactly."""
-    large = []
+    large = {}
     for name in ALL_SURFACES:
         angles = np.abs(_values(flight, name))
         top = _quantile(angles, 0.99)
         if top > LARGEST_DEFLECTION or (angles == 1).sum() > 1:
-            large.append(f"{name} {top:.2f} rad ({np.rad2deg(top):.0f} deg)")
+            large[name] = top
     if large:
         report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}), stacklevel=4)
 

@@ -13,6 +13,9 @@ misfit    the discrepancy: the error of the function that residuals show where f
           regressors
 errors    of the function, that a posterior does not hold: by correlated noise, by method, and the misfit
 ========  =============================================================================================================
+
+
+Names imported as themselves are not part of the public interface: other rooms of the package use them.
 """
 
 from skdgp._compute.statistics import autocorrelation_time
@@ -27,25 +30,41 @@ from skdgp.inference._errors import (
 )
 from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mean_of
 from skdgp.inference._known_slopes import KnownSlopes
-from skdgp.inference._likelihood import Data, TileSettings, log_likelihood
+from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._likelihood import TileSettings as TileSettings
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
-from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
+from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings
+from skdgp.inference._optimizer import Optimum, maximize
 from skdgp.inference._posterior import (
     ExactPosterior,
     Paths,
     Posterior,
-    PosteriorSettings,
     SinglePosterior,
 )
-from skdgp.inference._search import Objective, SearchSettings, n_searched, some_rows, stratified
-from skdgp.inference._sparse import ShareSettings, SparsePosterior
+from skdgp.inference._posterior import (
+    PosteriorSettings as PosteriorSettings,
+)
+from skdgp.inference._search import Objective as Objective
+from skdgp.inference._search import SearchSettings as SearchSettings
+from skdgp.inference._search import n_searched, stratified
+from skdgp.inference._search import some_rows as some_rows
+from skdgp.inference._sparse import ShareSettings as ShareSettings
+from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._starts import (
-    coarse,
-    from_coarse,
-    narrowed,
-    single_output,
-    starting_kernel,
+    coarse as coarse,
+)
+from skdgp.inference._starts import (
+    from_coarse as from_coarse,
+)
+from skdgp.inference._starts import (
+    narrowed as narrowed,
+)
+from skdgp.inference._starts import (
+    single_output as single_output,
+)
+from skdgp.inference._starts import (
+    starting_kernel as starting_kernel,
 )
 from skdgp.inference._unbiased import unbiased_factor
 
@@ -58,25 +77,17 @@ __all__ = [
     "FunctionErrors",
     "KnownNoise",
     "KnownSlopes",
-    "Objective",
-    "OptimizerSettings",
     "Optimum",
     "Paths",
     "Posterior",
-    "PosteriorSettings",
     "PosteriorWithErrors",
-    "SearchSettings",
-    "ShareSettings",
     "SinglePosterior",
     "SparsePosterior",
-    "TileSettings",
     "as_exact",
     "autocorrelation_time",
     "average",
-    "coarse",
     "fit_exact",
     "fit_sparse",
-    "from_coarse",
     "function_errors",
     "log_likelihood",
     "maximize",
@@ -84,12 +95,8 @@ __all__ = [
     "mean_of",
     "misfit_variance",
     "n_searched",
-    "narrowed",
     "narrowing",
     "residual_drift",
-    "single_output",
-    "some_rows",
-    "starting_kernel",
     "stratified",
     "training_inputs",
     "unbiased_factor",

@@ -12,7 +12,7 @@ import numpy as np
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._search import Hyperparameters
-from skdgp.kernels import MultiOutputKernel, Rescaled
+from skdgp.kernels import MultiOutputKernel
 
 #: Largest fraction of the values that hyperparameters count for (benchmark `coverage`)
 LARGEST_FRACTION = 0.5
@@ -34,7 +34,7 @@ def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
 def unbiased(learned: Hyperparameters, Y: Matrix, known: KnownNoise) -> Hyperparameters:
     """Return hyperparameters with unbiased variances, the same ones if values are fixed or would leave their bounds."""
     kernel = learned.kernel
-    if learned.interrupted or known.loading is not None:
+    if learned.interrupted or known.loading is not None or not kernel.rescales_values:
         return learned
     factor = unbiased_factor(kernel, Y)
     noise = factor * learned.noise
@@ -42,9 +42,6 @@ def unbiased(learned: Hyperparameters, Y: Matrix, known: KnownNoise) -> Hyperpar
         return learned
     scaled = kernel.rescaled(np.sqrt(factor))
     lower, upper = kernel.bounds.T
-    is_inside = np.all((lower <= scaled.theta) & (scaled.theta <= upper))
-    is_fixed = any(parameter.fixed for parameter in kernel.hyperparameters)
-    is_wrapped = any(isinstance(term, Rescaled) for term in scaled.summands())
-    if is_fixed or is_wrapped or not is_inside:
+    if not np.all((lower <= scaled.theta) & (scaled.theta <= upper)):
         return learned
     return learned._replace(kernel=scaled, noise=noise, is_unbiased=True)

@@ -1,7 +1,12 @@
-"""Multi-output covariance functions as scikit-learn kernels."""
+"""Multi-output covariance functions as scikit-learn kernels.
 
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Rescaled, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian, Filters, independent_processes, tied
+Names imported as themselves are not part of the public interface: other rooms of the package use them.
+"""
+
+from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
+from skdgp.kernels._convolved import ConvolvedGaussian, independent_processes
+from skdgp.kernels._convolved import Filters as Filters
+from skdgp.kernels._convolved import tied as tied
 from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
 from skdgp.kernels._features import (
     Features,
@@ -12,22 +17,19 @@ from skdgp.kernels._features import (
     inducing_features,
     prior_paths,
 )
-from skdgp.kernels._gaussian_filters import FilterPair, GaussianBasis
+from skdgp.kernels._gaussian_filters import FilterPair as FilterPair
+from skdgp.kernels._gaussian_filters import GaussianBasis as GaussianBasis
 from skdgp.kernels._trend import LinearTrend
 
 __all__ = [
     "ConvolvedGaussian",
     "Coregionalized",
     "Features",
-    "FilterPair",
-    "Filters",
     "FreeParameter",
-    "GaussianBasis",
     "LatentFeatures",
     "LinearTrend",
     "MultiOutputKernel",
     "PathBundle",
-    "Rescaled",
     "Sum",
     "as_multi_output",
     "covariance_paths",
@@ -35,5 +37,4 @@ __all__ = [
     "independent_processes",
     "inducing_features",
     "prior_paths",
-    "tied",
 ]

@@ -56,10 +56,8 @@ DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
     "with inputs of every surface, and look at the signs and units of their sensors."
 )
-MEASURED_THRUST = (
-    0.0,
-    1e-6,
-)  # prior of its scale, where a measured force takes the place of thrust
+# Prior of its scale, where a measured force takes the place of thrust
+MEASURED_THRUST = (0.0, 1e-6)
 
 
 @dataclass(frozen=True)

@@ -32,16 +32,27 @@ def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
 
 
 def unbiased(learned: Hyperparameters, Y: Matrix, known: KnownNoise) -> Hyperparameters:
-    """Return hyperparameters with unbiased variances, the same ones if values are fixed or would leave their bounds."""
+    """Return hyperparameters with unbiased variances, the same ones if these are fixed or would leave their bounds."""
     kernel = learned.kernel
-    if learned.interrupted or known.loading is not None or not kernel.rescales_values:
+    if learned.interrupted or known.loading is not None:
         return learned
     factor = unbiased_factor(kernel, Y)
     noise = factor * learned.noise
     if known.bounds is not None and (noise > known.bounds[:, 1]).any():
         return learned
     scaled = kernel.rescaled(np.sqrt(factor))
+    if not all(map(_is_learned, kernel.summands(), scaled.summands())):
+        return learned
     lower, upper = kernel.bounds.T
     if not np.all((lower <= scaled.theta) & (scaled.theta <= upper)):
         return learned
     return learned._replace(kernel=scaled, noise=noise, is_unbiased=True)
+
+
+def _is_learned(term: MultiOutputKernel, scaled: MultiOutputKernel) -> bool:
+    """Return whether the values of a term by which it was scaled are learned; a wrapped kernel has none."""
+    if type(scaled) is not type(term):
+        return False
+    before, after = term.values(), scaled.values()
+    changed = [f for f in term.free_parameters() if np.any(before[f.name] != after[f.name])]
+    return bool(changed) and not any(parameter.fixed for parameter in changed)

@@ -193,12 +193,6 @@ class MultiOutputKernel(Kernel):
             return self
         return Rescaled(self, factor)
 
-    @property
-    def rescales_values(self) -> bool:
-        """Whether ``rescaled`` changes the kernel's own values, all of which are free, and does not wrap it."""
-        is_fixed = any(parameter.fixed for parameter in self.free_parameters())
-        return type(self).rescaled is not MultiOutputKernel.rescaled and not is_fixed
-
     def bounds_from_data(self, name: str) -> bool:
         """Return whether ``initialize`` estimates the bounds of a parameter from data, by default False."""
         return False
@@ -488,10 +482,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
 
-    @property
-    def rescales_values(self) -> bool:
-        return self.k1.rescales_values and self.k2.rescales_values
-
 
 def _common(name, first, second):
     """Return a number that both terms of a sum have in common."""
@@ -524,10 +514,6 @@ class Rescaled(MultiOutputKernel):
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return self.kernel.rescaled(np.asarray(self.factor) * factor)
-
-    @property
-    def rescales_values(self) -> bool:
-        return False
 
     @property
     def n_outputs(self) -> int:

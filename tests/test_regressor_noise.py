@@ -31,13 +31,14 @@ def test_a_refit_with_kernel_and_noise_is_the_same_model(data, inference):
     }
     model = DependentGPRegressor(n_latent=0, **options).fit(*data)
     kernel, noise = model.kernel_, model.noise_variance_
-    for more in ({"noise_variance": noise}, {}):  # noise that is not given is estimated
+    # noise that is not given is estimated, by the largest likelihood
+    for more in ({"noise_variance": noise}, {}):
         again = DependentGPRegressor(kernel, optimizer=None, **more, **options).fit(*data)
-        np.testing.assert_allclose(again.noise_variance_, noise, rtol=0.05 if not more else 1e-9)
+        np.testing.assert_allclose(again.noise_variance_, noise, rtol=0.08 if not more else 1e-9)
         np.testing.assert_allclose(
             again.log_marginal_likelihood_value_,
             model.log_marginal_likelihood_value_,
-            atol=0.05 if not more else 1e-6,
+            atol=0.1 if not more else 1e-6,
         )
         np.testing.assert_allclose(again.predict(data[0]), model.predict(data[0]), atol=1e-3)
 

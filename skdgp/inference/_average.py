@@ -7,8 +7,8 @@ has the weights
 
 for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018), where c is zero for the trend and
 two nats for each regressor for a process, whose hyperparameters the same rows have determined.
-The weights have a Dirichlet prior of three rows for each component, and those below 5 % are set to
-zero.
+The weights have a Dirichlet prior of three rows for each component on average, and those below 5 %
+are set to zero.
 """
 
 from __future__ import annotations
@@ -210,16 +210,21 @@ def held_out_weights(
 def stacked(scores: Matrix, settings: AverageSettings = SETTINGS) -> Vector:
     """Return the weights (K,) of components with log densities (K, n); without rows the last has all.
 
-    Their prior is a Dirichlet distribution, as if each component had predicted some rows alone:
-    weights that few rows decide vary by chance.
+    Weights that few rows decide vary by chance. So some rows more count as predicted by the
+    components alone, by how many standard errors they fall short of the best one, as in pseudo-BMA+
+    (Yao, Vehtari, Simpson & Gelman 2018, section 3.4).
     """
     K, n = scores.shape
     if n == 0:
         return np.eye(K)[-1]
+    shortfall = scores[scores.sum(axis=1).argmax()] - scores
+    error = np.maximum(np.sqrt(n) * shortfall.std(axis=1), 1.0)
+    prior = K * settings.prior_rows * softmax(-shortfall.sum(axis=1) / error)
     weights = np.full(K, 1.0 / K)
     for _ in range(settings.n_steps):  # expectation maximisation
-        component = softmax(scores + np.log(weights)[:, None], axis=0)
-        rows = component.sum(axis=1) + settings.prior_rows
+        with np.errstate(divide="ignore"):
+            component = softmax(scores + np.log(weights)[:, None], axis=0)
+        rows = component.sum(axis=1) + prior
         weights = rows / rows.sum()
     return weights
 

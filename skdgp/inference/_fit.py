@@ -87,10 +87,19 @@ def fit_exact(
     """
     search_options = SearchOptions(**options)
     learned = search(kernel, X, Y, search_options, exact=True, known=known)
+    if data is None:
+        data = Data.from_table(X, Y, known.loading)
+    posterior = _exact_posterior(learned, data)
     if search_options.optimizer is not None:
-        learned = unbiased(learned, Y, known)
-    data = learned.noisy(Data.from_table(X, Y, known.loading) if data is None else data)
-    return Fit(ExactPosterior(learned.kernel, learned.noise, data), learned)
+        learned = unbiased(learned, posterior, Y, known)
+    if learned.is_unbiased:
+        posterior = _exact_posterior(learned, data)
+    return Fit(posterior, learned)
+
+
+def _exact_posterior(learned, data):
+    """Return the posterior of values of exact regressors, with the noise of the regressors."""
+    return ExactPosterior(learned.kernel, learned.noise, learned.noisy(data))
 
 
 def as_exact(

@@ -188,9 +188,14 @@ class ExactPosterior(SinglePosterior):
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
         # equation 20
-        squares = self._white @ self._white
         constant = data.n_values * np.log(2 * np.pi)
-        self.log_marginal_likelihood = -0.5 * (squares + log_determinant(self.L) + constant)
+        log_determinants = log_determinant(self.L) + constant
+        self.log_marginal_likelihood = -0.5 * (self.quadratic_form + log_determinants)
+
+    @property
+    def quadratic_form(self) -> float:
+        """y^T K^-1 y, about N where variances have the largest likelihood."""
+        return float(self._white @ self._white)
 
     @property
     def size(self) -> int:

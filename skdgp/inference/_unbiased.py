@@ -1,8 +1,8 @@
 r"""Unbiased variances of kernel and noise in place of those of the largest likelihood.
 
-Variances of the largest likelihood are too small by chance, as those of residuals are. As for the
-noise variance of least squares they are multiplied by :math:`n / (n - p)`, where the n values of an
-output have determined p hyperparameters.
+Variances of the largest likelihood, :math:`y^T K^{-1} y / N` times those of K, are too small by
+chance, as those of residuals are. As for the noise variance of least squares they are multiplied by
+:math:`n / (n - p)`, where the n values of an output have determined p hyperparameters.
 """
 
 from __future__ import annotations
@@ -11,11 +11,14 @@ import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._noise import KnownNoise
+from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._search import Hyperparameters
 from skdgp.kernels import MultiOutputKernel
 
 #: Largest fraction of the values that hyperparameters count for (benchmark `coverage`)
 LARGEST_FRACTION = 0.5
+#: Factor of variances up to which nothing is changed: of more than 21 values for a hyperparameter
+LEAST_FACTOR = 1.05
 
 
 def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
@@ -31,14 +34,22 @@ def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
     return n / (n - np.minimum(n_learned, LARGEST_FRACTION * n))
 
 
-def unbiased(learned: Hyperparameters, Y: Matrix, known: KnownNoise) -> Hyperparameters:
-    """Return hyperparameters with unbiased variances, the same ones if these are fixed or would leave their bounds."""
+def unbiased(
+    learned: Hyperparameters, posterior: ExactPosterior, Y: Matrix, known: KnownNoise
+) -> Hyperparameters:
+    """Return hyperparameters with unbiased variances, the same ones if these are fixed or would leave their bounds.
+
+    ``posterior`` is the one of the hyperparameters.
+    """
     kernel = learned.kernel
-    if learned.interrupted or known.loading is not None:
-        return learned
     factor = unbiased_factor(kernel, Y)
+    if learned.interrupted or factor.max() <= LEAST_FACTOR:
+        return learned
+    if known.loading is not None or not np.all(known.is_learned):
+        return learned
+    factor = factor * posterior.quadratic_form / posterior.size
     noise = factor * learned.noise
-    if known.bounds is not None and (noise > known.bounds[:, 1]).any():
+    if known.bounds is not None and (noise != np.clip(noise, *known.bounds.T)).any():
         return learned
     scaled = kernel.rescaled(np.sqrt(factor))
     if not all(map(_is_learned, kernel.summands(), scaled.summands())):

@@ -175,13 +175,18 @@ class TestStacking:
     @pytest.mark.parametrize("n", [20, 200])
     @pytest.mark.parametrize("prior_rows", [0.5, 3.0])
     def test_maximise(self, n, prior_rows):
-        offset = np.array([[0.3], [0.0], [-0.2]])
+        offset = np.array([[0.8], [0.0], [-0.2]])  # the first is the best
         scores = np.random.default_rng(0).normal(size=(3, n)) + offset
+
+        # rows of the prior, by the distances from the best in standard errors
+        shortfall = scores[0] - scores
+        distance = shortfall.sum(axis=1) / np.maximum(np.sqrt(n) * shortfall.std(axis=1), 1.0)
+        rows = 3 * prior_rows * softmax(-distance)
 
         def loss(z):
             log_weights = z - logsumexp(z)
             density = logsumexp(scores + log_weights[:, None], axis=0).sum()
-            return -density - prior_rows * log_weights.sum()
+            return -density - rows @ log_weights
 
         best = softmax(minimize(loss, np.zeros(3), tol=1e-12).x)
         found = stacked(scores, AverageSettings(prior_rows=prior_rows))

@@ -46,8 +46,9 @@ def autocorrelation_time(residuals: Vector) -> float:
     """
     centred = residuals - np.mean(residuals)
     n = len(centred)
-    power = np.abs(rfft(centred, next_fast_len(2 * n))) ** 2
-    covariance = irfft(power)[:n]
+    size = next_fast_len(2 * n)
+    power = np.abs(rfft(centred, size)) ** 2
+    covariance = irfft(power, size)[:n]
     if not covariance[0] > 0:
         return 1.0
     tau = 2 * np.cumsum(covariance / covariance[0]) - 1

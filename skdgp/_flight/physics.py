@@ -158,10 +158,14 @@ class Signals:
         """Return channels as vectors (n, k)."""
         return np.column_stack([self[name] for name in names])
 
+    def window_rows(self, seconds: float | None = None) -> int:
+        """Return the steps of a window, at least one."""
+        seconds = self.settings.kinematic_window if seconds is None else seconds
+        return max(round(seconds / self.step), 1)
+
     def change(self, values: Array, seconds: float | None = None) -> Array:
         """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end."""
-        seconds = self.settings.kinematic_window if seconds is None else seconds
-        length = max(round(seconds / self.step), 1)
+        length = self.window_rows(seconds)
         inside = self.segment[length:] == self.segment[:-length]
         change = np.full(values.shape, np.nan)
         change[:-length][inside] = (values[length:] - values[:-length])[inside]
@@ -267,9 +271,13 @@ def level_force(flight: Signals, axis: int) -> Regression:
 
 
 def gravity(flight: Signals) -> Regression:
-    """Return the terms of (R f)_down = v_down_dot - g, without an intercept."""
+    """Return the terms of (R f)_down = v_down_dot - g, without an intercept.
+
+    The force is the response: without gravity in it, it hardly varies with x.
+    """
     change, impulse, _ = level_force(flight, axis=2)
-    return Regression(impulse, change - STANDARD_GRAVITY * flight.settings.kinematic_window, [])
+    window = flight.step * flight.window_rows()
+    return Regression(impulse, change - STANDARD_GRAVITY * window, [])
 
 
 # -- aerodynamics: slopes of a known sign
@@ -395,7 +403,9 @@ CHECKS: dict[str, Check] = {
     "angle of attack": _velocity(
         "alpha", "V alpha", "the normal ground velocity less a wind", axis=2
     ),
-    "gravity": _force(("az",), gravity),
+    "gravity": _force(("az",), gravity)._replace(
+        y="the integral of specific force", x="the change of velocity less gravity"
+    ),
     "forward force": _force(("theta", "psi", "v_north", "v_east"), partial(level_force, axis=0)),
     "sideward force": _force(("phi", "psi", "v_north", "v_east"), partial(level_force, axis=1)),
     "vertical force": _force(("v_down", "az"), partial(level_force, axis=2)),
@@ -595,14 +605,17 @@ def flight_signals(table: pd.DataFrame, settings: PhysicsSettings = DEFAULT) -> 
     runs = [run for run in segments if run.stop - run.start > 1]
     if not runs:
         return Signals({}, np.empty(0, int), 1.0, settings)
-    step = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
-    size = max(1, int(1 / step // settings.rate))
-    segment = np.repeat(np.arange(len(runs)), [(run.stop - run.start) // size for run in runs])
+    usual = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
+    step = float(usual) * max(1, int(1 / usual // settings.rate))
+    clocks = [_block_clock(time[run], step) for run in runs]
+    segment = np.repeat(np.arange(len(runs)), [len(clock) for clock in clocks])
     channels = {}
     for name in USED:
         if name in table and pd.api.types.is_numeric_dtype(table[name]):
             values = table[name].to_numpy(float, na_value=np.nan)
-            parts = [_averaged(name, time[run], values[run], size) for run in runs]
+            parts = []
+            for run, clock in zip(runs, clocks, strict=True):
+                parts.append(_averaged(name, time[run], values[run], clock))
             channels[name] = np.concatenate(parts)
     if set(ELEVONS) <= channels.keys():
         left, right = (channels[name] for name in ELEVONS)
@@ -613,11 +626,21 @@ def flight_signals(table: pd.DataFrame, settings: PhysicsSettings = DEFAULT) -> 
         airspeed = channels["airspeed"]
         on_ground = airspeed < settings.flying * np.nanmedian(airspeed)
         channels = {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}
-    return Signals(channels, segment, size * float(step), settings)
+    return Signals(channels, segment, step, settings)
 
 
-def _averaged(name: str, time: Vector, values: Vector, size: int) -> Vector:
-    """Return means of ``size`` rows each, linear between samples, without an incomplete block at the end.
+def _block_clock(time: Vector, step: float) -> Matrix:
+    """Return the times of whole blocks (n, k) of ``step`` [s] each, k the samples of a block at the run's own rate."""
+    size = max(1, round(step / np.median(np.diff(time))))
+    spacing = step / size
+    # the tolerance is of rounded clocks
+    n = 1 + int((time[-1] - time[0]) / spacing + 1e-3)
+    points = time[0] + spacing * np.arange(n // size * size)
+    return np.minimum(points, time[-1]).reshape(-1, size)
+
+
+def _averaged(name: str, time: Vector, values: Vector, clock: Matrix) -> Vector:
+    """Return means over the blocks of a clock (n, k), linear between samples.
 
     A sensor that repeats its value holds it: only the first is a sample, as the others are late.
     """
@@ -631,6 +654,6 @@ def _averaged(name: str, time: Vector, values: Vector, size: int) -> Vector:
         if name in EULER:
             period = 360.0 if np.abs(samples).max() > LARGEST_RADIANS else 2 * np.pi
             samples = np.unwrap(samples, period=period)
-        values = np.interp(time, time[rows], samples, left=np.nan, right=np.nan)
-    whole = len(values) // size * size
-    return values[:whole].reshape(-1, size).mean(axis=1)
+        values = np.interp(clock, time[rows], samples, left=np.nan, right=np.nan)
+        return values.mean(axis=1)
+    return np.full(len(clock), np.nan)

@@ -8,7 +8,7 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -231,26 +231,25 @@ def estimate_air_motion(
     Raises
     ------
     ValueError
-        If no record has 100 samples without a gap, or the estimate diverges.
+        If no record has 100 samples without a gap, two where ``known`` is given, or the estimate diverges.
     """
     check_aircraft(aircraft)
     check_columns(check_table(table), ["time", *PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
     table = _with_elevator_and_aileron(table)
     has_thrust = thrust is not None and _has_thrust(table, aircraft)
+    if known is not None and not _has_drag(known.derivatives.index):
+        has_thrust = False
     loads = propulsive_loads(table, aircraft, thrust if has_thrust else None)
     if known is None:
-        surfaces = [
-            name for name in SURFACES if has_values(table, name) and np.ptp(table[name]) > 0
-        ]
+        surfaces = [name for name in SURFACES if _moves(table, name)]
         fewest = settings.fewest_samples
     else:
         surfaces, fewest = known.surfaces, 2
     records = records_of(table, surfaces, np.concatenate(loads, axis=1), fewest, settings)
     if not records:
         raise ValueError(
-            f"Got no record of {settings.fewest_samples} samples without a gap, but expected one: "
-            "give a longer flight."
+            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
         )
     if known is None:
         records = shortened(records, settings)
@@ -280,6 +279,18 @@ def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)
 
 
+def _moves(table: pd.DataFrame, surface: str) -> bool:
+    """Return whether the table has a surface that moves."""
+    if not has_values(table, surface):
+        return False
+    return np.nanmax(table[surface]) > np.nanmin(table[surface])
+
+
+def _has_drag(derivatives: Iterable[str]) -> bool:
+    """Return whether derivatives of CX are among some."""
+    return "CX" in map(coefficient_of, derivatives)
+
+
 def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
     """Return whether thrust is in the table, or follows from the propeller."""
     if any(has_values(table, name) for name in ("thrust", *THRUST_FORCES)):
@@ -296,11 +307,11 @@ def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> 
     """Return the parameters of some flights; those of a known aircraft are held."""
     shared = dict(SHARED)
     n_held = 0
-    if "CX" not in map(coefficient_of, derivatives):
-        shared["thrust_scale"] = MEASURED_THRUST
     if known is not None:
         shared = dict(_as_prior(known.constants.loc[list(SHARED)]))
         n_held = len(derivatives) + len(shared)
+    if not _has_drag(derivatives):
+        shared["thrust_scale"] = MEASURED_THRUST
     return Parameters.of(dict(derivatives) | shared, OWN, n_flights, n_held)
 
 

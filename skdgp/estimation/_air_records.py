@@ -160,8 +160,11 @@ def records_of(
             inputs=Inputs(values[:, :k], values[:, k:-1], values[:, -1]),
         )
         for rows in sensors.segments():
-            if len(rows) >= fewest:
-                records.append(whole.part(_thinned(sensors.time, rows, settings.sample_rate)))
+            if len(rows) < 2:
+                continue
+            record = whole.part(_thinned(sensors.time, rows, settings.sample_rate))
+            if len(record.rows) >= fewest:
+                records.append(record)
     return records
 
 

@@ -20,7 +20,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import PITOT, SHARED, Parameters
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._sensors import AIRSPEED, FORCE
+from skdgp.estimation._sensors import AIRSPEED, FORCE, WIND_STD
 from skdgp.estimation._settings import AirSettings
 
 RATE_WINDOW = 0.05  # s, half of the moving mean of the rates before they are differentiated
@@ -51,7 +51,8 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
     times the samples of the mean, so that n samples tell as much as they do.
     """
     _, scale_std = SHARED["airspeed_scale"]
-    prior = np.diag([settings.pitot_noise / scale_std, 0.1, 0.1])
+    std = np.array([scale_std, WIND_STD, WIND_STD])
+    prior = np.diag(settings.pitot_noise / std)
     pitot = np.zeros(3)
     for _ in range(5):
         slopes, errors = [prior], [prior @ pitot]

@@ -122,9 +122,8 @@ class _Segment:
 
     def __init__(self, time: Vector, table: pd.DataFrame, settings: LagSettings) -> None:
         clock = uniform_grid(time)[0]
-        rate_hz = (len(time) - 1) / (time[-1] - time[0])
-        low, high = settings.band
-        high = min(high, 0.2 * rate_hz)
+        rate_hz = _rate_of(clock)
+        low, high = _band_at(rate_hz, settings)
         channels = _on_clock(time, table, clock)
         speed = np.ones(len(clock))
         if "airspeed" in channels:
@@ -170,6 +169,17 @@ def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vec
     return {name: CubicSpline(time, column)(clock) for name, column in columns}
 
 
+def _rate_of(clock: Vector) -> float:
+    """Return the rate of a uniform clock [Hz]."""
+    return float((len(clock) - 1) / (clock[-1] - clock[0]))
+
+
+def _band_at(rate_hz: float, settings: LagSettings) -> tuple[float, float]:
+    """Return the band of frequencies at a rate of samples [Hz]; empty where samples are too slow."""
+    low, high = settings.band
+    return low, min(high, 0.2 * rate_hz)
+
+
 def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
     """Return values without frequencies above the given one [Hz], and without delay."""
     sections = signal.butter(2, frequency, fs=rate_hz, output="sos")
@@ -178,7 +188,7 @@ def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
 
 
 def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
-    """Return the segments that are long enough and have all inertial sensors."""
+    """Return the segments that are long and fast enough and have all inertial sensors."""
     if not has_values(table, *INERTIAL):
         return []
     time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
@@ -186,7 +196,10 @@ def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
     for runs in runs_by_flight(time, codes):
         for run in runs:
             part = table.iloc[run]
-            if np.ptp(time[run]) > settings.shortest and has_values(part, *INERTIAL):
+            if np.ptp(time[run]) <= settings.shortest or not has_values(part, *INERTIAL):
+                continue
+            low, high = _band_at(_rate_of(uniform_grid(time[run])[0]), settings)
+            if low < high:
                 segments.append(_Segment(time[run], part, settings))
     return segments
 

@@ -32,7 +32,11 @@ def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
 def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
     """Return the reconstructed columns of a flight by the motion of the air, the rows of `AirMotion.air`."""
     names = [*AIR_DATA, *MOTION_COLUMNS]
-    values = interpolate_missing(sensors.time, air[names].to_numpy())
+    motion = air[names].reset_index(drop=True)
+    euler = motion[[*EULER]].dropna()
+    # angles of thinned rows: between pi and -pi is pi, not zero
+    motion.loc[euler.index, [*EULER]] = np.unwrap(euler.to_numpy(), axis=0)
+    values = interpolate_missing(sensors.time, motion.to_numpy())
     columns = dict(zip(names, values.T, strict=True))
     rates = angle_rates(sensors, values[:, : len(AIR_DATA)])
     return columns | dict(zip(ANGLE_RATES, rates.T, strict=True))

@@ -73,12 +73,12 @@ def simulation_errors(
     """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
 
     It flies in the estimated wind and gusts, else in still air, and is started again every longest
-    horizon. Columns: ``spread``, the standard
-    deviation in the flights; ``limit``, `skdgp.report.THRESHOLDS.error` times that, or three times
-    the noise of the sensor if that is more; ``error``, root mean square at the end; ``lasts``, the
-    time [s] at which the error passes the limit, at most ``horizon``; ``lasts_without_gusts``, the
-    same for the part of the error that ``gusts`` [m/s], where they are not estimated, do not
-    explain. Raises ValueError if it cannot be simulated.
+    horizon. Columns: ``spread``, the standard deviation in the flights; ``limit``,
+    `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that is
+    more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error passes
+    the limit, at most ``horizon``; ``lasts_without_gusts``, the same for the part of the error that
+    ``gusts`` [m/s], where they are not estimated, do not explain. Raises ValueError if it cannot be
+    simulated.
     """
     if settings["external_forces"]:
         raise ValueError(

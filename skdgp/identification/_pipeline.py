@@ -50,8 +50,7 @@ def make_identification_pipeline(
     ============================ ======================================================================================
     ``flightcheck``              faults of the log named and removed, short gaps bridged
     ``lagcorrector``             lags of air data, surfaces, attitude and GPS removed, where flights show them
-    ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and
-    all sensors
+    ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and all sensors
     ``flightsmoother``           the rest of the sensor noise removed, rates of change added, without delay
     ``elevonsplitter``           elevons into elevator and aileron; tables that hold these already pass
     ``ratenondimensionalizer``   p b / 2V, q c / 2V, ... with the aircraft's span and chord

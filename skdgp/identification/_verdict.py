@@ -26,7 +26,8 @@ SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
-FAST_MODES = ("short period", "Dutch roll", "roll")  # modes that a controller of attitude works in
+# kinds of modes that a controller of attitude works in
+FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
 MOMENTS = ("Cl", "Cm", "Cn")
 # Regressors that are known only after a flight
 ACCELERATIONS = {
@@ -163,7 +164,7 @@ def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Fin
     purpose = "design a controller"
     if faults:
         return Use(purpose, "no", tuple(faults))
-    if mechanics.trim is None:
+    if mechanics.trim is None or mechanics.derivatives.empty:
         return Use(purpose, "no", _given(mechanics.note))
     if "std" not in mechanics.derivatives:
         return Use(purpose, "unknown", (Finding(Code.NO_BANDS),))
@@ -192,7 +193,9 @@ def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
     if bands.empty:
         return None
     if mechanics.modes is not None:
-        is_fast = mechanics.modes.index.isin(FAST_MODES)
+        # several of one kind, as of two real roots, are numbered
+        kinds = mechanics.modes.index.str.replace(r" \d+$", "", regex=True)
+        is_fast = kinds.isin(FAST_MODES)
         fast = mechanics.modes.loc[is_fast, ["frequency", "frequency_std"]]
         bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
     return 1.96 * bands["std"] / bands["value"].abs()

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
@@ -206,6 +207,24 @@ def test_table_that_is_too_short_is_refused():
     table, plane = simulated("calm", seconds=1.5, pulses=False)
     with pytest.raises(ValueError, match="Got no record of 100 samples"):
         estimate_air_motion(table.drop(columns="alpha_true"), as_aircraft(plane))
+
+
+def test_surface_with_a_missing_sample_is_in_the_model():
+    table, plane = simulated("calm", seconds=4.0)
+    table.loc[20, "elevator"] = np.nan
+    flight = table.drop(columns="alpha_true")
+    found = estimate_air_motion(flight, as_aircraft(plane), settings=AirSettings(max_passes=1))
+    assert "elevator" in found.surfaces
+
+
+def test_aircraft_known_without_thrust_is_reconstructed_by_its_measured_axial_force():
+    """With drag known of the aircraft, but no thrust of the flight, or the other way round."""
+    known, table, plane = found_in_gusts()
+    table, aircraft = table[:600].drop(columns="alpha_true"), as_aircraft(plane)
+    without = estimate_air_motion(table, aircraft, thrust=None, known=known)
+    assert abs(without.constants.loc["thrust_scale", "value"]) < 1e-4
+    again = estimate_air_motion(table, aircraft, known=without)
+    pd.testing.assert_frame_equal(again.air, without.air)
 
 
 def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():

@@ -169,6 +169,15 @@ def test_the_message_has_the_numbers(flight):
     assert str(found).endswith("effective samples)")
 
 
+def test_the_message_of_gravity_says_what_is_over_what(flight):
+    """Forces in g: their integral is a tenth of what the velocity tells."""
+    (found,) = find_contradictions(scaled(1 / STANDARD_GRAVITY, *FORCES)(flight))
+    assert (
+        "the slope of the integral of specific force over the change of velocity less gravity is 0.1"
+        in str(found)
+    )
+
+
 def test_the_error_of_a_slope_counts_dependent_samples():
     """Over many pairs of unrelated series with memory, slopes vary as much as their standard deviations say."""
     rng = np.random.default_rng(0)
@@ -224,6 +233,17 @@ def test_good_flights_have_none(logged):
 
 def test_good_flights_together_have_none():
     assert find_contradictions(load_example_flights().train) == []
+
+
+def test_a_slower_flight_beside_a_fast_one_has_none():
+    """25 Hz beside 100 Hz: rolls are as long in both."""
+    flights = []
+    for step, size in ((0.01, 0.01), (0.04, 1.0)):
+        time = step * np.arange(round(60 / step))
+        motion = {"phi": size * np.sin(time), "p": size * np.cos(time)}
+        still = dict.fromkeys(("q", "r", "theta"), 0.0)
+        flights.append(pd.DataFrame({"time": time, "flight": f"{step} s", **motion, **still}))
+    assert find_contradictions(pd.concat(flights, ignore_index=True)) == []
 
 
 def test_noise_has_none(flight):

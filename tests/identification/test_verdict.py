@@ -263,21 +263,31 @@ class TestSimulation:
 
 
 class TestControl:
-    def test_a_wide_band_of_a_control_or_a_mode(self):
+    def test_a_wide_band_of_a_control(self):
         wide = mechanics().derivatives.assign(std=[0.3, 0.01, 0.01])
         fit, reason = use(verdict(mechanics_=mechanics(derivatives=wide)), "design a controller")
         assert (fit, reason) == (
             "no",
             "not known well enough, half of the 95 % interval: Cm_elevator ± 59 %",
         )
+
+    @pytest.mark.parametrize(
+        "mode", ["Dutch roll", "Dutch roll 1", "short period 2", "roll-spiral"]
+    )
+    def test_a_wide_band_of_a_fast_mode(self, mode):
         modes = pd.DataFrame(
-            {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=["Dutch roll", "phugoid"]
+            {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=[mode, "phugoid"]
         )
         fit, reason = use(verdict(mechanics_=mechanics(modes=modes)), "design a controller")
         assert (fit, reason) == (
             "no",
-            "not known well enough, half of the 95 % interval: Dutch roll ± 78 %",
+            f"not known well enough, half of the 95 % interval: {mode} ± 78 %",
         )
+
+    def test_no_derivatives_at_a_trim(self):
+        note = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
+        without = mechanics(derivatives=pd.DataFrame(), note=note)
+        assert use(verdict(mechanics_=without), "design a controller") == ("no", "no derivatives")
 
     @pytest.mark.parametrize(("error", "fit"), [(1.2, "partly"), (0.8, "yes")])
     def test_moments_that_a_constant_predicts_better_are_no_yes(self, error, fit):

@@ -128,6 +128,10 @@ class TestEstimate:
         lags = LagCorrector().fit(linear_aircraft(0, seconds=seconds, air=0.05)).lags_
         assert lags.remark.tolist() == ["not shown by these flights"] * 4
 
+    def test_a_log_slower_than_the_band_tells_nothing(self):
+        table = linear_aircraft(0)[::27]  # 1.5 Hz
+        assert LagCorrector().fit(table).lags_.remark.tolist() == ["not shown by these flights"] * 4
+
     def test_flights_without_inertial_sensors_tell_nothing(self):
         table = linear_aircraft(0).drop(columns="q")
         pd.testing.assert_frame_equal(LagCorrector().fit_transform(table), table)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import air_data
-from skdgp.estimation import PATH_CHANNELS
+from skdgp.estimation import PATH_CHANNELS, air_columns, flights_of
 from skdgp.preprocessing import (
     FlightDataWarning,
     FlightPathReconstruction,
@@ -31,6 +31,7 @@ SHEET = {
 }
 """White noise of the sensors, standard deviation."""
 AIR = ["airspeed", "alpha", "beta"]
+WIND = ["wind_north", "wind_east", "wind_down"]
 
 
 def flown(seconds=60.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, loop=0.0, lags=None):
@@ -409,3 +410,14 @@ def test_a_piece_of_a_second_has_the_gusts_of_the_fit():
     assert reconstruction.transform(piece)["gust"].iloc[0] == pytest.approx(
         reconstruction.gust_std_, rel=0.2
     )
+
+
+def test_heading_between_thinned_rows_does_not_cross_zero_at_pi():
+    table = flown(seconds=2.0, rate=100.0)
+    psi = np.pi + table["time"].to_numpy() - table["time"].mean()
+    air = table.assign(**dict.fromkeys(WIND, 0.0))
+    air["psi"] = (psi + np.pi) % (2 * np.pi) - np.pi
+    thinned = air[[*AIR, *PATH_CHANNELS[:-1], *WIND]]
+    thinned.iloc[1::2] = np.nan
+    columns = air_columns(thinned, flights_of(table)[0].sensors)
+    np.testing.assert_allclose(np.cos(columns["psi"] - psi), 1.0, atol=1e-4)

@@ -194,7 +194,7 @@ class ExactPosterior(SinglePosterior):
 
     @property
     def quadratic_form(self) -> float:
-        """y^T K^-1 y, about N where variances have the largest likelihood."""
+        """Quadratic form y^T K^-1 y, which is N where the variances have the largest likelihood."""
         return float(self._white @ self._white)
 
     @property

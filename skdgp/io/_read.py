@@ -362,7 +362,8 @@ def names_servos(path: PathLike) -> bool:
 
 def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
     """Return the summary of a file that is no log of an autopilot."""
-    step = table.groupby("flight", sort=False)["time"].diff().median()
+    steps = table.groupby("flight", sort=False)["time"].diff().dropna()
+    step = steps.median()
     unknown = table.attrs[UNKNOWN]
     channels = table.drop(columns=["time", "flight", *unknown])
     columns = pd.DataFrame(

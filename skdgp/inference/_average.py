@@ -7,8 +7,7 @@ has the weights
 
 for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018), where c is zero for the trend and
 two nats for each regressor for a process, whose hyperparameters the same rows have determined.
-The weights have a Dirichlet prior of three rows for each component on average, and those below 5 %
-are set to zero.
+The weights have a Dirichlet prior (``stacked``), and those below 5 % are set to zero.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ class AverageSettings:
     #: Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen
     #: all of it
     least_weight: float = 0.05
-    #: Rows that the prior of the weights gives to each component (benchmark `coverage`)
+    #: Rows that the prior of the weights is worth, for each component (benchmark `coverage`)
     prior_rows: float = 3.0
     #: Steps of expectation maximisation for the weights
     n_steps: int = 200
@@ -210,9 +209,10 @@ def held_out_weights(
 def stacked(scores: Matrix, settings: AverageSettings = SETTINGS) -> Vector:
     """Return the weights (K,) of components with log densities (K, n); without rows the last has all.
 
-    Weights that few rows decide vary by chance. So some rows more count as predicted by the
-    components alone, by how many standard errors they fall short of the best one, as in pseudo-BMA+
-    (Yao, Vehtari, Simpson & Gelman 2018, section 3.4).
+    Weights that few rows decide vary by chance. A Dirichlet prior is worth K ``prior_rows`` rows,
+    shared in proportion to :math:`e^{-z_k}`: the score of component k is :math:`z_k` standard
+    errors below that of the best one. Like pseudo-BMA+ (the same paper) it takes the uncertainty of
+    the scores into account.
     """
     K, n = scores.shape
     if n == 0:

@@ -22,6 +22,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import constant_columns, unexplained_variance
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp.inference._errors import PosteriorWithErrors
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle
@@ -298,11 +299,12 @@ class CentredTerm:
     .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
 
     For an average it is the mixture of the terms of its members, zero where a member lacks the
-    term.
+    term. Errors of the function add their variance: linear ones to the terms of single regressors,
+    the discrepancy to the term of all regressors.
 
     Parameters
     ----------
-    posterior : AveragePosterior, ExactPosterior or SparsePosterior
+    posterior : Posterior
     regressors : tuple of int
         Regressors of the term, one of ``posterior.kernel.term_regressors()``.
     X : ndarray (N, d)
@@ -315,13 +317,21 @@ class CentredTerm:
     """
 
     def __init__(self, posterior: Posterior, regressors: tuple[int, ...], X: Matrix) -> None:
+        self.X = X
         self.mixture = posterior.mixture
         self.terms = [_MemberTerm(member, regressors, X) for member in posterior.members]
         self.values = moments(self.mixture, [term.values for term in self.terms])
+        self._errors = None
+        if isinstance(posterior, PosteriorWithErrors):
+            self._errors = posterior.errors.of_term(regressors)
 
     def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
         """Return the mean and the variance at X (n, d), (n, P) each."""
-        return moments(self.mixture, [term.predict(X) for term in self.terms], return_variance=True)
+        of_terms = [term.predict(X) for term in self.terms]
+        mean, variance = moments(self.mixture, of_terms, return_variance=True)
+        if self._errors is None:
+            return mean, variance
+        return mean, variance + self._errors.change_variance(X, self.X)
 
 
 class _MemberTerm:

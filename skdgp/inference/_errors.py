@@ -133,7 +133,7 @@ class FunctionErrors(NamedTuple):
         change = self.linear(X) - self.linear(samples).mean(axis=1, keepdims=True)
         variance = np.sum(change**2, axis=0)
         kernel = self.kernel
-        for i in np.flatnonzero(self.discrepancy):
+        for i in np.flatnonzero(self.discrepancy).tolist():
             shared = kernel.block(i, i, X, samples).mean(axis=1)
             among = kernel.block(i, i, samples, samples).mean()
             variance[:, i] += np.maximum(self.discrepancy[i] - 2.0 * shared + among, 0.0)

@@ -314,6 +314,8 @@ class TestIdentify:
         )
         unexplained = with_codes(found.findings, Code.ENGINE_UNEXPLAINED)
         assert [each.numbers["names"][0] for each in unexplained] == ["throttle"]
+        words = "Name regressors with 'throttle' and 'airspeed', or give the thrust"
+        assert sum(words in message for message in found.messages) == 1
         assert found.fit.training.thrust == ["none"]
         assert "part of the coefficients" in found._report_content().facts["Thrust"]
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)

@@ -403,8 +403,9 @@ CHECKS: dict[str, Check] = {
     "angle of attack": _velocity(
         "alpha", "V alpha", "the normal ground velocity less a wind", axis=2
     ),
+    # without lags: gravity hardly varies, and the vertical force below tells them
     "gravity": _force(("az",), gravity)._replace(
-        y="the integral of specific force", x="the change of velocity less gravity"
+        y="the integral of specific force", x="the change of velocity less gravity", lags=(0.0,)
     ),
     "forward force": _force(("theta", "psi", "v_north", "v_east"), partial(level_force, axis=0)),
     "sideward force": _force(("phi", "psi", "v_north", "v_east"), partial(level_force, axis=1)),

@@ -1,6 +1,7 @@
 """Reader of PX4 logs (ULog) by pyulog.
 
-Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as pyulog reads it.
+Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as pyulog reads it, less
+topics that are no messages or ask for far more fields than a message can hold.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ from skdgp.io._tables import FlightReadError
 HEADER = b"ULog\x01\x12\x35"
 SPARE_READS = 1000  # beyond one for each byte: a sound file has two for each message
 HEAD_SIZE = 3  # bytes before each message
+MOST_FIELDS = 2**16  # of one message, whose length has 16 bits
+MOST_FIELDS_IN_ALL = 2**18  # of all topics of a log, at most one for each byte; a VTOL's has 4,000
+NO_NAME = b":"  # of a topic; pyulog skips a subscription of it
 LATEST = 1_000_000  # microseconds from sampling to publishing, at most
 MAV_TYPES = {
     1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
@@ -154,8 +158,57 @@ def read_ulog(path: Path) -> Log:
     )
 
 
+class _Definitions:
+    """Definitions of topics, of which a few bytes can ask for all memory: pyulog keeps each field of each topic."""
+
+    def __init__(self, most: int):
+        self._most = most
+        self._fields: dict[str, list[tuple[str, int, str]]] = {}
+        self._counts: dict[str, int] = {}
+        self._total = 0
+        self._complete = False
+
+    def add(self, content: bytes) -> None:
+        """Add a definition "name:type field;type[n] field"; pyulog ignores those after the first topic."""
+        if self._complete:
+            return
+        name, _, text = content.decode(errors="ignore").partition(":")
+        fields = []
+        try:
+            for field in filter(None, text.split(":")[0].split(";")):
+                kind, label = field.split(" ")[:2]
+                kind, _, size = kind.partition("[")
+                fields.append((kind, int(size.removesuffix("]")) if size else 1, label))
+        except ValueError:
+            fields = []
+        self._fields[name] = fields
+
+    def holds(self, content: bytes) -> bool:
+        """Return whether a subscription is of a topic with time and not of too many fields, and count these."""
+        self._complete = True
+        name = content[3:].decode(errors="ignore")
+        if ("uint64_t", 1, "timestamp") not in self._fields.get(name, []):
+            return False
+        n_fields = self.n_fields(name)
+        self._total += n_fields
+        return n_fields <= MOST_FIELDS and self._total <= self._most
+
+    def n_fields(self, name: str) -> int:
+        """Return the fields of a message with those of its parts, more than MOST_FIELDS if it holds itself."""
+        if name not in self._fields:
+            return 1
+        if name not in self._counts:
+            self._counts[name] = MOST_FIELDS + 1
+            sizes = [max(n, 1) * self.n_fields(kind) for kind, n, _ in self._fields[name]]
+            self._counts[name] = sum(sizes)
+        return self._counts[name]
+
+
 class _File(io.BytesIO):
-    """A file that notes where data messages end, how far it was read, and whether a read was cut short."""
+    """A file that notes where data messages end, how far it was read, and whether a read was cut short.
+
+    Subscriptions of topics that cannot be read are replaced by one that pyulog skips.
+    """
 
     def __init__(self, data: bytes):
         super().__init__(data)
@@ -164,6 +217,8 @@ class _File(io.BytesIO):
         self.cut = False
         self._reads_left = len(data) + SPARE_READS
         self._head = b""
+        self._definitions = _Definitions(min(MOST_FIELDS_IN_ALL, len(data)))
+        self._topics: dict[int, bool] = {}
 
     def read(self, size: int | None = -1) -> bytes:
         """Return the next bytes; raise EOFError if pyulog reads the same place without an end."""
@@ -174,11 +229,19 @@ class _File(io.BytesIO):
         expected = size or 0
         self.end = self.tell()
         self.cut = len(content) < expected and (bool(content) or expected != HEAD_SIZE)
-        is_datum = self._head.endswith(b"D") and len(content) == expected
-        if is_datum:
+        kind = self._head[2:] if len(content) == expected else b""
+        self._head = content if expected == HEAD_SIZE and kind != b"D" else b""
+        if kind == b"D":
             topic = int.from_bytes(content[:2], "little")
             self.places[topic].append(self.end)
-        self._head = content if expected == HEAD_SIZE and not is_datum else b""
+        elif kind == b"F":
+            self._definitions.add(content)
+        elif kind == b"A":
+            # pyulog reads the first one twice
+            if self.end not in self._topics:
+                self._topics[self.end] = self._definitions.holds(content)
+            if not self._topics[self.end]:
+                return content[:3] + NO_NAME * (expected - 3)
         return content
 
 

@@ -74,6 +74,15 @@ def test_external_loads_are_taken_away(simulated, aircraft, true_coefficients):
     assert_allclose(got, true_coefficients, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [(["rope"], "lacks the columns 'rope_x'"), ("rope", "expected a sequence of names")],
+)
+def test_external_loads_that_are_none_are_told(simulated, aircraft, names, words):
+    with pytest.raises(ValueError, match=words):
+        aerodynamic_coefficients(simulated, aircraft, external_forces=names)
+
+
 def test_flights_do_not_see_each_other(simulated, aircraft):
     flight = simulated.drop(columns=DERIVATIVES)
     both = pd.concat(

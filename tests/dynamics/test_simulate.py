@@ -551,7 +551,7 @@ class TestEnsembles:
         assert not fly(drifting).equals(fly(steady))
         assert_frame_equal(mean(drifting), mean(steady))
         ends = [fly_end(drifting, aircraft, seed) for seed in (0, 0, 1)]
-        assert_allclose(ends[0], ends[1])
+        assert ends[0] == ends[1]
         assert ends[2] != pytest.approx(ends[0])
 
     def test_a_model_without_beliefs_has_no_ensemble(self, aircraft):
@@ -580,7 +580,7 @@ class TestSimulator:
         simulator = Simulator(linear(servo_lag=lag), aircraft, dt=0.02, air=[1.0, 2.0, 0.0])
         seen = simulator.reset(START)
         for _, row in at_once.iterrows():
-            assert_allclose(seen["time"], row["time"])
+            assert seen["time"] == pytest.approx(row["time"])
             assert_allclose(
                 [seen[name] for name in STATES], row[STATES].to_numpy(float), atol=1e-10
             )
@@ -593,7 +593,7 @@ class TestSimulator:
         simulator = Simulator(model, aircraft, dt=0.02, air=wind)
         seen = simulator.reset(START, controls=held)
         for row in flown[["ax", "ay", "az"]].to_numpy():
-            assert_allclose([seen["ax"], seen["ay"], seen["az"]], row, atol=1e-10)
+            assert [seen["ax"], seen["ay"], seen["az"]] == pytest.approx(row, abs=1e-10)
             seen = simulator.step(held)
 
     def test_accelerometers_show_the_forces_of_the_controls_that_were_held(self, aircraft):
@@ -631,7 +631,7 @@ class TestSimulator:
                 seen = simulator.step(commands(0.0))
             return seen["phi"]
 
-        assert_allclose(end(1), end(1))
+        assert end(1) == end(1)
         assert end(1) != pytest.approx(end(2))
 
     def test_tells_what_is_beyond_what_was_flown(self, aircraft):

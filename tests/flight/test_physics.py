@@ -105,6 +105,11 @@ FAULTS = {
             "altitude": -1, "rudder": None,
         }.items()
     },
+    "sign of v_down without altitude": (
+        lambda flight: opposite("v_down")(flight.drop(columns="altitude")),
+        {"v_down"},
+        -1,
+    ),
     "sign of beta": (opposite("beta"), {"beta", "ay"}, None),
     "sign of v_north": (opposite("v_north"), {"north", "v_north"}, -1),
     "sign of ax": (opposite("ax"), {"throttle", "ax"}, None),
@@ -112,9 +117,12 @@ FAULTS = {
     "elevator reversed": (controls(-1, 1), ELEVONS, None),
     "aileron reversed": (controls(1, -1), ELEVONS, None),
     "elevons exchanged": (exchanged_elevons, ELEVONS, None),
+    "elevons reversed": (controls(-1, -1), ELEVONS, None),
     "alpha in degrees": (scaled(DEGREES, "alpha"), {"alpha"}, None),
     "r in degrees": (scaled(DEGREES, "r"), {"r"}, 1 / DEGREES),
     "phi in degrees": (scaled(DEGREES, "phi"), {"phi"}, DEGREES),
+    "theta in degrees": (scaled(DEGREES, "theta"), {"theta"}, None),
+    "psi in degrees": (scaled(DEGREES, "psi"), {"psi"}, None),
     "attitude in degrees": (scaled(DEGREES, *ATTITUDE), {"phi", "p"}, DEGREES),
     "rates in degrees": (scaled(DEGREES, "p", "q", "r"), {"p", "theta", "q"}, None),
     "forces in g": (scaled(1 / STANDARD_GRAVITY, *FORCES), {"az"}, 1 / STANDARD_GRAVITY),
@@ -122,6 +130,10 @@ FAULTS = {
     "airspeed in km/h": (scaled(3.6, "airspeed"), {"airspeed"}, 1 / 3.6),
     "altitude in feet": (scaled(1 / 0.3048, "altitude"), {"altitude"}, 1 / 0.3048),
     "gravity removed": (without_gravity, {"az"}, None),
+    "accelerometer z up": (opposite("ay", "az"), {"az", "beta", "ay"}, -1),
+    "gyro z up": (opposite("q", "r"), {"q", "r"}, None),
+    "attitude z up": (opposite("theta", "psi"), {"theta", "q"}, None),
+    "velocity north, west, up": (opposite("v_east", "v_down"), {"east", "v_east", "v_down"}, -1),
     "velocity east, north, up": (east_north_up, {"v_down"}, None),
     "heading from east": (
         lambda flight: flight.assign(psi=np.pi / 2 - flight["psi"]), {"psi", "r"}, None

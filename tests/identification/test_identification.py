@@ -194,7 +194,8 @@ def stopped(result, tmp_path_factory):
 
 
 def test_few_rows_are_among_the_messages(result):
-    assert any("Got 40 rows" in message for message in result.messages)
+    (message,) = [message for message in result.messages if "Got 40 rows" in message]
+    assert "at least 10 for each" in message
 
 
 def numbers(tree):
@@ -313,6 +314,8 @@ class TestIdentify:
         )
         unexplained = with_codes(found.findings, Code.ENGINE_UNEXPLAINED)
         assert [each.numbers["names"][0] for each in unexplained] == ["throttle"]
+        words = "Name regressors with 'throttle' and 'airspeed', or give the thrust"
+        assert sum(words in message for message in found.messages) == 1
         assert found.fit.training.thrust == ["none"]
         assert "part of the coefficients" in found._report_content().facts["Thrust"]
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)

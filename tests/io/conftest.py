@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 ULOG_CODES = {
     "float": "f",
@@ -176,7 +177,7 @@ def dataflash():
 
 
 class Flight:
-    """A flight of 30 s whose every channel is a slow sine, known at any time."""
+    """A flight of 30 s whose every channel is known at any time: slow sines, and what inertial sensors measure."""
 
     SIZES = {
         "airspeed": (18.0, 2.0), "alpha": (0.05, 0.02), "beta": (0.0, 0.03), "density": (1.1, 0.01),
@@ -192,9 +193,44 @@ class Flight:
 
     def __getitem__(self, name):
         """Return a channel as a function of time."""
-        mean, size = self.SIZES[name]
-        number = list(self.SIZES).index(name)
-        return lambda t: mean + size * np.sin(2 * np.pi * (0.05 + 0.01 * (number % 7)) * t + number)
+        if name in ("p", "q", "r"):
+            return lambda t: self.rates(t)["pqr".index(name)]
+        if name in ("ax", "ay", "az"):
+            return lambda t: self.specific_force(t)[:, "xyz".index(name[1])]
+        mean, _ = self.SIZES[name]
+        return lambda t: mean + self.wave(name, t)
+
+    def wave(self, name, t, shift=0.0):
+        """Return the sine of a channel, shifted [rad]."""
+        _, size = self.SIZES[name]
+        return size * np.sin(self.frequency(name) * t + self.number(name) + shift)
+
+    def number(self, name):
+        return list(self.SIZES).index(name)
+
+    def frequency(self, name):
+        """Return the frequency of a channel [rad/s]."""
+        return 2 * np.pi * (0.05 + 0.01 * (self.number(name) % 7))
+
+    def slope(self, name, t):
+        return self.frequency(name) * self.wave(name, t, np.pi / 2)
+
+    def rates(self, t):
+        """Return p, q, r of the attitude (Stevens & Lewis, equation 1.4-3)."""
+        phi, theta = self["phi"](t), self["theta"](t)
+        phi_dot, theta_dot, psi_dot = (self.slope(name, t) for name in ("phi", "theta", "psi"))
+        return (
+            phi_dot - psi_dot * np.sin(theta),
+            theta_dot * np.cos(phi) + psi_dot * np.sin(phi) * np.cos(theta),
+            psi_dot * np.cos(phi) * np.cos(theta) - theta_dot * np.sin(phi),
+        )
+
+    def specific_force(self, t):
+        """Return the acceleration less gravity in body axes, (n, 3)."""
+        t = np.atleast_1d(t)
+        attitude = Rotation.from_euler("ZYX", self.at(t, "psi", "theta", "phi"))
+        acceleration = [self.slope(name, t) for name in ("v_north", "v_east", "v_down")]
+        return attitude.inv().apply(np.column_stack(acceleration) - [0.0, 0.0, 9.80665])
 
     def time(self, rate, *, delay=0.0):
         return np.arange(self.BEGIN + delay, self.END, 1 / rate)
@@ -212,8 +248,6 @@ def flight():
 
 def quaternion(angles):
     """Return (w, x, y, z) by SciPy, of phi, theta, psi."""
-    from scipy.spatial.transform import Rotation
-
     x, y, z, w = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat().T
     return np.column_stack([w, x, y, z])
 
@@ -333,7 +367,8 @@ def tlog(flight):
         send(t, mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 0, 3))
         send(t, mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3), station)
     for t in flight.time(10):
-        ms, at = round(t * 1e3), {name: float(flight[name](t)) for name in flight.SIZES}
+        ms = round(t * 1e3)
+        at = {name: flight.at([t], name).item() for name in flight.SIZES}
         angles, rates = (at["phi"], at["theta"], at["psi"]), (at["p"], at["q"], at["r"])
         send(t, mavlink.MAVLink_attitude_message(ms, *angles, *rates))
         speed = [round(100 * at[name]) for name in ("v_north", "v_east", "v_down")]

@@ -131,6 +131,7 @@ class TestDamage:
     @pytest.mark.parametrize(
         "text",
         [
+            "bad:uint64_t timestamp;bad inner;",  # in itself
             "bad:uint64_t timestamp;float[99999] x;",  # longer than a message can be
             "bad:uint64_t timestamp;other x;",
             "bad:uint64_t timestamp;float x;float x;",
@@ -141,11 +142,12 @@ class TestDamage:
     def test_definitions_that_make_no_sense(self, read, text):
         log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))
         assert list(log.topics) == ["tick"]
+        assert log.remarks == SKIPPED
 
-    def test_a_definition_that_holds_itself(self, read):
-        recursive = definition("bad:uint64_t timestamp;bad inner;")
-        with pytest.raises(FlightReadError, match="cannot be read: maximum recursion depth"):
-            read(recursive, *TICK, subscription(5, "bad"), *ticks(1, 2))
+    def test_definitions_that_double_each_other_take_no_time(self, read):
+        chain = [definition(f"a{n}:a{n + 1}[60000] x;a{n + 1}[60000] y;") for n in range(8)]
+        log = read(*chain, definition("a8:float x;"), *TICK, subscription(5, "a0"), *ticks(1, 2))
+        assert list(log.topics) == ["tick"]
 
 
 class TestRefusals:

@@ -315,6 +315,13 @@ class TestUse:
         block = kernel.block(0, last, X[0], X[last])
         parts = [kernel.block(0, last, part, X[last]) for part in np.split(X[0], 9)]
         equal(np.vstack(parts), block)
+        W = np.random.default_rng(1).normal(size=block.shape)
+        slope = kernel.block_gradient(0, last, X[0], X[last], W)
+        slopes = [
+            kernel.block_gradient(0, last, part, X[last], weights)
+            for part, weights in zip(np.split(X[0], 9), np.split(W, 9), strict=True)
+        ]
+        equal(np.sum(slopes, axis=0), slope, rtol=1e-10, atol=1e-11)
 
     def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
         P = kernel.n_outputs

@@ -79,3 +79,4 @@ def test_an_interaction_is_what_effects_do_not_add_up_to(model):
     np.testing.assert_allclose(low.get_ydata(), strongest.mean[:, 0])
     assert high.get_label().startswith("$q$ = ")
     assert len(ax.collections) == 2
+    assert set(EffectsDisplay.from_model(model, ax=False).interactions) == {"CZ", "Cm"}

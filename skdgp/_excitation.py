@@ -25,7 +25,7 @@ MOST_PERIODS = 5000
 PEAK_SAMPLES = 200
 # Fraction of a band that evenly spaced harmonics cover, or else they are uneven
 LEAST_COVERAGE = 0.7
-# In the shortest period: held for one, a signal is late by a twentieth of it
+# In the shortest period: held for one sample, a signal is late by a twentieth of the period
 SAMPLES_PER_PERIOD = 10
 AXES = (
     "elevator",

@@ -83,9 +83,9 @@ def identify(run: Run) -> None:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
        "wing_area": 1.3, "span": 2.6, "chord": 0.55}
       kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or
-      TOML. Without a file: --mass and --span. The rest is estimated, and the summary says what was
-      assumed, how far that may be off, and what to measure next. A log of an autopilot then needs
-      no servo file and no thrust either.
+      TOML. Without a file: --mass and --span. The rest is estimated, and the summary lists
+      assumptions, their possible errors, and the next measurement to make. A log of an autopilot
+      then needs no servo file and no thrust either.
 
     Ctrl-C during the fit keeps the best model so far and goes on.
 

@@ -41,7 +41,7 @@ from skdgp.identification import (
 )
 from skdgp.report import FlightMechanics
 
-# Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
+# Intensity [m/s] above which derivatives by rates lose notably: two thirds of light turbulence of
 # MIL-F-8785C
 NOTABLE_GUSTS = 0.5
 

@@ -7,7 +7,7 @@ first (Frisch & Waugh, 1933). With the residual e, the slope and its standard de
 
     slope = x.y / x.x,   e = y - slope x,   std = sqrt(tau sum (x e)^2) / x.x.
 
-Neighbouring samples are dependent: n of them are worth n / tau, where tau is the autocorrelation
+Neighbouring samples are dependent: n samples count as n / tau, where tau is the autocorrelation
 time of the products x e, 1 + 2 sum rho_x rho_e (Bartlett, 1946). A slope contradicts its relation
 if it is outside of the admissible interval by 5 standard deviations.
 
@@ -56,7 +56,7 @@ class PhysicsSettings:
     # fewer rows, or fewer effective samples, decide nothing
     least_rows: int = 40
     least_samples: float = 10.0
-    # standard deviations by which a slope is outside of its admissible interval
+    # least distance of a slope from its admissible interval, in standard deviations
     least_t: float = 5.0
     # weaker effects of a wrong sign come from feedback, lags and gusts as well
     least_correlation: float = 0.3
@@ -100,7 +100,7 @@ class Contradiction(NamedTuple):
     check: str
     # channels that may be wrong
     channels: tuple[str, ...]
-    # "slope", or "lag" [s], of which ``slope`` is the value
+    # "slope", or "lag" [s]; ``slope`` has the value of either
     quantity: str
     slope: float
     std: float
@@ -347,7 +347,7 @@ class Check(NamedTuple):
 
     @property
     def expected(self) -> str:
-        """The slope that is expected."""
+        """The expected slope."""
         return EXPECTED[self.slopes]
 
 
@@ -474,8 +474,8 @@ def _of_flights(
 def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
     """Return contradictions with only the channels that may be wrong, without those that follow from others.
 
-    These are channels that no other check of equal signals confirms, and of them those that most
-    checks contradict.
+    No other check of equal signals confirms these channels; among several, most checks contradict
+    them.
     """
     counts = Counter(name for found in contradictions for name in found.channels)
     doubtful: set[str] = set()

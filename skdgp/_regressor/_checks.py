@@ -152,7 +152,7 @@ def check_input_noise(input_noise: Any, n_regressors: int) -> np.ndarray | None:
 
 
 def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> KnownNoise:
-    """Return what is known of the noise of Y (n, P), in squared units of the outputs.
+    """Return the known noise of Y (n, P), in squared units of the outputs.
 
     ``variance`` has one number, one for each output (P,), or one for each value, in the shape of
     Y; ``bounds`` are a pair or (P, 2).

@@ -194,7 +194,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "random_state": ["random_state"],
     }
 
-    #: What is chosen where a parameter is not given
+    #: Choices where a parameter is not given
     settings = RegressorSettings()
 
     def __init__(
@@ -418,7 +418,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if clock is not None:
             _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
             misfit = misfit_variance(fit.posterior, X, Z, clock)
-        # The search took the misfit for noise, of which at least a lower bound is left.
+        # The search took the discrepancy for noise: subtract it, and keep at least a lower bound.
         least = (1.0 - self.settings.largest_misfit) * noise
         if known.bounds is not None:
             least = np.maximum(least, known.bounds[:, 0])
@@ -582,8 +582,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def predict_gradient(self, X: Matrix) -> Array:
         """Return the slopes of the mean at X (n, d), d mean / d regressor.
 
-        They are (n, P, d), or (n, d) for one-dimensional targets. Their spread is that of the slopes
-        of `sample_paths`.
+        They are (n, P, d), or (n, d) for one-dimensional targets. The slopes of `sample_paths` show
+        their spread.
         """
         X = self._check_regressors(X)
         return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
@@ -611,9 +611,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return self.posterior_.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
     def narrowing(self, added: Matrix) -> Matrix:
-        """Return the factor (P, d) by which rows that are flown next narrow deviations of slopes, as of least squares.
+        """Return the ratio (P, d) of deviations of slopes with and without further rows.
 
-        ``added`` (k, d) are their regressors.
+        ``added`` (k, d) are their regressors; deviations as of least squares.
         """
         return narrowing(self.posterior_, self._check_regressors(added))
 
@@ -627,7 +627,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     ) -> Array:
         """Return samples of the joint distribution of all outputs at X (n, d).
 
-        Their mean and covariance are those of ``predict(X, return_cov=True)`` with the same
+        Mean and covariance are as from ``predict(X, return_cov=True)`` with the same
         switches. They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets. A
         kernel without sample paths has them from the joint covariance, in O(P^3 n^3) time.
         """

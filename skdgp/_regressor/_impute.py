@@ -33,7 +33,7 @@ class ImputeSettings:
     rows: int = 3000
     #: Most iterations of the search
     iterations: int = 40
-    #: Fewest rows in which the output is observed
+    #: Fewest rows with the output observed
     least_rows: int = 10
     #: Starting values of a, l, b, c, w and the noise variance (``covariance``)
     start: tuple[float, ...] = (1.0, 1.0, 0.3, 0.1, 4.0, 0.1)

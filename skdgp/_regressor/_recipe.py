@@ -1,4 +1,4 @@
-"""What the estimator is asked for, as a value: the kernel of all terms, and the fit of it."""
+"""Request to the estimator, as a value: the kernel of all terms, and its fit."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_
 
 @dataclass(frozen=True)
 class RegressorSettings:
-    """What the estimator chooses where a parameter is not given."""
+    """Choices of the estimator where a parameter is not given."""
 
     #: Searches of a time series, each from other rows (docs/results.md, pairs of flights)
     n_searches: int = 2
@@ -43,13 +43,13 @@ class RegressorSettings:
     #: same time
     iterations: int = 150
     iterated_values: int = 1500
-    #: Most observed values of which inference="auto" is exact
+    #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series
     exact_time_series_values: int = 1000
     #: Largest prior variance that inducing variables leave unexplained, over the noise variance
     most_neglected: float = 0.3
-    #: Most samples of a time series of which an average has main effects (docs/theory.md)
+    #: Most samples of a time series for which an average has main effects (docs/theory.md)
     additive_samples: int = 5000
     #: Largest misfit, over misfit and noise
     largest_misfit: float = 0.99
@@ -115,7 +115,7 @@ class Recipe:
         return kernel if trend is None else trend + kernel
 
     def _processes(self, X, Z, averaged):
-        """Return the joint processes, and those of each regressor alone."""
+        """Return the joint processes, and the processes of each regressor alone."""
         n, d = X.shape
         bounds = {"length_scale": "spacing"} if self.time_series else None
         kernel: MultiOutputKernel
@@ -128,7 +128,7 @@ class Recipe:
         return kernel
 
     def _number_of_latents(self, Z):
-        """Return the number of shared latents, more where they can fill what is missing."""
+        """Return the number of shared latents, more where they can fill missing targets."""
         if self.n_latent is not None:
             return self.n_latent
         fewest, most = self.settings.n_latent

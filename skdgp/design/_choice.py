@@ -9,7 +9,7 @@ import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
 
-# Least increase of the gain for which a manoeuvre is exchanged
+# Least increase of the gain that justifies an exchange of manoeuvres
 WORTH_EXCHANGE = 1e-6
 # Rounding of sums of seconds
 ROUNDING = 1e-6
@@ -75,7 +75,7 @@ class Choice:
             chosen = longer[int(np.argmax(rates))]
 
     def exchanged(self, chosen: list[int]) -> list[int]:
-        """Return the best sequence in which one manoeuvre is another one."""
+        """Return the best sequence with one manoeuvre replaced by another."""
         best = chosen
         largest = self.gain(chosen) + WORTH_EXCHANGE
         for place in range(len(chosen)):

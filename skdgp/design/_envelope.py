@@ -82,11 +82,11 @@ class Envelope:
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
-        Fraction of its training range by which a regressor, or a quantity above without a value,
-        may exceed it: half at either end. inf: no limit.
+        Allowed excess of a regressor, or of a quantity above without a value, over its training
+        range, relative to the range: half at either end. inf: no limit.
     margin : float, default=0.3
-        Relative excess of the response to a manoeuvre over the model's, with which it is still
-        inside: for errors of the model, of the entry, and light gusts.
+        Relative excess over the model's response for which a manoeuvre still stays inside: for
+        errors of the model, of the entry, and light gusts.
 
     Examples
     --------

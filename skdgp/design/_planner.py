@@ -519,7 +519,7 @@ class _Planner:
         return centre.to_numpy()
 
     def _room(self, inputs: Inputs, flight: pd.DataFrame, centre: Vector) -> pd.Series:
-        """Return by limit the factor by which a response may grow until it meets it, with the margin."""
+        """Return for each limit the factor of a response that meets it, with the margin."""
         if (flight["ended"] != "").any():
             return pd.Series({"the end of the simulation": 0.0})
         is_unattended = flight["time"] <= duration_of(inputs) + self.settings.reaction + ROUNDING

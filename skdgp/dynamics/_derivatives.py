@@ -88,13 +88,13 @@ def stability_derivatives(
         A model without a time series has the errors of its means alone as ``std_random``; one
         without a posterior of skdgp has no parts.
 
-        ``std_merged`` is how far derivatives by alpha_dot and beta_dot alone may differ from what
-        the model merges with others, see the notes; ``merged`` names the larger one.
+        ``std_merged`` is the possible difference of derivatives by alpha_dot and beta_dot alone
+        from the merged ones of the model, see the notes; ``merged`` names the larger one.
 
-        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make
-        of the values, and ``aircraft`` names the largest. These are shared. Neither is part of
-        ``std``: trim, modes and simulations with the same aircraft hardly depend on them. Compare
-        derivatives with other sources by all three.
+        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is the effect of their
+        errors on the values, and ``aircraft`` names the largest. These are shared. Neither is part
+        of ``std``: trim, modes and simulations with the same aircraft hardly depend on them.
+        Compare derivatives with other sources by all three.
 
     Notes
     -----
@@ -175,7 +175,7 @@ def _deviations(
 ) -> dict[str, np.ndarray]:
     """Return the standard deviations of the table by column, (n, rows, 1 + columns) each.
 
-    Deviations of functions drawn from the posterior, and what they are made of.
+    Deviations of functions drawn from the posterior, and their parts.
     """
     model = motion.aerodynamics
     std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
@@ -188,7 +188,7 @@ def _deviations(
         (values, slopes), (values_by_method, slopes_by_method) = errors.parts(now.regressors)
         std_random = frame.std(slopes, values)
         std_method = frame.std(slopes_by_method, values_by_method)
-    # what the errors of the function do not explain
+    # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
     if added is not None and model.narrowing is not None:
         factor = _narrowing(frame, model.narrowing(added), now)

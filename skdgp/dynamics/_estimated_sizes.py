@@ -34,10 +34,10 @@ class Kind(NamedTuple):
 # (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: the Zagi (Beard &
 # McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as the B-49's gives them a sixth
 # of their moment. Deltas: radii of four published aircraft and planforms of ten (the same file), as
-# Raymer's of jet fighters give Izz > Ixx + Iyy; deviations of moments of the conventional kind, as
-# those of the four are less, but of crewed ones; the chord is between those of F-16 (1.13), ADMIRE
-# (1.16), F-106 (1.31) and a triangle (4/3). Sizes of other kinds and their deviations: guesses,
-# wider for gliders.
+# Raymer's of jet fighters give Izz > Ixx + Iyy. Deviations of moments as of the conventional kind:
+# the four have smaller ones, but are crewed. Ratio of the chord between F-16 (1.13), ADMIRE (1.16),
+# F-106 (1.31) and a triangle (4/3). Sizes of other kinds and their deviations: guesses, wider for
+# gliders.
 KINDS = {
     "conventional": Kind(
         (7.5, 0.35),

@@ -248,7 +248,7 @@ def _matrices(
 def _with_servos(
     A: Array, B: Array, C: Array, D: Array, inputs: Sequence[str], servos: Servos
 ) -> LinearModel:
-    r"""Return the linear model of which the inputs of surfaces are commands.
+    r"""Return the linear model whose inputs of surfaces are commands.
 
     The deflections :math:`\delta = E u` of the surfaces are further states, with
     :math:`T \dot\delta = E u - \delta`. Outputs are the states, and then the outputs of C and D.

@@ -66,7 +66,7 @@ class TrimSettings:
     # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path
     # is as given
     path_weight: float = 100.0
-    # Least distance by which a control or alpha may leave its training range [rad]
+    # Least allowed excess of a control or alpha over its training range [rad]
     margin: float = 0.1
 
 

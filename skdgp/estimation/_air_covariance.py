@@ -54,7 +54,7 @@ def add_model_error(covariance: Matrix, derivatives: Vector, fraction: float) ->
 
 
 def add_scale_error(covariance: Matrix, slopes: Vector, fraction: float) -> Matrix:
-    """Return the covariance with one common relative error of slopes, zero but for those by one angle."""
+    """Return the covariance with a relative error that all slopes by one angle share."""
     n = len(slopes)
     total = covariance.copy()
     error = fraction * slopes

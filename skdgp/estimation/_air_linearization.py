@@ -226,7 +226,7 @@ class _Expansion:
         )
         surfaces = self._commanded()
         response = _response(model, variables, slopes, surfaces, record, self.settings)
-        # terms within a step are the mean of those at its ends
+        # terms within a step are the mean of the terms at its ends
         terms = model.terms(variables[:, AIR], variables[:, RATES], inputs.surfaces[:-1])
         terms_at_end = model.terms(end[:, AIR], end[:, RATES], self.later.surfaces)
         mean_response = 0.5 * (response[1:] + response[:-1])
@@ -361,8 +361,8 @@ def _response(
     """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
     It contains no gusts. ``slopes`` (n - 1, 6, 12) are the derivatives of a step from ``variables``.
-    The motion is damped to a memory of ``settings.response_time``, as that of an unstable aircraft
-    would grow.
+    The motion is damped to a correlation time of ``settings.response_time``, as the motion of an
+    unstable aircraft would grow.
     """
     n = len(surfaces)
     delay = settings.response_delay

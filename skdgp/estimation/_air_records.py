@@ -48,7 +48,7 @@ class Record(NamedTuple):
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) of the sensors, without biases of the path; NaN where not sampled
     inputs: Inputs  # as logged
-    answers: Matrix | None = None  # (n, k) part of the surfaces by which an autopilot answers gusts
+    answers: Matrix | None = None  # (n, k) part of the surfaces that answers gusts (autopilot)
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""

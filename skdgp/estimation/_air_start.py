@@ -131,7 +131,7 @@ class LinearEquation(NamedTuple):
 def mean_lift(
     record: Record, x: Vector, regression: SteadyRegression, settings: AirSettings
 ) -> LinearEquation:
-    """Return the equation that the mean lift of a record is that of steady wind, but for a mean vertical gust.
+    """Return the equation of the mean lift: as in steady wind, except for a mean vertical gust.
 
     Alpha shows in forces alone, so that its mean and CZ_0 would not be told apart.
     """

@@ -233,9 +233,10 @@ def _most_likely_lag(
 ) -> Lag:
     """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
 
-    RSS is the residual sum of squares of n samples over that of the response. Each piece of a
-    segment has its own least squares and lag. The standard deviation is the standard error of the
-    mean of their lags, by Student's quantile at the significance, and the distance to that mean.
+    RSS is the residual sum of squares of n samples over the sum of squares of the response. Each
+    piece of a segment has its own least squares and lag. The standard deviation is the standard
+    error of the mean of their lags, by Student's quantile at the significance, and the distance to
+    that mean.
     """
     segments = [segment for segment in segments if segment.present(names)]
     if not segments:

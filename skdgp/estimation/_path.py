@@ -165,7 +165,7 @@ class _Search:
         return process.whitened(scale, self.places), measured.whitened(sensor_noise, self.places)
 
     def prior(self, path: FlightPath, noise: Mapping[str, float]) -> GaussianPrior:
-        """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
+        """Return the prior of the constants, and a wide one of states where segments begin."""
         begins = np.append(True, ~self.sensors.joined)[:, None]
         walk = np.array([noise[name] for name in self.process_noise[GUST]])
         gust_std = walk * np.sqrt(self.settings.gust_time / 2)  # stationary

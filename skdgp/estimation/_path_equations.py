@@ -121,7 +121,7 @@ class FlightPath(NamedTuple):
 def process_equations(path: FlightPath, sensors: FlightSensors, correlation: Vector) -> Equations:
     """Return the equations between samples: specific force, angular rate, and the change of the gust.
 
-    ``correlation`` (n - 1,) is that of the gust of a sample and the next.
+    ``correlation`` (n - 1,) is the correlation of the gusts of a sample and the next.
     """
     n = len(sensors.time) - 1
     equations = Equations(

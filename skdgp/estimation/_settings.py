@@ -24,11 +24,11 @@ class PathSettings:
     prior_count: float = 10.0
     # least noise of a sensor [SI]; avoids a division by zero
     least_noise: float = 1e-9
-    # Gauss-Newton steps in which lags may change by whole samples; trials
+    # Gauss-Newton steps that may change lags by whole samples; trials
     delay_steps: int = 6
     # Gauss-Newton steps at most; trials
     max_steps: int = 40
-    # fraction of a step that the next one takes back, from which steps are halved; trials
+    # fraction of a step that the next one takes back, above which steps are halved; trials
     overshoot: float = 0.5
     # largest change of the logarithm of a noise, and of a state in standard deviations, at the end
     tolerance: float = 0.02
@@ -114,7 +114,7 @@ class AirSettings:
 
     # memory of the motion that surfaces cause [s]
     response_time: float = 4.0
-    # samples by which this motion is late: a command follows the noise of the same sample
+    # delay of this motion in samples: a command follows the noise of the same sample
     response_delay: int = 1
     # memory of the surfaces' answers to gusts [s]
     answer_time: float = 8.0
@@ -149,7 +149,7 @@ class AirSettings:
 
     # length of the sums of scores whose covariance is taken [s]
     block: float = 2.0
-    # standard deviation of a lag by what a surface does between samples, in steps
+    # standard deviation of a lag by the motion of a surface between samples, in steps
     lag_error: float = 0.1
     # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
     # out in turn, docs/preprocessing.md

@@ -1,4 +1,4 @@
-"""Channels without their lag: values at t + tau in place of those at t, segment by segment."""
+"""Channels without their lag: values at t + tau instead of t, segment by segment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from skdgp._compute.typing import Vector
 from skdgp._flight.clock import flight_segments, uniform_grid
 
-PADDING = 64  # samples by which a channel is continued beyond both ends
+PADDING = 64  # continuation of a channel beyond both ends [samples]
 
 
 def without_lag(

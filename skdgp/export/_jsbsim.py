@@ -212,7 +212,7 @@ def _has_engine(aircraft: Aircraft) -> bool:
 
 
 def _add_thrust(root: Element, aircraft: Aircraft) -> None:
-    """Add thrust and torque of the propeller, and remove what the aircraft does not have."""
+    """Add thrust and torque of the propeller, and remove parts that the aircraft does not have."""
     reactions = _part(root, "external_reactions")
     moment = _part(reactions, "moment")
     propeller = aircraft.propeller

@@ -187,7 +187,7 @@ class Part:
 
     @cached_property
     def groups(self) -> list[list[Term]]:
-        """Terms in the order of the basis; those of a group add up."""
+        """Terms in the order of the basis; the terms of a group add up."""
         first = attrgetter("first")
         return [list(group) for _, group in groupby(sorted(self.terms, key=first), key=first)]
 

@@ -22,7 +22,7 @@ class ReductionSettings:
     sizes: Sequence[int] = tuple(np.unique((4 * 1.15 ** np.arange(36)).astype(int)).tolist())
     # Functions of a part to choose from
     max_candidates: int = 3000
-    # Functions of a readout from which on fewer points are used, and how many then
+    # Functions of a readout above which fewer points are used, and their number
     many: int = 1500
     fewer: int = 750
     # Shifts of copies of the points to fit at, and to check at, in standard deviations

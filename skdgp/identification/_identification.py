@@ -71,7 +71,7 @@ class Identification:
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
     findings : tuple of Finding
-        What was warned of.
+        Warnings.
     assumptions : tuple of Finding
         Assumptions where flights and aircraft do not say; empty without assumptions.
     supplements : sequence

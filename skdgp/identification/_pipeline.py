@@ -67,7 +67,7 @@ def make_identification_pipeline(
     Parameters
     ----------
     aircraft : Aircraft
-        With span and chord, by which rates are non-dimensional.
+        With span and chord, for non-dimensional rates.
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"

@@ -77,7 +77,7 @@ def judge(
 
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
-    """Return the doubts of the fit, and those of the test flights that the fit does not know, one of each code."""
+    """Return the doubts of the fit, and further ones of the test flights, one of each code."""
     doubts = fit.doubts
     for finding in findings:
         is_known = finding.code in [doubt.code for doubt in doubts]
@@ -87,7 +87,7 @@ def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _with_doubts(use: Use, doubts: Sequence[Finding]) -> Use:
-    """Return a judgement with the doubts, with which no use is judged with "yes"."""
+    """Return a judgement with the doubts; no use is then judged with "yes"."""
     if use.fit != "yes" or not doubts:
         return use
     return Use(use.purpose, "partly", (*use.findings, *doubts))

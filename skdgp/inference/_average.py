@@ -242,7 +242,7 @@ def held_out(
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
     Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
-    at X, if they have any, ``order`` (len(rows),) the place of each row, by which blocks are cut.
+    at X, if they have any, ``order`` (len(rows),) the place of each row, for the cut into blocks.
     Where outputs are observed together, whole rows are left out. A value that is missing while
     others are there is learned from these, so where an output has gaps, blocks are left out of one
     output at a time.

@@ -2,12 +2,13 @@ r"""Errors of the function that a posterior does not hold, and the posterior wit
 
 A posterior takes the errors of samples as independent, and the regressors as independent of the
 noise. In a flight, errors last, gusts disturb several outputs and move the aircraft, noise of the
-regressors flattens slopes, and the kernel may be too smooth. What this changes is a random function
+regressors flattens slopes, and the kernel may be too smooth. The error that this causes is a random
+function
 
 .. math:: e_i(x) = \sum_k z_k\, (w_{k0i} + \sum_j w_{kji} (x_j - c_j)) + \delta_i(x),
           \quad z_k \sim N(0, 1)
 
-that is added to the posterior: a linear function, of which the outputs share the numbers z, and the
+that is added to the posterior: a linear function, whose numbers z the outputs share, and the
 discrepancy, a process of each output with the variance :func:`misfit_variance` and the width of one
 standard deviation of the regressors.
 """
@@ -103,7 +104,7 @@ class FunctionErrors(NamedTuple):
         return linear + prior_paths(self.kernel, n_paths, PosteriorSettings.frequencies, rng)
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
-        """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d) of the random terms, and of those by method."""
+        """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d), of random and method terms."""
         Q = _basis(X - self.centre)
         parts = []
         for weights, slopes in zip((self.random, self.method), self.slopes(), strict=True):
@@ -165,7 +166,7 @@ class LinearPaths(PathBundle):
 class PosteriorWithErrors(Posterior):
     """A posterior plus independent errors of its function.
 
-    Mean, kernel, noise, likelihood, data and components are those of the posterior.
+    Mean, kernel, noise, likelihood, data and components are the posterior's.
 
     Parameters
     ----------
@@ -227,11 +228,11 @@ def function_errors(
 
     - random: over blocks b of consecutive samples, :math:`w_b = G Q_b^T r_b`, whatever the
       correlation within a block and between outputs (Liang & Zeger 1986), as far as their variance
-      exceeds that of white noise, which the posterior holds;
+      exceeds the white noise that the posterior holds;
     - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
-      slopes d of the residuals, with standard deviation s. These count as
-      :math:`\sqrt{d^2 - s^2}`, what is beyond chance;
+      slopes d of the residuals, with standard deviation s. These count as :math:`\sqrt{d^2 - s^2}`,
+      the part beyond chance;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes
       J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
       regressor (Fuller 1987, section 1.1).
@@ -370,7 +371,8 @@ def block_errors(
 ) -> Matrix:
     """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
 
-    ``parts`` are the places of the rows of each block. ``inverse`` is by default that of Q^T Q.
+    ``parts`` are the places of the rows of each block. ``inverse`` (m, m) is by default the inverse
+    of Q^T Q.
     """
     if inverse is None:
         inverse = settings.inverse(Q.T @ Q)
@@ -386,8 +388,8 @@ def instrumented(
 
     Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
     ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes
-    motion, such as that of a gust, correlates with present regressors, and so biases least squares.
-    Part of the bias remains, the more the longer gusts last.
+    motion, such as a gust, correlates with present regressors, and so biases least squares. Part of
+    the bias remains, the more the longer gusts last.
     """
     longest = settings.delays[-1]
     lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
@@ -418,8 +420,8 @@ def instrumented(
 def mean_noise(posterior: Posterior) -> Vector:
     """Return the harmonic mean of the noise variances of the values of each output, (P,).
 
-    Noise of the regressors is part of it, and so is the factor by which a sparse posterior takes
-    correlated noise for larger.
+    It includes noise of the regressors, and the inflation of correlated noise by a sparse
+    posterior.
     """
     data = posterior.data
     members = np.array([member.noise for member in posterior.members])
@@ -439,8 +441,8 @@ def mean_errors(posterior: Posterior) -> FunctionErrors:
     The mean of n values with noise of variance s^2 has the variance :math:`v = s^2 / n`, with noise
     that differs between values :math:`v = 1 / \sum_a s_a^{-2}`. For a linear function of centred
     regressors this is the uncertainty of an intercept without a prior. A posterior whose intercept
-    has the prior variance :math:`\tau^2` holds :math:`\tau^2 v / (\tau^2 + v)` of it, and the
-    rest is added.
+    has the prior variance :math:`\tau^2` holds :math:`\tau^2 v / (\tau^2 + v)`, and the rest is
+    added.
     """
     data = posterior.data
     centre = max(data.X, key=len).mean(axis=0)

@@ -64,7 +64,7 @@ class KnownSlopes(NamedTuple):
         return Y
 
     def replaced(self, errors: FunctionErrors) -> FunctionErrors:
-        """Return the errors of a function, of which known slopes have the errors of their source."""
+        """Return the errors of a function whose known slopes have the errors of their source."""
         P, d, k = self.errors.shape
         known = np.zeros((k, d + 1, P))
         known[:, 1:] = np.transpose(self.errors, (2, 1, 0))

@@ -57,7 +57,7 @@ class SlopeNoise(NamedTuple):
 
     The loading of output i is d f_i / d x times ``std`` (d,) or (P, d). It is computed where it is
     needed, from the few weights of the function: kept, it would hold P times as many numbers as X.
-    ``sample`` and ``X`` are those of the values.
+    ``sample`` and ``X`` belong to the values.
     """
 
     sample: Sequence[np.ndarray]

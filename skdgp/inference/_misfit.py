@@ -117,6 +117,6 @@ def _neighbours(X: Matrix, clock: Matrix, settings: MisfitSettings) -> Any:
 
 
 def _standard_error(products: Vector, n_parts: int) -> float:
-    """Return the standard error of the mean of products, of which two parts share those of their samples."""
+    """Return the standard error of the mean of products, where each pair of samples counts twice."""
     means = [part.mean() for part in np.array_split(products, n_parts)]
     return np.sqrt(2 / n_parts) * np.std(means, ddof=1)

@@ -257,7 +257,7 @@ class _JointSearch(NamedTuple):
         return self._replace(data=data.with_loadings())
 
     def found(self, kernel, noise, end, n_iter, scale, known) -> Hyperparameters:
-        """Return what the search has found."""
+        """Return the hyperparameters at the end of the search."""
         P = len(self.data.y)
         input_std = None
         if self.options.input_noise:

@@ -1,7 +1,7 @@
 """Where the stages of a search start: simpler kernels to fit first, and the values that a stage hands on to the next.
 
 The kernel of a search has missing values. ``initialize`` estimates them from the data, and the
-functions here replace these estimates by those of earlier stages. Given values do not change.
+functions here replace these estimates by values of earlier stages. Given values do not change.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _of_terms(function: Callable, kernel: MultiOutputKernel, *others: Any) -> Mu
 
 
 def _with_missing(term, start, values: Mapping[str, Array]):
-    """Return a start with the values of those parameters that a term does not have."""
+    """Return a start with values for the parameters that a term lacks."""
     given = term.get_params(deep=False)
     missing = {name: value for name, value in values.items() if given[name] is None}
     return clone(start).set_params(**missing)

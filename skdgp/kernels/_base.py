@@ -182,7 +182,7 @@ class MultiOutputKernel(Kernel):
             )
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        """Return the kernel of the outputs in another unit, in which their values are multiplied by ``factor``.
+        """Return the kernel of the outputs in other units: values multiplied by ``factor``.
 
         The covariance of outputs i and j is multiplied by ``factor[i] * factor[j]``; factors (P,)
         are positive. Values and bounds are converted. The default wraps the kernel, and unwraps it

@@ -382,7 +382,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
 
 def is_spacing(bounds: Any) -> bool:
-    """Return whether bounds of length scales are those of the spacing of the samples."""
+    """Return whether bounds of length scales are set by the spacing of the samples."""
     return isinstance(bounds, str) and bounds == SPACING
 
 

@@ -42,7 +42,7 @@ class PathBundle(ABC):
         """Return the slopes of all outputs, (S, n, P, d)."""
 
     def take(self, index: slice | np.ndarray) -> PathBundle:
-        """Return some of the functions, of which a mixture takes those that it needs."""
+        """Return some of the functions; a mixture takes the ones that it needs."""
         raise NotImplementedError
 
     @abstractmethod
@@ -155,7 +155,7 @@ class MixedPaths(PathBundle):
 
 
 class Basis(Protocol):
-    """Functions of the regressors, of which paths are sums."""
+    """Functions of the regressors that add up to paths."""
 
     def __call__(self, X: Matrix) -> Matrix:
         """Return all functions at X (n, d), (n, C)."""
@@ -163,7 +163,7 @@ class Basis(Protocol):
     def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
         """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
 
-        ``weights`` (S, c) are those of the functions in the columns of each output.
+        ``weights`` (S, c) belong to the functions in the columns of each output.
         """
 
 
@@ -401,7 +401,7 @@ class Features(ABC):
     def basis(self) -> tuple[Basis, list[Indices]]:
         """Return the functions of the regressors that Kfu is made of, and the variable of each, for each output.
 
-        Functions of the first output come first, then those of the second. Functions of one
+        Functions of the first output come first, then of the second, and so on. Functions of one
         variable and output add up to its column of Kfu.
         """
         n_outputs = self.kernel.n_outputs

@@ -60,7 +60,7 @@ class ElevonSplitter(TableTransformer):
     controls : sequence of str, default=("elevator", "aileron")
         Columns to compute [rad].
     mixing : array-like of shape (n_controls, n_surfaces), optional
-        Default: that of two elevons.
+        By default the mixing of two elevons.
 
     Attributes
     ----------

@@ -128,7 +128,7 @@ class FlightPathReconstruction(TableTransformer):
         Why gusts of flights without vanes are not known, in words; empty if they are, or with vanes.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
-        ``fit``; the column ``gust`` of the transformed table holds that of each flight.
+        ``fit``; the column ``gust`` of the transformed table holds the value of each flight.
     calibration_ : DataFrame
         Biases of inertial sensors and mean wind of each flight of ``fit``, or of each part of a
         long one: columns ``flight``, ``constant``, ``estimate`` and ``std``.
@@ -136,7 +136,8 @@ class FlightPathReconstruction(TableTransformer):
     Warns
     -----
     FlightDataWarning
-        In ``transform``, where flights are smoothed although those of ``fit`` were reconstructed.
+        In ``transform``, where flights are smoothed although the ones in ``fit`` were
+        reconstructed.
 
     Examples
     --------

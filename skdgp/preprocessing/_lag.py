@@ -21,7 +21,7 @@ GROUPS = {
     "attitude": EULER,
     "gps": (*EARTH_VELOCITY, *POSITION),
 }
-# channels without noise, in which steps are common
+# channels without noise, where steps are common
 CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")
 # channels that are unknown beyond the end of a segment
 KINEMATIC = (*GROUPS["attitude"], *GROUPS["gps"])

@@ -256,7 +256,7 @@ def _verdict(content: ReportContent) -> str:
 
 
 def _error_and_coverage(verdict: Verdict) -> str:
-    """Return the error, beside that of least squares, and the coverage of 95 % bands."""
+    """Return the error, beside the one of least squares, and the coverage of 95 % bands."""
     beside = ""
     if verdict.least_squares_error is not None:
         beside = f"<span>least squares {_thousandths(verdict.least_squares_error)}</span>"

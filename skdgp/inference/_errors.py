@@ -104,7 +104,7 @@ class FunctionErrors(NamedTuple):
         return linear + prior_paths(self.kernel, n_paths, PosteriorSettings.frequencies, rng)
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
-        """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d), of random and method terms."""
+        """Return values (n, P, k) and slopes (n, P, d, k) of random and method terms at X (n, d)."""
         Q = _basis(X - self.centre)
         parts = []
         for weights, slopes in zip((self.random, self.method), self.slopes(), strict=True):

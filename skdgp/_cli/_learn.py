@@ -111,11 +111,11 @@ def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
     names = ("aircraft", *SIZES, "kind", *ENGINE)
-    given = _given({name: vars(options)[name] for name in names})
-    if [*given] == ["aircraft"]:
+    arguments = _given({name: vars(options)[name] for name in names})
+    if [*arguments] == ["aircraft"]:
         return options.aircraft
-    if "aircraft" in given or not {"mass", "span"} <= {*given}:
-        got = " ".join(f"--{name.replace('_', '-')}" for name in given) or "no aircraft"
+    if "aircraft" in arguments or not {"mass", "span"} <= {*arguments}:
+        got = " ".join(f"--{name.replace('_', '-')}" for name in arguments) or "no aircraft"
         options.parser.error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
             "estimated"
@@ -124,7 +124,7 @@ def _aircraft(run: Run) -> Aircraft | str:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    sizes = {name: value for name, value in given.items() if name not in ENGINE}
+    sizes = {name: value for name, value in arguments.items() if name not in ENGINE}
     if options.propeller:
         motor = {}
         if options.motor:

@@ -118,11 +118,11 @@ def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
     ('output 1', 1)
     """
     heard = _listener.set(listener)
-    kept = _keeps_best.set(keep_best)
+    token = _keeps_best.set(keep_best)
     try:
         yield
     finally:
-        _keeps_best.reset(kept)
+        _keeps_best.reset(token)
         _listener.reset(heard)
 
 

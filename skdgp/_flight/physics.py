@@ -174,8 +174,8 @@ class Signals:
     def integral(self, values: Array, seconds: float | None = None) -> Array:
         """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
         missing = ~np.isfinite(values)
-        known = np.where(missing, 0.0, values)
-        total = np.cumsum(known, axis=0) - known / 2
+        filled = np.where(missing, 0.0, values)
+        total = np.cumsum(filled, axis=0) - filled / 2
         integral = self.step * self.change(total, seconds)
         n_missing = self.change(np.cumsum(missing, axis=0, dtype=float), seconds)
         integral[missing | (n_missing > 0)] = np.nan
@@ -464,10 +464,10 @@ def _of_flights(
                 confirmed.update(check.channels)
     has_elevons = {*ELEVONS} <= {*table.columns}
     results = []
-    for found in _with_suspects(contradictions, confirmed):
-        is_mixed = has_elevons and found.channels[0] in MIXED
-        channels = (*ELEVONS, *found.channels[1:]) if is_mixed else found.channels
-        results.append(found._replace(channels=channels))
+    for reduced in _with_suspects(contradictions, confirmed):
+        is_mixed = has_elevons and reduced.channels[0] in MIXED
+        channels = (*ELEVONS, *reduced.channels[1:]) if is_mixed else reduced.channels
+        results.append(reduced._replace(channels=channels))
     return results
 
 
@@ -477,20 +477,20 @@ def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> 
     No other check of equal signals confirms these channels; among several, most checks contradict
     them.
     """
-    counts = Counter(name for found in contradictions for name in found.channels)
+    counts = Counter(name for contradiction in contradictions for name in contradiction.channels)
     doubtful: set[str] = set()
     remaining = []
-    for found in contradictions:
-        names = found.channels
+    for contradiction in contradictions:
+        names = contradiction.channels
         # of two signals with a lag either may be late
-        if found.quantity == "slope" and not confirmed.issuperset(names):
+        if contradiction.quantity == "slope" and not confirmed.issuperset(names):
             names = tuple(name for name in names if name not in confirmed)
         most = max(counts[name] for name in names)
         suspects = tuple(name for name in names if counts[name] == most)
-        follows = doubtful.intersection(CHECKS[found.check].uses)
+        follows = doubtful.intersection(CHECKS[contradiction.check].uses)
         if not follows and not doubtful.issuperset(suspects):
             doubtful.update(suspects)
-            remaining.append(found._replace(channels=suspects))
+            remaining.append(contradiction._replace(channels=suspects))
     return remaining
 
 

@@ -367,13 +367,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         recipe = self._recipe(clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
         Z = self._normalised(X, Y, slopes, noise.weights)
-        known = noise.in_units(self.scale_)
+        known_noise = noise.in_units(self.scale_)
         kernel = recipe.make_kernel(X, Z).rescaled(1 / self.scale_)
         self.max_iter_ = recipe.most_iterations(Z)
-        fit = recipe.fit(kernel, X, Z, known)
+        fit = recipe.fit(kernel, X, Z, known_noise)
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z)
-        self._set_noise(fit, X, Z, clock, known)
+        self._set_noise(fit, X, Z, clock, known_noise)
         flight = None if clock is None else clock[:, 1]
         self.posterior_ = self._with_errors(fit, flight, recipe.time_series)
 

@@ -105,9 +105,9 @@ class Recipe:
         # one centre for all searches and components
         trend = LinearTrend(center=X.mean(axis=0)) if self.trend == "linear" else None
         if self.kernel is not None:
-            given = as_multi_output(clone(self.kernel))
-            has_trend = any(term.n_processes == 0 for term in given.summands())
-            return given if trend is None or has_trend else trend + given
+            multi_output = as_multi_output(clone(self.kernel))
+            has_trend = any(term.n_processes == 0 for term in multi_output.summands())
+            return multi_output if trend is None or has_trend else trend + multi_output
         averaged = self.structure == "average" and trend is not None
         if trend is not None and (self.structure == "trend" or (averaged and d > n)):
             return trend  # with fewer rows than regressors a process would have no weight

@@ -71,7 +71,9 @@ class Choice:
             if not longer:
                 return chosen
             before = self.gain(chosen)
-            rates = [(self.gain(one) - before) / self.seconds[one[-1]] for one in longer]
+            rates = [
+                (self.gain(sequence) - before) / self.seconds[sequence[-1]] for sequence in longer
+            ]
             chosen = longer[int(np.argmax(rates))]
 
     def exchanged(self, chosen: list[int]) -> list[int]:
@@ -80,10 +82,10 @@ class Choice:
         largest = self.gain(chosen) + WORTH_EXCHANGE
         for place in range(len(chosen)):
             for k in range(len(self.seconds)):
-                other = [*chosen[:place], k, *chosen[place + 1 :]]
-                if self.fits(other) and self.gain(other) > largest:
-                    best = other
-                    largest = self.gain(other)
+                exchanged = [*chosen[:place], k, *chosen[place + 1 :]]
+                if self.fits(exchanged) and self.gain(exchanged) > largest:
+                    best = exchanged
+                    largest = self.gain(exchanged)
         return best
 
     def best(self) -> list[int]:

@@ -56,8 +56,8 @@ class Drift(NamedTuple):
 
 def separate_generator(random_state: Any, n_words: int = 4) -> np.random.Generator:
     """Return a generator of other numbers than the paths of the same seed have."""
-    words = check_random_state(random_state).randint(2**31 - 1, size=n_words)
-    return np.random.default_rng(words)
+    seeds = check_random_state(random_state).randint(2**31 - 1, size=n_words)
+    return np.random.default_rng(seeds)
 
 
 @dataclass(eq=False, repr=False)
@@ -463,8 +463,8 @@ class _LearnedCoefficients:
             return None
         memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
         # the discrepancy is an error of the function, which its paths have
-        rest = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
-        return Drift(rest[self.order], memory[self.order])
+        reduced = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
+        return Drift(reduced[self.order], memory[self.order])
 
 
 def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:

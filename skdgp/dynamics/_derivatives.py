@@ -293,8 +293,8 @@ class _Frame:
         names = np.empty((len(ROTATION_OF), len(ROWS), len(self.names)), dtype=object)
         for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
             for k, name in enumerate(self.names):
-                other = rotation if name == angle_rate else angle_rate
-                names[j, :, k] = [f"{row}_{other}" for row in ROWS]
+                partner = rotation if name == angle_rate else angle_rate
+                names[j, :, k] = [f"{row}_{partner}" for row in ROWS]
         return names
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
@@ -334,11 +334,11 @@ def _points(
     states = []
     settings = []
     for k, item in enumerate(points):
-        own = None
+        inputs = None
         if controls:
-            own = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
-        state, known = flight_point(motion, item, own)
+            inputs = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
+        state, setting = flight_point(motion, item, inputs)
         states.append(state)
-        settings.append(known)
-    by_name = {name: np.array([known[name] for known in settings]) for name in settings[0]}
+        settings.append(setting)
+    by_name = {name: np.array([setting[name] for setting in settings]) for name in settings[0]}
     return np.stack(states), by_name, is_single

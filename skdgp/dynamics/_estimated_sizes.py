@@ -117,27 +117,27 @@ def _factors(
     rule: Kind, usual: str, is_inertia_given: bool, sizes: Mapping[str, Any]
 ) -> dict[str, Factor]:
     """Return the factors that all sizes are products of: given sizes, and usual ratios in place of others."""
-    given = {}
+    measured = {}
     for name, value in sizes.items():
         if value is not None:
-            given[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
+            measured[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
     factors = {}
-    if "wing area" not in given and "chord" not in given:
+    if "wing area" not in measured and "chord" not in measured:
         ratio, std = rule.aspect_ratio
         factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
-    if "chord" not in given:
+    if "chord" not in measured:
         ratio, std = rule.chord
         factors["mean aerodynamic chord"] = Factor(ratio, std, f"{ratio:g} S / b, {usual}")
-    length = given.pop("length", None)
+    length = measured.pop("length", None)
     if not is_inertia_given:
         if length is None:
             ratio, std = rule.length
-            length = Factor(ratio, std, f"{given['span'].value * ratio:.3g} m, {usual}")
+            length = Factor(ratio, std, f"{measured['span'].value * ratio:.3g} m, {usual}")
         factors["length"] = length
         for name, radius, std in zip(INERTIAS, rule.radii, rule.inertia_std, strict=True):
             source = f"radius of gyration {radius:g}, {rule.source}"
             factors[name] = Factor(radius**2, std, source)
-    return factors | given
+    return factors | measured
 
 
 def _powers(values: Mapping[str, Any], name: str, is_length_given: bool) -> dict[str, float]:

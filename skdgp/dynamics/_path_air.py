@@ -178,8 +178,8 @@ def without_rotation(
     weight = 2 * np.gradient(lags) * (HORIZON - lags)
     weight[[0, -1]] *= 0.5
     rotation = slopes**2 @ (weight @ autocovariance)
-    whole = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
-    share = np.divide(rotation, whole, out=np.zeros(6), where=whole > 0)
+    total = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
+    share = np.divide(rotation, total, out=np.zeros(6), where=total > 0)
     return drift.variance * np.maximum(1 - share, 0.0)
 
 

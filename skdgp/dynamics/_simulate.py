@@ -319,8 +319,8 @@ class Simulator:
     def _seen(self) -> dict[str, float]:
         air = self._air(0, self._state)
         columns = channels(self._state, None if air is None else air.wind)
-        seen = {name: float(values[0]) for name, values in columns.items()}
-        seen |= dict(zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True))
+        readings = {name: float(values[0]) for name, values in columns.items()}
+        readings |= dict(zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True))
         if self.ended:
-            seen = dict.fromkeys(seen, np.nan)
-        return {"time": self.time, **seen}
+            readings = dict.fromkeys(readings, np.nan)
+        return {"time": self.time, **readings}

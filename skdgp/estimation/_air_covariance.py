@@ -67,5 +67,5 @@ def mix_with_prior(covariance: Matrix, prior_std: Vector, fraction: Vector) -> M
 
     Variances are means of estimate and prior, weighted by one less the squared fraction, and by it.
     """
-    kept = np.sqrt(1 - fraction**2)
-    return kept[:, None] * covariance * kept + np.diag((fraction * prior_std) ** 2)
+    weight = np.sqrt(1 - fraction**2)
+    return weight[:, None] * covariance * weight + np.diag((fraction * prior_std) ** 2)

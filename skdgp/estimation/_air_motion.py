@@ -171,8 +171,8 @@ class AirMotion:
 
     def _gusts(self, flight: int) -> Gusts:
         """Return the gusts of a flight, NaN if unknown."""
-        own = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
-        return Gusts.of({**self.noise, **own})
+        intensities = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
+        return Gusts.of({**self.noise, **intensities})
 
 
 def estimate_air_motion(

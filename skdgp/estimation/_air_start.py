@@ -114,8 +114,8 @@ class SteadyRegression:
             free = np.flatnonzero(of_row & ~by_air)
             if not len(free):
                 continue
-            rest = C[:, row] - X[:, columns[held]] @ x[held]
-            x[free] = np.linalg.lstsq(X[:, columns[free]], rest, rcond=None)[0]
+            residual = C[:, row] - X[:, columns[held]] @ x[held]
+            x[free] = np.linalg.lstsq(X[:, columns[free]], residual, rcond=None)[0]
         return x
 
 

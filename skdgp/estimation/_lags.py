@@ -91,7 +91,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     lags = list(PATH_LAGS.values())
     biases = ("p_bias", "q_bias", "r_bias")
     free = [*biases, *lags, *MEAN_WIND]
-    at = slice(len(biases), len(biases) + len(lags))
+    place = slice(len(biases), len(biases) + len(lags))
     noise = PATH_NOISE | GUSTS
     prior = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
     precision = prior.copy()
@@ -99,7 +99,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
     for flight in flights_of(first):
         solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
-        of_flight = np.linalg.inv(solved.covariance[at, at])
+        of_flight = np.linalg.inv(solved.covariance[place, place])
         weighted += of_flight @ solved.path.constant(*lags)
         precision += of_flight - prior
     values = np.linalg.solve(precision, weighted)
@@ -149,10 +149,10 @@ class _Segment:
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
-        here = [name for name in names if name in self.splines]
-        if not {*ELEVONS} <= {*here}:
-            return here
-        return [name for name in here if name not in MIXED]
+        present = [name for name in names if name in self.splines]
+        if not {*ELEVONS} <= {*present}:
+            return present
+        return [name for name in present if name not in MIXED]
 
     def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
         """Return channels (n, k) within the band, corrected for a lag."""
@@ -246,16 +246,16 @@ def _most_likely_lag(
 
     def profile(lag: float) -> Vector:
         """Return n log RSS of all segments, summed, and of each piece, (1 + pieces,)."""
-        whole = 0.0
+        total_log_rss = 0.0
         pieces: list[float] = []
         for segment in segments:
             response, predictors = regression(segment, lag)
-            whole += _log_rss(response, predictors, settings)
+            total_log_rss += _log_rss(response, predictors, settings)
             count = max(1, round(segment.seconds / seconds))
             responses = np.array_split(response, count)
             parts = zip(responses, np.array_split(predictors, count), strict=True)
             pieces += [_log_rss(y, X, settings) for y, X in parts]
-        return np.array([whole, *pieces])
+        return np.array([total_log_rss, *pieces])
 
     steps = np.arange(-settings.largest, settings.largest + settings.coarse / 2, settings.coarse)
     profiles = np.array([profile(step) for step in steps])
@@ -295,8 +295,8 @@ def _minimum(steps: Vector, values: Vector) -> float:
 
 def _vertex(values: Sequence[float] | Vector, step: float) -> float:
     """Return where the parabola through three values, a step apart, is smallest, relative to the middle."""
-    before, here, after = values
-    curvature = before - 2 * here + after
+    before, centre, after = values
+    curvature = before - 2 * centre + after
     if not curvature > 0:
         return 0.0
     return float(np.clip(step * (before - after) / (2 * curvature), -step, step))

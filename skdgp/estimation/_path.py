@@ -285,12 +285,12 @@ def contradictions(
     settings: PathSettings = PATH_SETTINGS,
 ) -> list[Contradiction]:
     """Return the sensors whose residuals, learned with the path, exceed their noise."""
-    found = []
+    contradicted = []
     for sensor, columns in (INERTIAL_SENSORS | AIR_SENSORS).items():
         is_inertial = sensor in INERTIAL_SENSORS
         largest = settings.inertial_ratio if is_inertial else settings.air_ratio
         residual = residuals[sensor]
         noise = white_noise(flights, columns)
         if residual > largest * noise:
-            found.append(Contradiction(sensor, residual, noise))
-    return found
+            contradicted.append(Contradiction(sensor, residual, noise))
+    return contradicted

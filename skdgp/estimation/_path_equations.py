@@ -225,10 +225,10 @@ def _fill_path(
     measured_velocity = np.take_along_axis(sensors.velocity, later[:, :3], axis=0)
     residual[:, 3:6] = path.velocity - measured_velocity
     d_state[:, 3:6, VELOCITY] = np.eye(3)
-    at = later[:, 3]
-    angle = (path.attitude * sensors.attitude[at].inv()).as_rotvec()
+    rows = later[:, 3]
+    angle = (path.attitude * sensors.attitude[rows].inv()).as_rotvec()
     residual[:, 6:9] = angle
-    residual[~sensors.attitude_sampled[at], 6:9] = np.nan
+    residual[~sensors.attitude_sampled[rows], 6:9] = np.nan
     d_state[:, 6:9, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
     # over the rest of the lag velocity and attitude move at their rates of change
     force, rate = path.inertial(sensors)

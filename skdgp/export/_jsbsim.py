@@ -167,8 +167,8 @@ def _filled(template: str, values: Mapping[str, Any]) -> Element:
 
 def _part(element: Element, path: str) -> Element:
     """Return the element at a path, which a template has."""
-    (found,) = element.findall(path)
-    return found
+    (node,) = element.findall(path)
+    return node
 
 
 def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Element:

@@ -202,9 +202,9 @@ class Identification:
         training = self.fit.training
         if training is None:
             return f"{self.aircraft.name}: {likelihood}"
-        done = "interrupted" if self.fit.interrupted else "fitted"
+        state = "interrupted" if self.fit.interrupted else "fitted"
         return (
-            f"{self.aircraft.name}: {done} in {training.seconds:.1f} s on {training.samples} of "
+            f"{self.aircraft.name}: {state} in {training.seconds:.1f} s on {training.samples} of "
             f"{training.samples_available} samples, {likelihood}"
         )
 

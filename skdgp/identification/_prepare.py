@@ -168,11 +168,11 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
     columns: dict[str, None] = {}
     for table in flights.values():
         columns |= dict.fromkeys(table.columns)
-    given = {*columns}
-    if given & {*ELEVONS}:
-        given |= {*MIXED}
+    available = {*columns}
+    if available & {*ELEVONS}:
+        available |= {*MIXED}
     names = _names(regressors)
-    lacking = [name for name in SURFACES if name in names and name not in given]
+    lacking = [name for name in SURFACES if name in names and name not in available]
     near = suggestions([name for name in columns if name not in CHANNELS], columns)
     meant = {name: channel for name, channel in near.items() if channel in lacking}
     if meant:

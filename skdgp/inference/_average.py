@@ -196,9 +196,9 @@ def held_out_weights(
     weights = np.empty((len(members), Y.shape[1]))
     for i, y in enumerate(Y[rows].T):
         error = y - means[..., i]
-        known = np.isfinite(error).all(axis=0)
-        error = error[:, known]
-        variance = variances[..., i][:, known]
+        is_complete = np.isfinite(error).all(axis=0)
+        error = error[:, is_complete]
+        variance = variances[..., i][:, is_complete]
         scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
         scores[:-1] -= cost / max(scores.shape[1], 1)
         weights[:, i] = stacked(scores, settings)
@@ -260,8 +260,8 @@ def held_out(
     for left_out in _folds(Y, order, settings):
         data = Data.from_table(X, np.where(left_out, np.nan, Y), inflated)
         inside = np.flatnonzero(left_out.any(axis=1))
-        others = posterior.of(data, noise * inflation)
-        means, variances = others.predict(X[inside], return_variance=True)
+        remaining = posterior.of(data, noise * inflation)
+        means, variances = remaining.predict(X[inside], return_variance=True)
         mean[left_out] = means[left_out[inside]]
         variance[left_out] = variances[left_out[inside]]
     variance += noise

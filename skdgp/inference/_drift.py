@@ -116,11 +116,11 @@ def fit_drift_to_integrals(
         2 * step, max(min(longest, settings.longest_horizon), 2 * step), settings.n_horizons
     )
     squares = _mean_squared_integrals(residual, records, horizons)
-    known = (squares > 0) & (horizons < flown)
-    if not known.any():  # nothing shows a drift
+    usable = (squares > 0) & (horizons < flown)
+    if not usable.any():  # nothing shows a drift
         return Drift(power, least, step)
-    horizons = horizons[known]
-    wanted = np.log(squares[known] / (1 - horizons / flown))
+    horizons = horizons[usable]
+    target = np.log(squares[usable] / (1 - horizons / flown))
     weight = 1 / (settings.model_error**2 + 2 * horizons / flown)
 
     def loss(theta):
@@ -128,7 +128,7 @@ def fit_drift_to_integrals(
         ratio = horizons / memory
         drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
         white = (power - variance) * step * horizons
-        return weight @ (np.log(drift + white) - wanted) ** 2
+        return weight @ (np.log(drift + white) - target) ** 2
 
     bounds = np.log([(least, power), (step, longest)])
     shortest, longest = bounds[1]

@@ -324,8 +324,8 @@ def white_variance(Q: Matrix, noise: float, settings: ErrorSettings = SETTINGS) 
 def beyond(errors: Matrix, variance: Vector) -> Matrix:
     """Return errors (k, m) that are smaller, so that the sum of their squares is less by a ``variance`` (m,)."""
     total = np.sum(errors**2, axis=0)
-    left = np.maximum(total - variance, 0.0)
-    fraction = np.divide(left, total, out=np.zeros_like(total), where=total > 0)
+    remaining = np.maximum(total - variance, 0.0)
+    fraction = np.divide(remaining, total, out=np.zeros_like(total), where=total > 0)
     return errors * np.sqrt(fraction)
 
 
@@ -448,10 +448,10 @@ def mean_errors(posterior: Posterior) -> FunctionErrors:
     centre = max(data.X, key=len).mean(axis=0)
     variance = mean_noise(posterior) / [len(y) for y in data.y]
     prior = _intercept_variance(posterior.kernel, centre)
-    left = variance**2 / (prior + variance)
+    remaining = variance**2 / (prior + variance)
     P, d = len(data.y), len(centre)
     random = np.zeros((P, d + 1, P))
-    random[:, 0] = np.diag(np.sqrt(left))
+    random[:, 0] = np.diag(np.sqrt(remaining))
     return FunctionErrors(random, np.zeros((0, d + 1, P)), centre, np.zeros(P), np.ones(d))
 
 

@@ -96,9 +96,9 @@ def misfit_variance(
     count = neighbours @ observed.astype(float)
     variance = np.zeros(Y.shape[1])
     for i in range(Y.shape[1]):
-        some = observed[:, i] & (count[:, i] > 0)
-        if some.sum() >= settings.parts:
-            products = error[some, i] * total[some, i] / count[some, i]
+        paired = observed[:, i] & (count[:, i] > 0)
+        if paired.sum() >= settings.parts:
+            products = error[paired, i] * total[paired, i] / count[paired, i]
             variance[i] = max(0.0, products.mean() - _standard_error(products, settings.parts))
     return variance
 

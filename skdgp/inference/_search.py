@@ -176,11 +176,11 @@ def search(
     noise, bounds = known.start(start.residual(X, Y), output_scale(Y))
     scale = column_scale(X)
     if options.optimizer is None:
-        given = Hyperparameters(start, noise, known.input_std)
+        hyperparameters = Hyperparameters(start, noise, known.input_std)
         data = Data.from_table(X, Y, known.loading)
         if exact:
-            data = given.noisy(data)
-        return best_noise(given, X, Y, data, known, settings)
+            data = hyperparameters.noisy(data)
+        return best_noise(hyperparameters, X, Y, data, known, settings)
 
     # Stage 1.
     stop = Event()
@@ -309,13 +309,13 @@ def best_noise(
     noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y))
     if known.is_fixed:
         return learned._replace(noise=noise)
-    some = data.every(-(-data.n_values // settings.values[1]))
+    chosen = data.every(-(-data.n_values // settings.values[1]))
     stop = Event()
     end = climb(
         learned.kernel,
         noise,
         bounds,
-        some,
+        chosen,
         settings.noise_steps,
         stop,
         optimizer=settings.optimizer,
@@ -385,19 +385,19 @@ def _fit_outputs(
     for i, seed in enumerate(random_state.randint(2**31 - 1, size=Y.shape[1])):
         observed = np.flatnonzero(np.isfinite(Y[:, i]))
         rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
-        own = slice(i, i + 1)
-        one = SingleOutput(
+        column = slice(i, i + 1)
+        problem = SingleOutput(
             alone,
             X[rows],
-            Y[rows, own],
-            None if known.loading is None else known.loading[rows, own],
-            noise[own],
-            noise_bounds[own],
+            Y[rows, column],
+            None if known.loading is None else known.loading[rows, column],
+            noise[column],
+            noise_bounds[column],
             f"output {i + 1}",
             stop,
             settings,
         )
-        fits.append(one.fit(max_iter, seed))
+        fits.append(problem.fit(max_iter, seed))
     return fits
 
 

@@ -202,8 +202,8 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
         check_units(table)
     except ValueError as error:
         raise FlightReadError(*error.args) from error
-    others = [name for name in table.columns if name not in ("time", "flight")]
-    table = table[["time", "flight", *others]]
+    channels = [name for name in table.columns if name not in ("time", "flight")]
+    table = table[["time", "flight", *channels]]
     table.attrs = {UNKNOWN: unknown}
     return table
 

@@ -175,7 +175,7 @@ class FeaturePaths(PathBundle):
         self.coefficients = coefficients
         self._basis, variables = features.basis()
         self._columns = consecutive(variables)
-        self._weights = [np.ascontiguousarray(coefficients[:, own]) for own in variables]
+        self._weights = [np.ascontiguousarray(coefficients[:, places]) for places in variables]
 
     def __reduce__(self):
         # Pickle the coefficients only: they are smaller than the weights of all columns.
@@ -443,7 +443,7 @@ class LinearBasis:
         return X @ self.matrix + self.constant
 
     def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
-        slopes = [w @ self.matrix[:, own].T for w, own in zip(weights, columns, strict=True)]
+        slopes = [w @ self.matrix[:, places].T for w, places in zip(weights, columns, strict=True)]
         of_outputs = np.stack(slopes, axis=1)[:, None]
         return np.repeat(of_outputs, X.shape[1], axis=1)
 
@@ -514,11 +514,11 @@ class ValueFeatures(Features):
         bases, variables = [], []
         for i, blocks in enumerate(self.blocks):
             bases.append(self._basis_of(i))
-            own = [np.arange(0)]
+            places = [np.arange(0)]
             for f in blocks:
                 n_latents = len(self.joint.filters.latents(i, self.outputs[f]))
-                own.append(np.tile(self._variables[f], n_latents))
-            variables.append(np.concatenate(own))
+                places.append(np.tile(self._variables[f], n_latents))
+            variables.append(np.concatenate(places))
         return GaussianBasis.joined(self.kernel.n_features, bases), variables
 
     def _basis_of(self, i):
@@ -728,8 +728,8 @@ def covariance_paths(
     for term in kernel.summands():
         if isinstance(term, LinearTrend):
             weights = []
-            for i, (x, own) in enumerate(zip(X, consecutive(X), strict=True)):
-                weights.append(coefficients[:, own] @ term.basis(i, x))
+            for i, (x, places) in enumerate(zip(X, consecutive(X), strict=True)):
+                weights.append(coefficients[:, places] @ term.basis(i, x))
             paths.append(TrendFeatures(term).paths(np.hstack(weights)))
         else:
             paths.append(ValueFeatures(term, X).paths(coefficients))

@@ -101,8 +101,8 @@ class GaussianBasis:
         n_functions, n, d = X.shape
         values = self(X.reshape(-1, d)).reshape(n_functions, n, len(self.gain))
         slopes = []
-        for w, own in zip(weights, columns, strict=True):
-            sums = (values[..., own] * w[:, None]) @ self._matrix[:, own].T
+        for w, places in zip(weights, columns, strict=True):
+            sums = (values[..., places] * w[:, None]) @ self._matrix[:, places].T
             slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
         return np.stack(slopes, axis=2)
 

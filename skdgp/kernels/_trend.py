@@ -116,11 +116,11 @@ class LinearTrend(MultiOutputKernel):
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         factor = np.asarray(factor, dtype=float)
-        given = self.get_params()
+        parameters = self.get_params()
         params: dict[str, Any] = {}
         bounds = given_bounds(self, OUTPUT_AXES)
         for name, axis in OUTPUT_AXES.items():
-            params[name] = rescaled_values(name, given[name], factor, axis)
+            params[name] = rescaled_values(name, parameters[name], factor, axis)
             if name in bounds:
                 # the last axis of bounds is the pair
                 pairs = rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)

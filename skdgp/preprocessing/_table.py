@@ -90,8 +90,8 @@ def as_pandas(X: Any) -> Any:
 
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
     """Return angles shifted by multiples of 2 pi to less than pi from a column of angles."""
-    other = near.to_numpy(float, na_value=np.nan)
-    difference = np.where(np.isfinite(other), angle - other, 0.0)
+    reference = near.to_numpy(float, na_value=np.nan)
+    difference = np.where(np.isfinite(reference), angle - reference, 0.0)
     return angle - 2 * np.pi * np.round(difference / (2 * np.pi))
 
 

@@ -126,12 +126,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         model.misfit_variance_``, ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a
         fit with ``time``, and ``optimizer=None`` it is the same joint model.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, without misfit, in squared units of the outputs; the mean
-        over the samples where it was given for each.
+        Variance of the measurement noise, without model discrepancy, in squared units of the
+        outputs; the mean over the samples where it was given for each.
     drift_variance_, drift_memory_ : ndarray (P,)
-        Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero
-        without ``time``. The drift holds the effect of errors of the regressors, too. Simulated
-        flights have one each.
+        Variance tau^2 of the drift, and its correlation time T [s], estimated from the residuals;
+        zero without ``time``. The drift holds the effect of errors of the regressors, too.
+        Simulated flights have one each.
     misfit_variance_ : ndarray (P,)
         Variance of the error of the function where flights come back to the same regressors, in
         squared units of the outputs: part of the function's band. Zero without ``time``. See
@@ -410,7 +410,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
 
     def _set_noise(self, fit, X, Z, clock, known):
-        """Set noise, drift and misfit of the outputs."""
+        """Set noise, drift and model discrepancy of the outputs."""
         noise = fit.learned.noise
         misfit = np.zeros(len(noise))
         variance = np.zeros(len(noise))

@@ -51,7 +51,7 @@ class RegressorSettings:
     most_neglected: float = 0.3
     #: Most samples of a time series for which an average has main effects (docs/theory.md)
     additive_samples: int = 5000
-    #: Largest misfit, over misfit and noise
+    #: Largest variance of the discrepancy, over the sum of discrepancy and noise
     largest_misfit: float = 0.99
     #: Of each search
     search: SearchSettings = field(default_factory=SearchSettings)

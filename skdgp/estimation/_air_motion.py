@@ -69,10 +69,10 @@ class AirMotion:
     derivatives : DataFrame
         A row per derivative, such as CZ_alpha [1/rad]: ``value``, ``std``, and ``prior_std``, which
         ``std`` approaches where the flights contain no information.
-    covariance : DataFrame
+    covariance : DataFrame (p, p)
         Joint covariance of the derivatives.
     constants : DataFrame
-        The same columns, of servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
+        The same columns for servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
         sensors arm_x, arm_y, arm_z [m], and for each flight wind and biases.
     noise : dict of str to float
         Gusts [m/s], their correlation times [s], and noises of the sensors (SI).
@@ -81,12 +81,12 @@ class AirMotion:
         and ``_std`` of each; NaN in rows that no record contains. Then specific force, attitude and
         ground velocity without bias and lag.
     surfaces : list of str
-        Surfaces of the model.
+        Surfaces that move in the flights.
     converged : bool
         Whether the last steps were small. Otherwise do not use the results; ``std`` then includes
         the prior's variance and the distance from its mean.
     seconds : float
-        Length of the records.
+        Length of the records [s].
     misfit : float
         Root mean square of the sensors' constants over their prior standard deviations, at least
         one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge

@@ -159,7 +159,10 @@ def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) 
 
 
 def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:
-    """Return prior standard deviations (P, d) of derivatives, NaN where `TERMS` has none."""
+    """Return prior standard deviations (P, d) of derivatives [1/rad], NaN where `TERMS` has none.
+
+    Rates, such as q or q_hat, are non-dimensional.
+    """
     priors = derivatives_of(TERMS, SURFACES)
     stds = np.full((len(coefficients), len(regressors)), np.nan)
     for i, coefficient in enumerate(coefficients):

@@ -213,7 +213,11 @@ def servo_slopes(surfaces: Matrix, lag: float, step: float) -> tuple[Matrix, Mat
 
 
 def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Matrix:
-    """Return the outputs (n, k) of servos with a first-order lag [s], by gap-free segments."""
+    """Return the deflections (n, k) of servos with a first-order ``lag`` [s].
+
+    They solve lag d(deflection)/dt = command - deflection within each gap-free segment, for the
+    commands ``surfaces`` (n, k).
+    """
     out = np.empty_like(surfaces)
     surfaces = interpolate_missing(sensors.time, surfaces)
     for rows in sensors.segments():

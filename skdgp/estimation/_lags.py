@@ -45,13 +45,13 @@ PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 
 
 class Lag(NamedTuple):
-    """A lag [s], positive if late, and its standard deviation."""
+    """A lag [s], positive if late, and its standard deviation [s]; NaN if the lag is unknown."""
 
     lag: float
     std: float
 
     def is_significant(self, settings: LagSettings) -> bool:
-        """Return whether the flights show the lag."""
+        """Return whether the lag exceeds ``settings.significance`` standard deviations."""
         return abs(self.lag) > settings.significance * self.std
 
 
@@ -65,9 +65,12 @@ def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
 
 
 def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:
-    """Return the lags of air data, surfaces, attitude and GPS by group; a lag of std NaN is unknown.
+    r"""Return the lags of air data, surfaces, attitude and GPS by group, against inertial sensors.
 
-    Without vanes the lag of surfaces is a parameter of `estimate_air_motion`, and unknown here.
+    Lags of surfaces and air data maximise the profile likelihood
+    :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` of local linear models (Jategaonkar 2006, chapter
+    10); lags of attitude and GPS are constants of the path over the ground. A lag of std NaN is
+    unknown: surfaces without vanes, whose lag is a parameter of `estimate_air_motion`.
     """
     segments = _segments_of(table, settings)
     surfaces = _surface_lag(segments, settings)

@@ -86,12 +86,12 @@ class FlightPath(NamedTuple):
         return cls(velocity, sensors.attitude, gust, np.zeros(len(PATH_CONSTANTS)))
 
     def part(self, first: int, last: int) -> FlightPath:
-        """Return the states from first to before last."""
+        """Return the states of samples ``first`` to ``last`` - 1."""
         states = [values[first:last] for values in self[:-1]]
         return FlightPath._make([*states, self.constants])
 
     def moved(self, states: Matrix, constants: Any) -> FlightPath:
-        """Return the path with errors (n, 9), (c,) added."""
+        """Return the path with changes of states (n, 9) and constants (c,) added."""
         return FlightPath(
             velocity=self.velocity + states[:, VELOCITY],
             attitude=self.attitude * Rotation.from_rotvec(states[:, ATTITUDE]),
@@ -100,7 +100,7 @@ class FlightPath(NamedTuple):
         )
 
     def constant(self, *names: str) -> Vector:
-        """Return constants by name."""
+        """Return the values (k,) of constants by name, SI units."""
         return self.constants[[PLACE[name] for name in names]]
 
     def wind(self) -> Matrix:

@@ -112,13 +112,13 @@ class AirSettings:
     # least noise of accelerometers and gyros [SI]
     least_noise: float = 1e-4
 
-    # memory of the motion that surfaces cause [s]
+    # correlation time of the motion that surfaces cause [s]
     response_time: float = 4.0
     # delay of this motion in samples: a command follows the noise of the same sample
     response_delay: int = 1
-    # memory of the surfaces' answers to gusts [s]
+    # longest delay of the surfaces' answers to gusts [s]
     answer_time: float = 8.0
-    # bins of this memory, wider the earlier
+    # bins of these delays, wider the longer
     answer_bins: int = 16
     # least singular value of the instruments, relative to the largest
     least_direction: float = 1e-6

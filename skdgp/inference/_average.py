@@ -44,7 +44,7 @@ class AverageSettings:
     values: int = 4000
     #: Fraction of its values that an output has where whole rows are held out
     complete: float = 0.95
-    #: Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen it
+    #: Smaller weights are set to zero: such a component lies outside the 95 % band, yet widens it
     least_weight: float = 0.05
     #: Rows that the prior of the weights gives to each component (benchmark `coverage`)
     prior_rows: float = 3.0

@@ -65,7 +65,7 @@ def residual_drift(
     Returns
     -------
     ndarray (3, P)
-        The variances sigma^2 and tau^2 and the memory T of each output, see
+        The variances sigma^2 and tau^2 and the correlation time T [s] of each output, see
         ``fit_drift_to_integrals``.
     """
     residual = Y - posterior.predict(X)

@@ -222,7 +222,7 @@ def function_errors(
     flight: Vector | None = None,
     settings: ErrorSettings = SETTINGS,
 ) -> FunctionErrors:
-    r"""Return the errors of the function of a posterior that it does not hold, from its time series.
+    r"""Return the errors of a posterior's function that it does not include, from its time series.
 
     With the residuals r of the posterior's mean, Q = (1, x - c) and :math:`G = (Q^T Q)^{-1}`:
 
@@ -237,7 +237,7 @@ def function_errors(
       J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
       regressor (Fuller 1987, section 1.1).
 
-    With too few samples for that, only the discrepancy and ``mean_errors`` are returned.
+    With too few samples only the discrepancy and ``mean_errors`` are returned.
 
     Parameters
     ----------
@@ -467,10 +467,10 @@ def _intercept_variance(kernel: MultiOutputKernel, centre: Vector) -> Vector:
 
 @one_blas_thread()
 def narrowing(posterior: Posterior, added: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
-    """Return how far rows flown next narrow the deviations of slopes at the centre, (P, d), as of least squares.
+    """Return the ratio (P, d) of deviations of slopes at the centre with and without further rows.
 
-    ``added`` (k, d) are their regressors. With too few rows for least squares no promise is made:
-    the factor is one.
+    ``added`` (k, d) are the regressors of these rows. The ratio is as of linear least squares; with
+    too few rows for it, the ratio is one.
     """
     data = posterior.data
     ratio = np.ones((len(data.y), added.shape[1]))

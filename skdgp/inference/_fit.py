@@ -303,7 +303,7 @@ def inducing_centres(
 def average(
     fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None, known: KnownNoise = UNKNOWN
 ) -> Fit:
-    """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
+    """Return the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
     After Ctrl-C it is the fit of the whole kernel, interrupted, where ``listening`` keeps the best
     so far.

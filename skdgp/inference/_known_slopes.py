@@ -11,7 +11,7 @@ from skdgp.inference._errors import FunctionErrors
 
 
 class KnownSlopes(NamedTuple):
-    """Slopes of P outputs by d regressors, NaN where the samples are to tell them.
+    """Slopes of P outputs by d regressors, NaN where they are learned from the samples.
 
     Samples whose regressors were estimated from their own targets, as an angle of attack from the
     force that it causes, are no evidence of slopes: least squares is biased, and its bands are too
@@ -49,7 +49,7 @@ class KnownSlopes(NamedTuple):
         return KnownSlopes(self.value * factor, self.errors * np.asarray(factor)[..., None])
 
     def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
-        """Return Y (n, P) plus what makes its slopes by least squares at X (n, d) the known ones."""
+        """Return Y (n, P) plus a linear function of X (n, d) that gives it the known slopes."""
         Y, centred = Y.copy(), X - X.mean(axis=0)
         for y, value in zip(Y.T, self.value, strict=True):
             rows, is_known = np.isfinite(y), np.isfinite(value)

@@ -39,7 +39,7 @@ def misfit_variance(
     clock: Matrix,
     settings: MisfitSettings = SETTINGS,
 ) -> Vector:
-    r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
+    r"""Return the variance (P,) of the model discrepancy at the training samples of a posterior.
 
     Residuals e of two samples with near regressors share the error of the function, but no noise if
     they are from different flights or 10 s apart. So their products have the mean square of this
@@ -117,6 +117,6 @@ def _neighbours(X: Matrix, clock: Matrix, settings: MisfitSettings) -> Any:
 
 
 def _standard_error(products: Vector, n_parts: int) -> float:
-    """Return the standard error of the mean of products, where each pair of samples counts twice."""
+    """Return the standard error of the mean of products; two parts share products of samples."""
     means = [part.mean() for part in np.array_split(products, n_parts)]
     return np.sqrt(2 / n_parts) * np.std(means, ddof=1)

@@ -347,7 +347,7 @@ def _wanted_values(n_outputs, settings):
 
 
 def n_searched(Y: Matrix, settings: SearchSettings = SETTINGS) -> int:
-    """Return the number of values that a search learns from."""
+    """Return the number of observed values of Y (n, P) that a search learns from."""
     return int(min(_wanted_values(Y.shape[1], settings), np.isfinite(Y).sum()))
 
 

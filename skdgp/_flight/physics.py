@@ -58,7 +58,8 @@ class PhysicsSettings:
     least_samples: float = 10.0
     # least distance of a slope from its admissible interval, in standard deviations
     least_t: float = 5.0
-    # weaker effects of a wrong sign come from feedback, lags and gusts as well
+    # least partial correlation of an effect of wrong sign: feedback, lags and gusts cause weaker
+    # ones
     least_correlation: float = 0.3
     # a longer lag [s] is a contradiction: LagCorrector corrects 0.3 s, holds of slow GPS add to it
     usual_lag: float = 0.5
@@ -72,7 +73,7 @@ DEFAULT = PhysicsSettings()
 
 
 class Slope(NamedTuple):
-    """A slope of a regression, and how well it is known."""
+    """A slope of a regression, with its standard deviation and partial correlation."""
 
     value: float
     std: float
@@ -474,8 +475,8 @@ def _of_flights(
 def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
     """Return contradictions with only the channels that may be wrong, without those that follow from others.
 
-    No other check of equal signals confirms these channels; among several, most checks contradict
-    them.
+    No other check of equal signals confirms these channels; of several, the most often contradicted
+    ones remain.
     """
     counts = Counter(name for contradiction in contradictions for name in contradiction.channels)
     doubtful: set[str] = set()
@@ -557,7 +558,7 @@ def _contradiction(name: str, check: Check, quantity: str, slope: Slope, t: floa
 
 
 def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
-    """Return the slopes at the lags of a check where the rows tell them."""
+    """Return the slopes at the lags of a check that the rows determine."""
     y, x, others = check.regression(signals)
     slopes: dict[float, Slope] = {}
     for lag in check.lags:
@@ -569,7 +570,7 @@ def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
 
 
 def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT) -> Slope | None:
-    """Return the slope of y over x beside the other regressors, None where the rows do not tell it."""
+    """Return the slope of y over x beside the other regressors, None if undetermined by the rows."""
     Z = np.column_stack([*regression.others, regression.x, regression.y])
     Z = Z[np.isfinite(Z).all(axis=1)]
     if len(Z) < settings.least_rows:

@@ -147,7 +147,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Posterior of the normalised outputs with errors of the function: predictions, samples,
         paths and slopes all come from it.
     weights_ : dict of str to ndarray (P,)
-        Weight of each kind of member of the average for each output: "joint", with all terms,
+        Weight of each kind of component of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
     n_iter_, max_iter_ : int
         Iterations of the joint search, without the fits of single outputs, and their largest

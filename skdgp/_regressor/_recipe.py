@@ -238,7 +238,7 @@ class Recipe:
 
 
 def weights_of(posterior: Posterior) -> dict[str, Vector]:
-    """Return the weight (P,) of each kind of member of a posterior, by its name."""
+    """Return the weight (P,) of each kind of component of a posterior, by its name."""
     weights: dict[str, Vector] = {}
     for member, weight in zip(posterior.members, posterior.mixture, strict=True):
         name = _name(member.kernel)
@@ -247,7 +247,7 @@ def weights_of(posterior: Posterior) -> dict[str, Vector]:
 
 
 def _name(kernel):
-    """Return the structure that a member of an average has."""
+    """Return the structure of a component of an average."""
     terms = [term for term in kernel.summands() if not isinstance(term, LinearTrend)]
     if not terms:
         return "trend"
@@ -257,9 +257,9 @@ def _name(kernel):
 
 
 def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
-    """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
+    """Return the mean (n, P) at X (n, d) of each output's component with the largest weight.
 
-    Its errors are noise, where an average still has a part of the errors of the other members.
+    Its errors are noise, where an average still has a part of the errors of the other components.
     """
     means = np.array([member.predict(X) for member in posterior.members])
     likeliest = posterior.mixture.argmax(axis=0)

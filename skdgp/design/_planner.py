@@ -536,7 +536,7 @@ class _Planner:
     # -- choice
 
     def _choice(self, available: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return the sequence that teaches most; raise ValueError if it is not worth its flight."""
+        """Return the sequence that reduces the errors most; raise ValueError if it hardly does."""
         informations = [information(item.rows) for item in available]
         largest = np.max([np.diag(matrix) for matrix in informations], axis=0)
         prior = self.settings.vague * np.diag(np.maximum(largest, UNMOVED))

@@ -14,7 +14,8 @@ misfit    the model discrepancy: the error of the function that residuals show w
 errors    of the function beyond the posterior: by correlated noise, by method, and the discrepancy
 ========  =============================================================================================================
 
-Names imported as themselves are not part of the public interface: other rooms of the package use them.
+Names imported as themselves are not part of the public interface: other folders of the package use
+them.
 """
 
 from skdgp._compute.statistics import autocorrelation_time

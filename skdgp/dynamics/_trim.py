@@ -59,7 +59,7 @@ class TrimSettings:
 
     # Largest acceleration of a trim [m/s^2, rad/s^2]
     tolerance: float = 1e-6
-    # Where between its limits alpha starts
+    # Start of alpha, as fractions of the range between its limits
     starts: tuple[float, ...] = (0.5, 0.25, 0.75, 0.05)
     # Step of an unknown, relative if it is above 1, for differences of the residual
     step: float = 1e-5

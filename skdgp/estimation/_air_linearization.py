@@ -10,8 +10,9 @@ which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the 
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
 
-Derivatives by parameters go by air velocity and coefficients (chain rule). Instruments, which follow the
-parameters, are the same derivatives with the terms of the coefficients in the motion that surfaces cause.
+Derivatives by parameters follow from air velocity and coefficients by the chain rule. Instruments,
+which follow the parameters, are the same derivatives with the terms of the coefficients in the
+motion that surfaces cause.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ def estimate_air_motion(
     gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot
     answers gusts: this motion excludes the part of the surfaces that past innovations explain.
     Noises maximise the likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound
-    what a flight does not tell. The covariance is
+    parameters that a flight does not determine. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. For nonlinear effects 4 % of each derivative are
     added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.

@@ -50,7 +50,7 @@ class NoiseSearch:
     def step(self, records: list[Record], linears: list[Linearization]) -> float:
         """Move the noises by a step of Fisher scoring; return its squared length in standard deviations.
 
-        ``linears`` are parts of the linearizations of the records, which stand for the whole ones.
+        ``linears`` are parts of the records' linearizations, which represent the full records.
         """
         precision = self.noises.std**-2.0
         information = np.diag(precision)

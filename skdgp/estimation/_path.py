@@ -236,7 +236,7 @@ def _variance_components(
         squares, trace, count = sums.get(name, np.zeros(3))
         if not count:
             continue
-        # the initial noise of a sensor is worth some residuals; of gusts nothing is known
+        # the initial noise of a sensor counts as some residuals; gusts have no such prior
         is_sensor = name in PATH_NOISE
         prior_count = settings.prior_count if is_sensor else 0.0
         least = settings.least_noise if is_sensor else LEAST_GUST

@@ -85,7 +85,7 @@ AIR_NOISE: Prior = {
     "airspeed": (0.3, 1.0),
     "vane": (0.01, 1.0),
 }
-"""Noises of the sensors as the filter of the air sees them."""
+"""Priors of the noises of the sensors in `estimate_air_motion` [SI]."""
 
 DIFFERENCES = 3  # order of the differences that show white noise
 DIFFERENCE_GAIN = 20  # sum of the squares of their coefficients 1, 3, 3, 1

@@ -36,7 +36,7 @@ class PathSettings:
     n_draws: int = 32
     # residual over the noise of a sensor of air data, above which it contradicts the others; trials
     air_ratio: float = 1.4
-    # as above, of an inertial sensor: half a minute of sound ones shows up to 4.4; trials
+    # as above, of an inertial sensor: 30 s of sound sensors show up to 4.4; trials
     inertial_ratio: float = 6.0
     # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
     gust_prior_seconds: float = 2.0

@@ -498,8 +498,8 @@ def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> 
 def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | None, bool]:
     """Return the contradiction of a check, None if there is none, and whether its signals are equal.
 
-    Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that explain
-    y about as well as the best one: under feedback a late servo turns the sign at lag zero.
+    Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that
+    explain y about as well as the best one. Under feedback a late servo turns the sign at lag zero.
     """
     settings = signals.settings
     slopes = slopes_by_lag(check, signals)

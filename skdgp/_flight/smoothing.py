@@ -242,7 +242,7 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     """Return the smoother of each channel from all, (m, k, k); the row of a noise-free channel is the identity.
 
     In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the
-    edge of Marchenko and Pastur (1967); only those beyond it are signal.
+    edge of Marchenko and Pastur (1967). Only eigenvalues beyond the edge are signal.
     """
     power = spectrum.channel_power
     k = len(floor)

@@ -98,8 +98,8 @@ def stability_derivatives(
 
     Notes
     -----
-    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went
-    together in the flights: its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli
+    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they moved
+    together in the flights. Its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli
     2006, section 5.1; docs/control.md). ``std_merged`` is for derivatives by alpha_dot of 0 +- 0.4
     times those by q, as of a tail in the downwash, and by beta_dot of 0 +- 0.2 times those by r.
 

@@ -50,8 +50,8 @@ def simulate(
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
-    from a log; those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax, ay,
-    az) are found by fixed point.
+    from a flight. Those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax,
+    ay, az) are found by fixed point.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
 
     Lags of surfaces and air data maximise the profile likelihood
     :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` of local linear models (Jategaonkar 2006, chapter
-    10); lags of attitude and GPS are constants of the path over the ground. A lag of std NaN is
+    10). Lags of attitude and GPS are constants of the path over the ground. A lag of std NaN is
     unknown: surfaces without vanes, whose lag is a parameter of `estimate_air_motion`.
     """
     segments = _segments_of(table, settings)

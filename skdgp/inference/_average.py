@@ -59,8 +59,8 @@ def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
     r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
     ``values`` are the means :math:`m_k` (n, P, ...) of the components, with ``return_variance``
-    pairs of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k
-    w_k (v_k + (m_k - m)^2)`.
+    pairs of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and
+    :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
     """
     means = np.asarray([value[0] for value in values] if return_variance else values)
     weights = mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
@@ -209,9 +209,9 @@ def held_out_weights(
 def stacked(scores: Matrix, settings: AverageSettings = SETTINGS) -> Vector:
     """Return the weights (K,) of components with log densities (K, n); without rows the last has all.
 
-    Weights that few rows decide vary by chance. So some rows more count as predicted by the
-    components alone, by how many standard errors they fall short of the best one, as in pseudo-BMA+
-    (Yao, Vehtari, Simpson & Gelman 2018, section 3.4).
+    Weights that few rows decide vary by chance. So their prior has some rows per component, shared
+    out by the distances from the best one in standard errors, as in pseudo-BMA+ (Yao, Vehtari,
+    Simpson & Gelman 2018, section 3.4).
     """
     K, n = scores.shape
     if n == 0:

@@ -93,12 +93,11 @@ def fit_drift_to_integrals(
     .. math:: \sigma^2 d h + 2 \tau^2 T^2 (h / T - 1 + e^{-h / T}).
 
     tau^2 and T minimise the squared differences between its logarithm and the logarithm of the
-    residuals' variance, over
-    horizons h from two sample intervals to 10 s or the longest record; sigma^2 + tau^2 is the mean
-    square of the residuals. With n = the time flown over h, a logarithm has the weight 1 / (0.3^2 +
-    2 / n): the variance of n squares, and an error of the model. Residuals are not exactly white
-    noise plus a drift: maximum likelihood would fit the differences of neighbouring samples best,
-    and integrals over seconds worse.
+    residuals' variance, over horizons h from two sample intervals to 10 s or the longest record.
+    sigma^2 + tau^2 is the mean square of the residuals. With n = the time flown over h, a logarithm
+    has the weight 1 / (0.3^2 + 2 / n): the variance of n squares, and an error of the model.
+    Residuals are not exactly white noise plus a drift: maximum likelihood would fit the differences
+    of neighbouring samples best, and integrals over seconds worse.
 
     The constant of the function takes up the mean of the residuals, so the mean square of n
     independent integrals is multiplied by n / (n - 1). The clock (n, 2) holds time and flight; no

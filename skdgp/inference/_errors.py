@@ -233,9 +233,9 @@ def function_errors(
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
       slopes d of the residuals, with standard deviation s. These count as :math:`\sqrt{d^2 - s^2}`,
       the part beyond chance;
-    - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes
-      J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
-      regressor (Fuller 1987, section 1.1).
+    - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
+      of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
+      counts by one number for each regressor.
 
     With too few samples only the discrepancy and ``mean_errors`` are returned.
 
@@ -387,8 +387,8 @@ def instrumented(
     """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
 
     Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
-    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes
-    motion, such as a gust, correlates with present regressors, and so biases least squares. Part of
+    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
+    motion, such as a gust, correlates with present regressors and so biases least squares. Part of
     the bias remains, the more the longer gusts last.
     """
     longest = settings.delays[-1]

@@ -14,7 +14,7 @@ class KnownSlopes(NamedTuple):
     """Slopes of P outputs by d regressors, NaN where they are learned from the samples.
 
     Samples whose regressors were estimated from their own targets, as an angle of attack from the
-    force that it causes, are no evidence of slopes: least squares is biased, and its bands are too
+    force that it causes, are no evidence of slopes. Least squares is biased, and its bands are too
     narrow.
     """
 

@@ -419,8 +419,8 @@ class SingleOutput(NamedTuple):
 
         From widths that are much too long, the nearest optimum explains everything as noise. Short
         trials from several widths avoid it. A function that turns often, such as a sine of many
-        periods, has an optimum so narrow that the trials miss it: the best trial is compared with
-        narrow starts by the likelihood of all values.
+        periods, has an optimum so narrow that the trials miss it. So the best trial is compared
+        with narrow starts by the likelihood of all values.
         """
         settings = self.settings
         start = starting_kernel(self.kernel, self.x, self.y, np.random.RandomState(seed))

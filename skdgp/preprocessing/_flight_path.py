@@ -90,9 +90,9 @@ class FlightPathReconstruction(TableTransformer):
     ----------
     optional : bool, default=False
         Whether all tables pass unchanged, if the flights of ``fit`` lack a needed channel
-        (``missing_``), or an inertial sensor, or two of air data, contradict the others: residuals
-        are larger than their noise, 6 times of an inertial sensor, 1.4 times of airspeed, alpha and
-        beta. A log without alpha or beta is reconstructed all the same. If only flights of
+        (``missing_``), or an inertial sensor, or two of air data, contradict the others. Residuals
+        of a contradiction exceed the noise 6 times (inertial sensors) or 1.4 times (airspeed,
+        alpha, beta). A log without alpha or beta is reconstructed all the same. If only flights of
         ``transform`` lack a channel, `FlightSmoother` smooths them. A table without any of the
         channels is refused.
     max_rows : int, default=65536

@@ -25,7 +25,7 @@ MOST_PERIODS = 5000
 PEAK_SAMPLES = 200
 # Fraction of a band that evenly spaced harmonics cover, or else they are uneven
 LEAST_COVERAGE = 0.7
-# In the shortest period: held for one, a signal is late by a twentieth of it
+# In the shortest period: held for one sample, a signal is late by a twentieth of the period
 SAMPLES_PER_PERIOD = 10
 AXES = (
     "elevator",
@@ -278,7 +278,7 @@ def orthogonal_multisines(
     """Return multisines for several axes at once: orthogonal, and as large as the limits allow.
 
     The harmonics of the band are dealt out to the axes in turn, so that each covers the band
-    (Morelli, AIAA 2003-5700); the harmonics of an axis are evenly spaced where this covers most of
+    (Morelli, AIAA 2003-5700). The harmonics of an axis are evenly spaced where this covers most of
     the band, since peaks are then lower. Phases are as of `multisine`, and each input begins and
     ends at zero. Raises ValueError if the band is none, has fewer harmonics than tones, or there is
     no axis.

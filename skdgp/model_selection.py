@@ -45,9 +45,9 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
     if n_samples < len(observed):  # the middles of equal parts stay
         middles = (np.arange(n_samples) + 0.5) * len(observed) / n_samples
-        kept = np.zeros(len(values), dtype=bool)
-        kept[observed[middles.astype(int)]] = True
-        values[~kept] = np.nan
+        chosen = np.zeros(len(values), dtype=bool)
+        chosen[observed[middles.astype(int)]] = True
+        values[~chosen] = np.nan
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):

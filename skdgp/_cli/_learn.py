@@ -83,9 +83,9 @@ def identify(run: Run) -> None:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
        "wing_area": 1.3, "span": 2.6, "chord": 0.55}
       kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or
-      TOML. Without a file: --mass and --span. The rest is estimated, and the summary says what was
-      assumed, how far that may be off, and what to measure next. A log of an autopilot then needs
-      no servo file and no thrust either.
+      TOML. Without a file: --mass and --span. The rest is estimated, and the summary lists
+      assumptions, their possible errors, and the next measurement to make. A log of an autopilot
+      then needs no servo file and no thrust either.
 
     Ctrl-C during the fit keeps the best model so far and goes on.
 
@@ -111,11 +111,11 @@ def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
     names = ("aircraft", *SIZES, "kind", *ENGINE)
-    given = _given({name: vars(options)[name] for name in names})
-    if [*given] == ["aircraft"]:
+    arguments = _given({name: vars(options)[name] for name in names})
+    if [*arguments] == ["aircraft"]:
         return options.aircraft
-    if "aircraft" in given or not {"mass", "span"} <= {*given}:
-        got = " ".join(f"--{name.replace('_', '-')}" for name in given) or "no aircraft"
+    if "aircraft" in arguments or not {"mass", "span"} <= {*arguments}:
+        got = " ".join(f"--{name.replace('_', '-')}" for name in arguments) or "no aircraft"
         options.parser.error(
             f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
             "estimated"
@@ -124,7 +124,7 @@ def _aircraft(run: Run) -> Aircraft | str:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    sizes = {name: value for name, value in given.items() if name not in ENGINE}
+    sizes = {name: value for name, value in arguments.items() if name not in ENGINE}
     if options.propeller:
         motor = {}
         if options.motor:

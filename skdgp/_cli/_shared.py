@@ -28,7 +28,7 @@ TRUST = "loading runs code that is in it, so open only files that you trust"
 def checked(
     expected: str, read: Callable[[str], Any], accept: Callable[[Any], bool] = lambda value: True
 ) -> Callable[[str], Any]:
-    """Return a type of argparse: what is read and accepted, or an error that names the expected value."""
+    """Return a type of argparse that reads and checks a value; its error names the expected one."""
 
     def value(text):
         try:

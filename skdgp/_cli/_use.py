@@ -41,7 +41,7 @@ from skdgp.identification import (
 )
 from skdgp.report import FlightMechanics
 
-# Intensity [m/s] from which derivatives by rates lose notably: two thirds of light turbulence of
+# Intensity [m/s] above which derivatives by rates lose notably: two thirds of light turbulence of
 # MIL-F-8785C
 NOTABLE_GUSTS = 0.5
 
@@ -154,7 +154,9 @@ def derivatives(run: Run) -> None:
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
     table: Any = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
     run.console.stage("modes")
-    modes = [linearize(model.pipeline, model.aircraft, each, **spread).modes() for each in trims]
+    modes = [
+        linearize(model.pipeline, model.aircraft, steady, **spread).modes() for steady in trims
+    ]
     points = [
         FlightMechanics(trim=point, derivatives=table.loc[k], modes=modes[k])
         for k, point in enumerate(trims)
@@ -235,9 +237,9 @@ def plan(run: Run) -> None:
     full = dict(options.full)
     if full:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
-    given = vars(options)
+    arguments = vars(options)
     ranges = {
-        name: given[option.removeprefix("--").replace("-", "_")]
+        name: arguments[option.removeprefix("--").replace("-", "_")]
         for name, option in Envelope.command_options.items()
     }
     envelope = Envelope(

@@ -14,7 +14,7 @@ def central_difference(function: Callable[[Array], Array], z: Array, steps: Arra
 
     .. math:: f'(z) \approx \frac{8 (f(z + h) - f(z - h)) - (f(z + 2h) - f(z - 2h))}{12 h}
 
-    ``steps`` h are (n,) or (..., n). The function gets arrays (..., n, n), of which row i has
+    ``steps`` h are (n,) or (..., n). The function gets arrays (..., n, n), whose row i has
     component i moved.
     """
     moves = steps[..., None] * np.eye(z.shape[-1])

@@ -1,4 +1,4 @@
-"""Findings: records of what checks, reconstruction, fit and evaluation show; `wording` turns them into text."""
+"""Findings of checks, reconstruction, fit and evaluation; `wording` turns them into text."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Code(Enum):
     IMPOSSIBLE = "impossible"
     SPIKE = "spike"
     CONSTANT = "constant"
-    # faults of a log together, by what was done about them
+    # all faults of a log, by their treatment
     FAULTS_BRIDGED = "faults_bridged"
     FAULTS_EXCLUDED = "faults_excluded"
 
@@ -122,7 +122,7 @@ class Finding:
     Parameters
     ----------
     code : Code
-        Kind of the finding, by which rules decide.
+        Kind of the finding; rules decide by it.
     flight, channel : str, optional
         Flight and channel that it is about.
     numbers : mapping of str to object

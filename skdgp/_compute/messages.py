@@ -1,4 +1,4 @@
-"""Warnings with their findings, and records of them; progress of a fit; packages that are not installed."""
+"""Warnings with findings, records of warnings, progress of a fit, and missing packages."""
 
 from __future__ import annotations
 
@@ -118,11 +118,11 @@ def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
     ('output 1', 1)
     """
     heard = _listener.set(listener)
-    kept = _keeps_best.set(keep_best)
+    token = _keeps_best.set(keep_best)
     try:
         yield
     finally:
-        _keeps_best.reset(kept)
+        _keeps_best.reset(token)
         _listener.reset(heard)
 
 
@@ -139,7 +139,7 @@ def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("na
 
 
 def extra(package: str, name: str) -> Any:
-    """Return a package of an extra; raise ImportError, with what to install, if it is absent."""
+    """Return a package of an extra; if it is absent, raise an ImportError that names the extra."""
     try:
         return importlib.import_module(package)
     except ImportError as error:

@@ -139,11 +139,11 @@ def find_faults(
         flight = names[codes[first]]
         flight_time = time[first:last]
         part = {name: values[first:last].copy() for name, values in channels.items()}
-        for found in _faults_of_flight(flight_time, part, settings):
-            begin, end = flight_time[found.rows[[0, -1]]].tolist()
-            place = {"start": begin, "end": end, "samples": len(found.rows), "origin": origin}
-            finding = Finding(found.code, flight, found.channel, place | found.numbers)
-            faults.append(Fault(finding, first + found.rows))
+        for fault in _faults_of_flight(flight_time, part, settings):
+            begin, end = flight_time[fault.rows[[0, -1]]].tolist()
+            place = {"start": begin, "end": end, "samples": len(fault.rows), "origin": origin}
+            finding = Finding(fault.code, flight, fault.channel, place | fault.numbers)
+            faults.append(Fault(finding, first + fault.rows))
     return faults
 
 

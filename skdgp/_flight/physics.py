@@ -7,7 +7,7 @@ first (Frisch & Waugh, 1933). With the residual e, the slope and its standard de
 
     slope = x.y / x.x,   e = y - slope x,   std = sqrt(tau sum (x e)^2) / x.x.
 
-Neighbouring samples are dependent: n of them are worth n / tau, where tau is the autocorrelation
+Neighbouring samples are dependent: n samples count as n / tau, where tau is the autocorrelation
 time of the products x e, 1 + 2 sum rho_x rho_e (Bartlett, 1946). A slope contradicts its relation
 if it is outside of the admissible interval by 5 standard deviations.
 
@@ -56,9 +56,10 @@ class PhysicsSettings:
     # fewer rows, or fewer effective samples, decide nothing
     least_rows: int = 40
     least_samples: float = 10.0
-    # standard deviations by which a slope is outside of its admissible interval
+    # least distance of a slope from its admissible interval, in standard deviations
     least_t: float = 5.0
-    # weaker effects of a wrong sign come from feedback, lags and gusts as well
+    # least partial correlation of an effect of wrong sign: feedback, lags and gusts cause weaker
+    # ones
     least_correlation: float = 0.3
     # a longer lag [s] is a contradiction: LagCorrector corrects 0.3 s, holds of slow GPS add to it
     usual_lag: float = 0.5
@@ -72,7 +73,7 @@ DEFAULT = PhysicsSettings()
 
 
 class Slope(NamedTuple):
-    """A slope of a regression, and how well it is known."""
+    """A slope of a regression, with its standard deviation and partial correlation."""
 
     value: float
     std: float
@@ -100,7 +101,7 @@ class Contradiction(NamedTuple):
     check: str
     # channels that may be wrong
     channels: tuple[str, ...]
-    # "slope", or "lag" [s], of which ``slope`` is the value
+    # "slope", or "lag" [s]; ``slope`` has the value of either
     quantity: str
     slope: float
     std: float
@@ -174,8 +175,8 @@ class Signals:
     def integral(self, values: Array, seconds: float | None = None) -> Array:
         """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
         missing = ~np.isfinite(values)
-        known = np.where(missing, 0.0, values)
-        total = np.cumsum(known, axis=0) - known / 2
+        filled = np.where(missing, 0.0, values)
+        total = np.cumsum(filled, axis=0) - filled / 2
         integral = self.step * self.change(total, seconds)
         n_missing = self.change(np.cumsum(missing, axis=0, dtype=float), seconds)
         integral[missing | (n_missing > 0)] = np.nan
@@ -347,7 +348,7 @@ class Check(NamedTuple):
 
     @property
     def expected(self) -> str:
-        """The slope that is expected."""
+        """The expected slope."""
         return EXPECTED[self.slopes]
 
 
@@ -465,41 +466,41 @@ def _of_flights(
                 confirmed.update(check.channels)
     has_elevons = {*ELEVONS} <= {*table.columns}
     results = []
-    for found in _with_suspects(contradictions, confirmed):
-        is_mixed = has_elevons and found.channels[0] in MIXED
-        channels = (*ELEVONS, *found.channels[1:]) if is_mixed else found.channels
-        results.append(found._replace(channels=channels))
+    for reduced in _with_suspects(contradictions, confirmed):
+        is_mixed = has_elevons and reduced.channels[0] in MIXED
+        channels = (*ELEVONS, *reduced.channels[1:]) if is_mixed else reduced.channels
+        results.append(reduced._replace(channels=channels))
     return results
 
 
 def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
     """Return contradictions with only the channels that may be wrong, without those that follow from others.
 
-    These are channels that no other check of equal signals confirms, and of them those that most
-    checks contradict.
+    No other check of equal signals confirms these channels; of several, the most often contradicted
+    ones remain.
     """
-    counts = Counter(name for found in contradictions for name in found.channels)
+    counts = Counter(name for contradiction in contradictions for name in contradiction.channels)
     doubtful: set[str] = set()
     remaining = []
-    for found in contradictions:
-        names = found.channels
+    for contradiction in contradictions:
+        names = contradiction.channels
         # of two signals with a lag either may be late
-        if found.quantity == "slope" and not confirmed.issuperset(names):
+        if contradiction.quantity == "slope" and not confirmed.issuperset(names):
             names = tuple(name for name in names if name not in confirmed)
         most = max(counts[name] for name in names)
         suspects = tuple(name for name in names if counts[name] == most)
-        follows = doubtful.intersection(CHECKS[found.check].uses)
+        follows = doubtful.intersection(CHECKS[contradiction.check].uses)
         if not follows and not doubtful.issuperset(suspects):
             doubtful.update(suspects)
-            remaining.append(found._replace(channels=suspects))
+            remaining.append(contradiction._replace(channels=suspects))
     return remaining
 
 
 def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | None, bool]:
     """Return the contradiction of a check, None if there is none, and whether its signals are equal.
 
-    Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that explain
-    y about as well as the best one: under feedback a late servo turns the sign at lag zero.
+    Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that
+    explain y about as well as the best one. Under feedback a late servo turns the sign at lag zero.
     """
     settings = signals.settings
     slopes = slopes_by_lag(check, signals)
@@ -558,7 +559,7 @@ def _contradiction(name: str, check: Check, quantity: str, slope: Slope, t: floa
 
 
 def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
-    """Return the slopes at the lags of a check where the rows tell them."""
+    """Return the slopes at the lags of a check that the rows determine."""
     y, x, others = check.regression(signals)
     slopes: dict[float, Slope] = {}
     for lag in check.lags:
@@ -570,7 +571,7 @@ def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
 
 
 def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT) -> Slope | None:
-    """Return the slope of y over x beside the other regressors, None where the rows do not tell it."""
+    """Return the slope of y over x beside the other regressors, None if undetermined by the rows."""
     Z = np.column_stack([*regression.others, regression.x, regression.y])
     Z = Z[np.isfinite(Z).all(axis=1)]
     if len(Z) < settings.least_rows:

@@ -68,9 +68,9 @@ def smooth(
     out = np.full(columns.shape, np.nan)
     remarks: set[str] = set()
     for rows, channels in _same_rows(columns):
-        at = np.ix_(rows, channels)
-        out[at] = _per_flight(
-            columns[at], times[rows], codes[rows], cutoff, joint, derivative, remarks
+        place = np.ix_(rows, channels)
+        out[place] = _per_flight(
+            columns[place], times[rows], codes[rows], cutoff, joint, derivative, remarks
         )
     for remark in sorted(remarks):
         warn(remark, stacklevel=2)
@@ -143,9 +143,9 @@ def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
     if len(time) == 1:
         return np.full_like(columns, np.nan) if derivative else columns
     grid, jittered = uniform_grid(time)
-    at = time if jittered else grid
+    times = time if jittered else grid
     if cutoff is None or (kernel is None and isinstance(cutoff, str)):
-        return interpolate.CubicSpline(at, columns)(at, 1) if derivative else columns
+        return interpolate.CubicSpline(times, columns)(times, 1) if derivative else columns
     on_grid = interpolate.CubicSpline(time, columns)(grid) if jittered else columns
     if kernel is None:
         step = (grid[-1] - grid[0]) / (len(grid) - 1)
@@ -154,7 +154,7 @@ def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
         smoothed = convolve(on_grid, kernel)
     if not (jittered or derivative):
         return smoothed
-    return interpolate.CubicSpline(grid, smoothed)(at, int(derivative))
+    return interpolate.CubicSpline(grid, smoothed)(times, int(derivative))
 
 
 def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
@@ -242,7 +242,7 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     """Return the smoother of each channel from all, (m, k, k); the row of a noise-free channel is the identity.
 
     In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the
-    edge of Marchenko and Pastur (1967); only those beyond it are signal.
+    edge of Marchenko and Pastur (1967). Only eigenvalues beyond the edge are signal.
     """
     power = spectrum.channel_power
     k = len(floor)

@@ -152,7 +152,7 @@ def check_input_noise(input_noise: Any, n_regressors: int) -> np.ndarray | None:
 
 
 def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> KnownNoise:
-    """Return what is known of the noise of Y (n, P), in squared units of the outputs.
+    """Return the known noise of Y (n, P), in squared units of the outputs.
 
     ``variance`` has one number, one for each output (P,), or one for each value, in the shape of
     Y; ``bounds`` are a pair or (P, 2).
@@ -358,10 +358,10 @@ def _at_bounds(kernel, settings):
         values = f.elements(kernel.value(f.name))
         pairs = f.pairs()
         scaled = np.column_stack([pairs, values])
-        low, high, at = (np.log(scaled) if f.log else scaled).T
+        low, high, value = (np.log(scaled) if f.log else scaled).T
         width = np.minimum(high - low, 1.0) if f.log else high - low
         tolerance = settings.bound_tolerance * width
-        distances = {"lower": np.abs(at - low), "upper": np.abs(high - at)}
+        distances = {"lower": np.abs(value - low), "upper": np.abs(high - value)}
         for column, (side, distance) in enumerate(distances.items()):
             for k in np.flatnonzero(distance <= tolerance):
                 entry = np.argwhere(f.index == k)[0].tolist()

@@ -126,12 +126,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         model.misfit_variance_``, ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a
         fit with ``time``, and ``optimizer=None`` it is the same joint model.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, without misfit, in squared units of the outputs; the mean
-        over the samples where it was given for each.
+        Variance of the measurement noise, without model discrepancy, in squared units of the
+        outputs; the mean over the samples where it was given for each.
     drift_variance_, drift_memory_ : ndarray (P,)
-        Variance tau^2 of the drift, and its memory T [s], estimated from the residuals; zero
-        without ``time``. The drift holds the effect of errors of the regressors, too. Simulated
-        flights have one each.
+        Variance tau^2 of the drift, and its correlation time T [s], estimated from the residuals;
+        zero without ``time``. The drift holds the effect of errors of the regressors, too.
+        Simulated flights have one each.
     misfit_variance_ : ndarray (P,)
         Variance of the error of the function where flights come back to the same regressors, in
         squared units of the outputs: part of the function's band. Zero without ``time``. See
@@ -147,7 +147,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Posterior of the normalised outputs with errors of the function: predictions, samples,
         paths and slopes all come from it.
     weights_ : dict of str to ndarray (P,)
-        Weight of each kind of member of the average for each output: "joint", with all terms,
+        Weight of each kind of component of the average for each output: "joint", with all terms,
         "additive", with main effects, and "trend".
     n_iter_, max_iter_ : int
         Iterations of the joint search, without the fits of single outputs, and their largest
@@ -194,7 +194,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "random_state": ["random_state"],
     }
 
-    #: What is chosen where a parameter is not given
+    #: Choices where a parameter is not given
     settings = RegressorSettings()
 
     def __init__(
@@ -367,13 +367,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         recipe = self._recipe(clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
         Z = self._normalised(X, Y, slopes, noise.weights)
-        known = noise.in_units(self.scale_)
+        known_noise = noise.in_units(self.scale_)
         kernel = recipe.make_kernel(X, Z).rescaled(1 / self.scale_)
         self.max_iter_ = recipe.most_iterations(Z)
-        fit = recipe.fit(kernel, X, Z, known)
+        fit = recipe.fit(kernel, X, Z, known_noise)
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z)
-        self._set_noise(fit, X, Z, clock, known)
+        self._set_noise(fit, X, Z, clock, known_noise)
         flight = None if clock is None else clock[:, 1]
         self.posterior_ = self._with_errors(fit, flight, recipe.time_series)
 
@@ -410,7 +410,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
 
     def _set_noise(self, fit, X, Z, clock, known):
-        """Set noise, drift and misfit of the outputs."""
+        """Set noise, drift and model discrepancy of the outputs."""
         noise = fit.learned.noise
         misfit = np.zeros(len(noise))
         variance = np.zeros(len(noise))
@@ -418,7 +418,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if clock is not None:
             _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
             misfit = misfit_variance(fit.posterior, X, Z, clock)
-        # The search took the misfit for noise, of which at least a lower bound is left.
+        # The search took the discrepancy for noise: subtract it, and keep at least a lower bound.
         least = (1.0 - self.settings.largest_misfit) * noise
         if known.bounds is not None:
             least = np.maximum(least, known.bounds[:, 0])
@@ -582,8 +582,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def predict_gradient(self, X: Matrix) -> Array:
         """Return the slopes of the mean at X (n, d), d mean / d regressor.
 
-        They are (n, P, d), or (n, d) for one-dimensional targets. Their spread is that of the slopes
-        of `sample_paths`.
+        They are (n, P, d), or (n, d) for one-dimensional targets. The slopes of `sample_paths` show
+        their spread.
         """
         X = self._check_regressors(X)
         return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
@@ -611,9 +611,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         return self.posterior_.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
     def narrowing(self, added: Matrix) -> Matrix:
-        """Return the factor (P, d) by which rows that are flown next narrow deviations of slopes, as of least squares.
+        """Return the ratio (P, d) of deviations of slopes with and without further rows.
 
-        ``added`` (k, d) are their regressors.
+        ``added`` (k, d) are their regressors; deviations as of least squares.
         """
         return narrowing(self.posterior_, self._check_regressors(added))
 
@@ -627,7 +627,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     ) -> Array:
         """Return samples of the joint distribution of all outputs at X (n, d).
 
-        Their mean and covariance are those of ``predict(X, return_cov=True)`` with the same
+        Mean and covariance are as from ``predict(X, return_cov=True)`` with the same
         switches. They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets. A
         kernel without sample paths has them from the joint covariance, in O(P^3 n^3) time.
         """

@@ -33,7 +33,7 @@ class ImputeSettings:
     rows: int = 3000
     #: Most iterations of the search
     iterations: int = 40
-    #: Fewest rows in which the output is observed
+    #: Fewest rows with the output observed
     least_rows: int = 10
     #: Starting values of a, l, b, c, w and the noise variance (``covariance``)
     start: tuple[float, ...] = (1.0, 1.0, 0.3, 0.1, 4.0, 0.1)
@@ -71,12 +71,12 @@ def imputed(
     for p, rows in enumerate(missing.T):
         if not rows.any() or np.sum(~rows) < settings.least_rows:
             continue
-        known = missing[rows].mean(axis=0) < 0.5
-        asked = rows & ~missing[:, known].all(axis=1)
+        informative = missing[rows].mean(axis=0) < 0.5
+        asked = rows & ~missing[:, informative].all(axis=1)
         if asked.any():
             learned = np.flatnonzero(~rows)
             y = table[learned, p]
-            moments = conditional(x, scaled[:, known], y, learned, asked, settings)
+            moments = conditional(x, scaled[:, informative], y, learned, asked, settings)
             if takes_logarithm[p]:
                 moments = log_normal(*moments)
             value[asked, p], deviation[asked, p] = moments
@@ -110,13 +110,13 @@ def conditional(
 
     They are of the mixture, with equal weights, of the processes for each bandwidth.
     """
-    some = evenly(len(y), settings.search_rows)
+    selected = evenly(len(y), settings.search_rows)
     most = evenly(len(y), settings.rows)
     predictions = []
     for bandwidth in settings.bandwidths:
         table = inputs(x, others, bandwidth)
-        searched = [part[learned[some]] for part in table]
-        theta = likeliest(searched, y[some], settings)
+        searched = [part[learned[selected]] for part in table]
+        theta = likeliest(searched, y[selected], settings)
         rows = [part[learned[most]] for part in table]
         wanted = [part[asked] for part in table]
         predictions.append(predicted(theta, rows, y[most], wanted))
@@ -174,10 +174,10 @@ def likeliest(rows: list[Matrix], y: Vector, settings: ImputeSettings = SETTINGS
         L = factor(K, theta)
         inverse = cholesky_solve(L, np.eye(len(z)))
         weights = inverse @ z
-        rest = inverse - np.outer(weights, weights)  # Rasmussen & Williams 2006, equation 5.9
+        W = inverse - np.outer(weights, weights)  # Rasmussen & Williams 2006, equation 5.9
         slopes.append(np.exp(theta[-1]) * np.eye(len(z)))
         value = 0.5 * (z @ weights + log_determinant(L))
-        return value, np.array([0.5 * np.sum(rest * slope) for slope in slopes])
+        return value, np.array([0.5 * np.sum(W * slope) for slope in slopes])
 
     start = np.log(settings.start)
     bounds = Bounds(np.log(settings.lower), np.log(settings.upper))

@@ -1,4 +1,4 @@
-"""What the estimator is asked for, as a value: the kernel of all terms, and the fit of it."""
+"""Request to the estimator, as a value: the kernel of all terms, and its fit."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_
 
 @dataclass(frozen=True)
 class RegressorSettings:
-    """What the estimator chooses where a parameter is not given."""
+    """Choices of the estimator where a parameter is not given."""
 
     #: Searches of a time series, each from other rows (docs/results.md, pairs of flights)
     n_searches: int = 2
@@ -43,15 +43,15 @@ class RegressorSettings:
     #: same time
     iterations: int = 150
     iterated_values: int = 1500
-    #: Most observed values of which inference="auto" is exact
+    #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series
     exact_time_series_values: int = 1000
     #: Largest prior variance that inducing variables leave unexplained, over the noise variance
     most_neglected: float = 0.3
-    #: Most samples of a time series of which an average has main effects (docs/theory.md)
+    #: Most samples of a time series for which an average has main effects (docs/theory.md)
     additive_samples: int = 5000
-    #: Largest misfit, over misfit and noise
+    #: Largest variance of the discrepancy, over the sum of discrepancy and noise
     largest_misfit: float = 0.99
     #: Of each search
     search: SearchSettings = field(default_factory=SearchSettings)
@@ -105,9 +105,9 @@ class Recipe:
         # one centre for all searches and components
         trend = LinearTrend(center=X.mean(axis=0)) if self.trend == "linear" else None
         if self.kernel is not None:
-            given = as_multi_output(clone(self.kernel))
-            has_trend = any(term.n_processes == 0 for term in given.summands())
-            return given if trend is None or has_trend else trend + given
+            multi_output = as_multi_output(clone(self.kernel))
+            has_trend = any(term.n_processes == 0 for term in multi_output.summands())
+            return multi_output if trend is None or has_trend else trend + multi_output
         averaged = self.structure == "average" and trend is not None
         if trend is not None and (self.structure == "trend" or (averaged and d > n)):
             return trend  # with fewer rows than regressors a process would have no weight
@@ -115,7 +115,7 @@ class Recipe:
         return kernel if trend is None else trend + kernel
 
     def _processes(self, X, Z, averaged):
-        """Return the joint processes, and those of each regressor alone."""
+        """Return the joint processes, and the processes of each regressor alone."""
         n, d = X.shape
         bounds = {"length_scale": "spacing"} if self.time_series else None
         kernel: MultiOutputKernel
@@ -128,7 +128,7 @@ class Recipe:
         return kernel
 
     def _number_of_latents(self, Z):
-        """Return the number of shared latents, more where they can fill what is missing."""
+        """Return the number of shared latents, more where they can fill missing targets."""
         if self.n_latent is not None:
             return self.n_latent
         fewest, most = self.settings.n_latent
@@ -238,7 +238,7 @@ class Recipe:
 
 
 def weights_of(posterior: Posterior) -> dict[str, Vector]:
-    """Return the weight (P,) of each kind of member of a posterior, by its name."""
+    """Return the weight (P,) of each kind of component of a posterior, by its name."""
     weights: dict[str, Vector] = {}
     for member, weight in zip(posterior.members, posterior.mixture, strict=True):
         name = _name(member.kernel)
@@ -247,7 +247,7 @@ def weights_of(posterior: Posterior) -> dict[str, Vector]:
 
 
 def _name(kernel):
-    """Return the structure that a member of an average has."""
+    """Return the structure of a component of an average."""
     terms = [term for term in kernel.summands() if not isinstance(term, LinearTrend)]
     if not terms:
         return "trend"
@@ -257,9 +257,9 @@ def _name(kernel):
 
 
 def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:
-    """Return the mean at X (n, d) of the member with the largest weight, for each output, (n, P).
+    """Return the mean (n, P) at X (n, d) of each output's component with the largest weight.
 
-    Its errors are noise, where an average still has a part of the errors of the other members.
+    Its errors are noise, where an average still has a part of the errors of the other components.
     """
     means = np.array([member.predict(X) for member in posterior.members])
     likeliest = posterior.mixture.argmax(axis=0)

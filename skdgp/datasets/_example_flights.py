@@ -427,7 +427,7 @@ def load_example_flights(
         tells them apart and serves as ``groups`` of a cross-validation; ``test``: one flight along
         another path, at two altitudes, in stronger turbulence, (7200, 69); ``aircraft``;
         ``aerodynamics``: the true model, a function of regressors (..., 10) to CX CY CZ Cl Cm Cn
-        (..., 6); ``regressor_names`` of it (rates are relative to the air and non-dimensional);
+        (..., 6); its ``regressor_names`` (rates are relative to the air and non-dimensional);
         ``DESCR``, a text.
 
     Examples

@@ -9,7 +9,7 @@ import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
 
-# Least increase of the gain for which a manoeuvre is exchanged
+# Least increase of the gain that justifies an exchange of manoeuvres
 WORTH_EXCHANGE = 1e-6
 # Rounding of sums of seconds
 ROUNDING = 1e-6
@@ -71,19 +71,21 @@ class Choice:
             if not longer:
                 return chosen
             before = self.gain(chosen)
-            rates = [(self.gain(one) - before) / self.seconds[one[-1]] for one in longer]
+            rates = [
+                (self.gain(sequence) - before) / self.seconds[sequence[-1]] for sequence in longer
+            ]
             chosen = longer[int(np.argmax(rates))]
 
     def exchanged(self, chosen: list[int]) -> list[int]:
-        """Return the best sequence in which one manoeuvre is another one."""
+        """Return the best sequence with one manoeuvre replaced by another."""
         best = chosen
         largest = self.gain(chosen) + WORTH_EXCHANGE
         for place in range(len(chosen)):
             for k in range(len(self.seconds)):
-                other = [*chosen[:place], k, *chosen[place + 1 :]]
-                if self.fits(other) and self.gain(other) > largest:
-                    best = other
-                    largest = self.gain(other)
+                exchanged = [*chosen[:place], k, *chosen[place + 1 :]]
+                if self.fits(exchanged) and self.gain(exchanged) > largest:
+                    best = exchanged
+                    largest = self.gain(exchanged)
         return best
 
     def best(self) -> list[int]:

@@ -82,11 +82,11 @@ class Envelope:
     altitude : float, optional
         Lowest [m]; by default the lowest that was flown, without growth.
     growth : float, default=0.2
-        Fraction of its training range by which a regressor, or a quantity above without a value,
-        may exceed it: half at either end. inf: no limit.
+        Allowed excess of a regressor, or of a quantity above without a value, over its training
+        range, relative to the range: half at either end. inf: no limit.
     margin : float, default=0.3
-        Relative excess of the response to a manoeuvre over the model's, with which it is still
-        inside: for errors of the model, of the entry, and light gusts.
+        Relative excess over the model's response for which a manoeuvre still stays inside: for
+        errors of the model, of the entry, and light gusts.
 
     Examples
     --------
@@ -120,12 +120,12 @@ class Envelope:
 
     def bounds(self, model: Aerodynamics) -> dict[str, tuple[float, float]]:
         """Return the lowest and the highest value of each channel: "bank" asked, "growth of bank" flown."""
-        asked = self._asked()
-        bounds = dict.fromkeys(QUANTITIES, UNLIMITED) | asked
+        requested = self._asked()
+        bounds = dict.fromkeys(QUANTITIES, UNLIMITED) | requested
         if np.isinf(self.growth):
             return bounds
         ranges = flown_quantities(model)
-        for name in asked:
+        for name in requested:
             ranges.pop(name, None)
         if model.limits is not None:
             ranges |= dict(zip(model.regressors, model.limits.T, strict=True))
@@ -139,12 +139,12 @@ class Envelope:
     def _asked(self) -> dict[str, Any]:
         """Return the lowest and the highest value of the quantities that were given."""
         values = vars(self)
-        asked = {name: values[name] for name in QUANTITIES if values[name] is not None}
+        requested = {name: values[name] for name in QUANTITIES if values[name] is not None}
         if self.bank is not None:
-            asked["bank"] = (-self.bank, self.bank)
+            requested["bank"] = (-self.bank, self.bank)
         if self.altitude is not None:
-            asked["altitude"] = (self.altitude, np.inf)
-        return asked
+            requested["altitude"] = (self.altitude, np.inf)
+        return requested
 
     def altitudes(self, model: Aerodynamics | BaseEstimator) -> tuple[float, float]:
         """Return the lowest and the highest altitude that a model was learned from [m], 0 and 100 if unknown."""
@@ -165,8 +165,8 @@ class Envelope:
         limited = quantities(flight)
         X = regressors_of(flight, aircraft, model.regressors)
         regressors = pd.DataFrame(X, columns=list(model.regressors), index=flight.index)
-        others = limited.drop(columns=[name for name in limited if name in regressors])
-        grown = regressors.join(others).add_prefix(GROWTH)
+        quantity_limits = limited.drop(columns=[name for name in limited if name in regressors])
+        grown = regressors.join(quantity_limits).add_prefix(GROWTH)
         return limited.join(grown)[[*self.bounds(model)]]
 
 

@@ -61,7 +61,7 @@ class PlanSettings:
     least_scale : float
         Fraction of the limits below which a manoeuvre is left out.
     shrink : tuple of float
-        Least and largest factor by which a manoeuvre gets smaller at once.
+        Least and largest factor of a reduction of a manoeuvre at once.
     worth : float
         Least relative reduction of the errors of the goal.
     vague : float

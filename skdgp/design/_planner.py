@@ -129,10 +129,10 @@ class Plan:
     @property
     def abort_limits(self) -> pd.DataFrame:
         """The ``low`` and ``high`` ends of the quantities, the narrower of asked and flown."""
-        asked = self.limits.reindex(QUANTITIES)
+        requested = self.limits.reindex(QUANTITIES)
         flown = self.limits.reindex([GROWTH + name for name in QUANTITIES]).set_axis(QUANTITIES)
-        low = np.fmax(asked["low"], flown["low"])
-        high = np.fmin(asked["high"], flown["high"])
+        low = np.fmax(requested["low"], flown["low"])
+        high = np.fmin(requested["high"], flown["high"])
         low["airspeed"] = low["airspeed"] if low["airspeed"] > 0 else -np.inf
         return pd.DataFrame({"low": low, "high": high})
 
@@ -495,11 +495,11 @@ class _Planner:
             duration=step * np.floor(longest / step + ROUNDING),
             thrust=self.thrust,
         )
-        whole = [flown]
+        parts = [flown]
         if len(tables) > 1:
-            whole = [flight for _, flight in flown.groupby("start", sort=True)]
+            parts = [flight for _, flight in flown.groupby("start", sort=True)]
         flights = {}
-        for (name, duration), flight in zip(durations.items(), whole, strict=True):
+        for (name, duration), flight in zip(durations.items(), parts, strict=True):
             is_recorded = flight["time"] <= duration + self.settings.response + ROUNDING
             flights[name] = flight[is_recorded].reset_index(drop=True)
         return flights
@@ -519,7 +519,7 @@ class _Planner:
         return centre.to_numpy()
 
     def _room(self, inputs: Inputs, flight: pd.DataFrame, centre: Vector) -> pd.Series:
-        """Return by limit the factor by which a response may grow until it meets it, with the margin."""
+        """Return for each limit the factor of a response that meets it, with the margin."""
         if (flight["ended"] != "").any():
             return pd.Series({"the end of the simulation": 0.0})
         is_unattended = flight["time"] <= duration_of(inputs) + self.settings.reaction + ROUNDING
@@ -536,15 +536,15 @@ class _Planner:
     # -- choice
 
     def _choice(self, available: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return the sequence that teaches most; raise ValueError if it is not worth its flight."""
+        """Return the sequence that reduces the errors most; raise ValueError if it hardly does."""
         informations = [information(item.rows) for item in available]
-        largest = np.max([np.diag(each) for each in informations], axis=0)
-        known = self.settings.vague * np.diag(np.maximum(largest, UNMOVED))
+        largest = np.max([np.diag(matrix) for matrix in informations], axis=0)
+        prior = self.settings.vague * np.diag(np.maximum(largest, UNMOVED))
         if self.learned is not None:
-            known += information(self.learned)
+            prior += information(self.learned)
         seconds = np.array([item.seconds for item in available])
         time = self.seconds - self.settings.response
-        choice = Choice(informations, seconds, known, self.slopes, time)
+        choice = Choice(informations, seconds, prior, self.slopes, time)
         chosen = choice.best()
         worth = choice.gain(chosen) - choice.gain([])
         if worth < self.settings.worth:

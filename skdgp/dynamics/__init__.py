@@ -3,7 +3,8 @@
 Body axes x forward, y right, z down; moments about the centre of gravity; SI units and radians.
 The interface to a regressor is a flight table and a table of the six coefficients.
 
-Names imported as themselves are not part of the public interface: other rooms of the package use them.
+Names imported as themselves are not part of the public interface: other folders of the package use
+them.
 """
 
 from skdgp._flight.frames import (

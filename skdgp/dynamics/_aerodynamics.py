@@ -56,8 +56,8 @@ class Drift(NamedTuple):
 
 def separate_generator(random_state: Any, n_words: int = 4) -> np.random.Generator:
     """Return a generator of other numbers than the paths of the same seed have."""
-    words = check_random_state(random_state).randint(2**31 - 1, size=n_words)
-    return np.random.default_rng(words)
+    seeds = check_random_state(random_state).randint(2**31 - 1, size=n_words)
+    return np.random.default_rng(seeds)
 
 
 @dataclass(eq=False, repr=False)
@@ -98,8 +98,8 @@ class Aerodynamics:
         () to the part of the errors of the paths that comes from the time series of the fit, or to
         None: see ``DependentGPRegressor``.
     narrowing : callable, optional
-        Regressors (k, d) of rows that are flown next to the factor (6, d) by which they narrow
-        deviations of slopes.
+        Function of the regressors (k, d) of rows that are flown next. Its values (6, d) are ratios
+        of deviations of slopes with and without these rows.
     training_rows : callable, optional
         () to the regressors (n, d) that the model was learned from, or to None.
     training_seconds : float, optional
@@ -232,7 +232,7 @@ class PosteriorRegressor(Protocol):
         """Return the errors of the function that the posterior does not hold, or None."""
 
     def narrowing(self, added: Array) -> Array:
-        """Return the factor (P, d) by which added rows narrow standard deviations of slopes."""
+        """Return the ratio (P, d) of standard deviations of slopes with and without added rows."""
 
 
 @runtime_checkable
@@ -366,7 +366,7 @@ def _mixing_of(splitter: Any) -> Mixing | None:
 
 
 class _Coefficients:
-    """What the steps behind the choice of regressors predict: scalings, other transforms, and the regressor."""
+    """Prediction by the steps after the selection of regressors: transforms and regressor."""
 
     def __init__(self, steps: list, n_regressors: int):
         transforms = [_for_arrays(step) for step in steps[:-1]]
@@ -437,7 +437,7 @@ class _LearnedCoefficients:
         return values, slopes
 
     def narrowing(self, added: Array) -> Array:
-        """Return the factor (6, d) by which rows (k, d) that are flown next narrow deviations of slopes."""
+        """Return the ratio (6, d) of deviations of slopes with and without further rows (k, d)."""
         return self.regressor.narrowing(self.scaled(added))[self.order]
 
     def training_rows(self) -> Array:
@@ -463,8 +463,8 @@ class _LearnedCoefficients:
             return None
         memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
         # the discrepancy is an error of the function, which its paths have
-        rest = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
-        return Drift(rest[self.order], memory[self.order])
+        reduced = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
+        return Drift(reduced[self.order], memory[self.order])
 
 
 def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:

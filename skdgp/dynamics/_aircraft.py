@@ -188,8 +188,8 @@ class Aircraft:
         """
         if isinstance(values, Mapping) and "kind" in values:
             parts = ["name", "thrust_line", "propeller", "full_deflections"]
-            known = [*signature(cls.estimate).parameters, *parts]
-            check_keys(values, known, ["mass", "span"], what)
+            keys = [*signature(cls.estimate).parameters, *parts]
+            check_keys(values, keys, ["mass", "span"], what)
             return cls.estimate(**values)
         return _build(cls, values, what)
 

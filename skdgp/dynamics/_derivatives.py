@@ -88,18 +88,18 @@ def stability_derivatives(
         A model without a time series has the errors of its means alone as ``std_random``; one
         without a posterior of skdgp has no parts.
 
-        ``std_merged`` is how far derivatives by alpha_dot and beta_dot alone may differ from what
-        the model merges with others, see the notes; ``merged`` names the larger one.
+        ``std_merged`` is the possible difference of derivatives by alpha_dot and beta_dot alone
+        from the merged ones of the model, see the notes; ``merged`` names the larger one.
 
-        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is what their errors make
-        of the values, and ``aircraft`` names the largest. These are shared. Neither is part of
-        ``std``: trim, modes and simulations with the same aircraft hardly depend on them. Compare
-        derivatives with other sources by all three.
+        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is the effect of their
+        errors on the values, and ``aircraft`` names the largest. These are shared. Neither is part
+        of ``std``: trim, modes and simulations with the same aircraft hardly depend on them.
+        Compare derivatives with other sources by all three.
 
     Notes
     -----
-    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they went
-    together in the flights: its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli
+    A model without alpha_dot and beta_dot gives their effect to the rates, as far as they moved
+    together in the flights. Its Cm_q lies between Cm_q and Cm_q + Cm_alpha_dot (Klein & Morelli
     2006, section 5.1; docs/control.md). ``std_merged`` is for derivatives by alpha_dot of 0 +- 0.4
     times those by q, as of a tail in the downwash, and by beta_dot of 0 +- 0.2 times those by r.
 
@@ -175,7 +175,7 @@ def _deviations(
 ) -> dict[str, np.ndarray]:
     """Return the standard deviations of the table by column, (n, rows, 1 + columns) each.
 
-    Deviations of functions drawn from the posterior, and what they are made of.
+    Deviations of functions drawn from the posterior, and their parts.
     """
     model = motion.aerodynamics
     std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
@@ -188,7 +188,7 @@ def _deviations(
         (values, slopes), (values_by_method, slopes_by_method) = errors.parts(now.regressors)
         std_random = frame.std(slopes, values)
         std_method = frame.std(slopes_by_method, values_by_method)
-    # what the errors of the function do not explain
+    # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
     if added is not None and model.narrowing is not None:
         factor = _narrowing(frame, model.narrowing(added), now)
@@ -293,8 +293,8 @@ class _Frame:
         names = np.empty((len(ROTATION_OF), len(ROWS), len(self.names)), dtype=object)
         for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
             for k, name in enumerate(self.names):
-                other = rotation if name == angle_rate else angle_rate
-                names[j, :, k] = [f"{row}_{other}" for row in ROWS]
+                partner = rotation if name == angle_rate else angle_rate
+                names[j, :, k] = [f"{row}_{partner}" for row in ROWS]
         return names
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
@@ -334,11 +334,11 @@ def _points(
     states = []
     settings = []
     for k, item in enumerate(points):
-        own = None
+        inputs = None
         if controls:
-            own = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
-        state, known = flight_point(motion, item, own)
+            inputs = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
+        state, setting = flight_point(motion, item, inputs)
         states.append(state)
-        settings.append(known)
-    by_name = {name: np.array([known[name] for known in settings]) for name in settings[0]}
+        settings.append(setting)
+    by_name = {name: np.array([setting[name] for setting in settings]) for name in settings[0]}
     return np.stack(states), by_name, is_single

@@ -1,4 +1,4 @@
-"""Gusts by Dryden's spectra (MIL-F-8785C): their linear system, driven by white noise, and draws of it."""
+"""Gusts by Dryden's spectra (MIL-F-8785C): a linear system driven by white noise, and its draws."""
 
 from __future__ import annotations
 

@@ -34,10 +34,10 @@ class Kind(NamedTuple):
 # (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: the Zagi (Beard &
 # McLain 2012, table E.1) and the Skywalker X8 (Gryte 2018), as the B-49's gives them a sixth
 # of their moment. Deltas: radii of four published aircraft and planforms of ten (the same file), as
-# Raymer's of jet fighters give Izz > Ixx + Iyy; deviations of moments of the conventional kind, as
-# those of the four are less, but of crewed ones; the chord is between those of F-16 (1.13), ADMIRE
-# (1.16), F-106 (1.31) and a triangle (4/3). Sizes of other kinds and their deviations: guesses,
-# wider for gliders.
+# Raymer's of jet fighters give Izz > Ixx + Iyy. Deviations of moments as of the conventional kind:
+# the four have smaller ones, but are crewed. Ratio of the chord between F-16 (1.13), ADMIRE (1.16),
+# F-106 (1.31) and a triangle (4/3). Sizes of other kinds and their deviations: guesses, wider for
+# gliders.
 KINDS = {
     "conventional": Kind(
         (7.5, 0.35),
@@ -117,27 +117,27 @@ def _factors(
     rule: Kind, usual: str, is_inertia_given: bool, sizes: Mapping[str, Any]
 ) -> dict[str, Factor]:
     """Return the factors that all sizes are products of: given sizes, and usual ratios in place of others."""
-    given = {}
+    measured = {}
     for name, value in sizes.items():
         if value is not None:
-            given[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
+            measured[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
     factors = {}
-    if "wing area" not in given and "chord" not in given:
+    if "wing area" not in measured and "chord" not in measured:
         ratio, std = rule.aspect_ratio
         factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
-    if "chord" not in given:
+    if "chord" not in measured:
         ratio, std = rule.chord
         factors["mean aerodynamic chord"] = Factor(ratio, std, f"{ratio:g} S / b, {usual}")
-    length = given.pop("length", None)
+    length = measured.pop("length", None)
     if not is_inertia_given:
         if length is None:
             ratio, std = rule.length
-            length = Factor(ratio, std, f"{given['span'].value * ratio:.3g} m, {usual}")
+            length = Factor(ratio, std, f"{measured['span'].value * ratio:.3g} m, {usual}")
         factors["length"] = length
         for name, radius, std in zip(INERTIAS, rule.radii, rule.inertia_std, strict=True):
             source = f"radius of gyration {radius:g}, {rule.source}"
             factors[name] = Factor(radius**2, std, source)
-    return factors | given
+    return factors | measured
 
 
 def _powers(values: Mapping[str, Any], name: str, is_length_given: bool) -> dict[str, float]:

@@ -78,8 +78,8 @@ class Moment(NamedTuple):
 class Integrator:
     """Integration of a motion under commands in some air, step by step.
 
-    The parameters are as of `fly_record`. A step has three stages, of which it shares the last with
-    the next step: its beginning, its middle and its end.
+    Parameters as for `fly_record`. A step has three stages: its beginning, its middle and its end,
+    which is the beginning of the next step.
     """
 
     def __init__(
@@ -210,7 +210,7 @@ def fly_record(
                 end[just] = k
             is_flying = ended == FLYING
             if over and is_flying.any():
-                # what has ended is flown on from its start, never shown
+                # flights that ended continue from their start, without being shown
                 state = np.where(is_flying[..., None], state, start)
                 moment = integrator.begin(k, state, reached, None)
             flown.append(moment)

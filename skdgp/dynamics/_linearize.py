@@ -122,7 +122,7 @@ def linearize(
         its inputs the model's controls and the one that sets the thrust; its outputs the states and
         airspeed, alpha, beta, ax, ay, az. Inputs of surfaces are commands, as for
         :func:`skdgp.dynamics.simulate`: where the model has a ``servo_lag`` T, the deflection of
-        each surface is a further state behind r, such as elevator_position [rad], with
+        each surface is a further state, such as elevator_position [rad]. It follows
         :math:`T \dot\delta = u - \delta`.
 
     Examples
@@ -248,7 +248,7 @@ def _matrices(
 def _with_servos(
     A: Array, B: Array, C: Array, D: Array, inputs: Sequence[str], servos: Servos
 ) -> LinearModel:
-    r"""Return the linear model of which the inputs of surfaces are commands.
+    r"""Return the linear model whose inputs of surfaces are commands.
 
     The deflections :math:`\delta = E u` of the surfaces are further states, with
     :math:`T \dot\delta = E u - \delta`. Outputs are the states, and then the outputs of C and D.

@@ -151,13 +151,13 @@ class Motion:
         self._lengths = self._check_lengths()
         self._sources = [self._source(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, _ in self._sources)
-        known = (*REBUILT, *IMPLICIT)
-        self.controls = tuple(name for name in self.regressors if name not in known)
+        rebuilt = (*REBUILT, *IMPLICIT)
+        self.controls = tuple(name for name in self.regressors if name not in rebuilt)
         unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
         if unknown:
             raise ValueError(
                 f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt "
-                f"along a flight: learn one without them. What is rebuilt: {', '.join(known)}."
+                f"along a flight: learn one without them. What is rebuilt: {', '.join(rebuilt)}."
             )
         self._needs_angles = not set(EULER).isdisjoint(self.regressors)
         # places of regressors that follow from the coefficients

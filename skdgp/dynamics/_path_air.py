@@ -29,7 +29,7 @@ POINTS = 101
 
 
 class PathsAir(NamedTuple):
-    """What the paths of a simulation meet."""
+    """Air that the paths of a simulation meet."""
 
     air: AirAt
     drift: Drift | None  #: Of the coefficients
@@ -138,7 +138,7 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drif
     besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
     met_power = np.sum(np.square(met.intensity)) + SENSOR_GUST**2
     flown_power = np.sum(np.square(flown.intensity)) + SENSOR_GUST**2
-    # share of gusts in what sensors showed of the flown air, none in calm air
+    # fraction of the flown air's measured power that is gusts, zero in calm air
     in_gusts = 1.0 - SENSOR_GUST**2 / flown_power
     largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
     return drift._replace(variance=min(met_power / flown_power, largest) * besides)
@@ -178,8 +178,8 @@ def without_rotation(
     weight = 2 * np.gradient(lags) * (HORIZON - lags)
     weight[[0, -1]] *= 0.5
     rotation = slopes**2 @ (weight @ autocovariance)
-    whole = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
-    share = np.divide(rotation, whole, out=np.zeros(6), where=whole > 0)
+    total = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
+    share = np.divide(rotation, total, out=np.zeros(6), where=total > 0)
     return drift.variance * np.maximum(1 - share, 0.0)
 
 

@@ -122,7 +122,7 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -
         values[rows[0]] = columns[name][0]
         values[rows[1:]] = columns[name][1:]
         if name in EULER:
-            # the turn nearest to that of the log, which may count heading from 0 to 2 pi
+            # the turn nearest to the log's, which may count heading from 0 to 2 pi
             turns = np.round((flight[name].to_numpy(float) - values) / (2 * np.pi))
             values += 2 * np.pi * np.nan_to_num(turns)
         table[name] = values

@@ -50,8 +50,8 @@ def simulate(
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
-    from a log; those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax, ay,
-    az) are found by fixed point.
+    from a flight. Those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax,
+    ay, az) are found by fixed point.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def simulate(
         surfaces the deflections) and coefficients; ``beyond``, the regressor farthest outside its
         training range, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
         Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
-        ``attrs["air"]`` says in words which gusts were met.
+        ``attrs["air"]`` describes the gusts.
 
     Raises
     ------
@@ -205,10 +205,10 @@ class Simulator:
     ...                      0.02 - 0.4 * alpha - 8 * q, 0.08 * beta - 0.1 * r], axis=-1)
     >>> model = Aerodynamics(coefficients, ["alpha", "beta", "p_hat", "q_hat", "r_hat", "aileron"])
     >>> simulator = Simulator(model, glider, thrust=None)
-    >>> seen = simulator.reset({"airspeed": 12.0, "alpha": 0.05, "phi": 0.0, "altitude": 100.0})
+    >>> state = simulator.reset({"airspeed": 12.0, "alpha": 0.05, "phi": 0.0, "altitude": 100.0})
     >>> for _ in range(150):
-    ...     seen = simulator.step({"aileron": 1.5 * (0.4 - seen["phi"]) - 0.3 * seen["p"]})
-    >>> round(float(seen["time"]), 2), bool(abs(seen["phi"] - 0.4) < 0.05)
+    ...     state = simulator.step({"aileron": 1.5 * (0.4 - state["phi"]) - 0.3 * state["p"]})
+    >>> round(float(state["time"]), 2), bool(abs(state["phi"] - 0.4) < 0.05)
     (3.0, True)
     """
 
@@ -319,8 +319,8 @@ class Simulator:
     def _seen(self) -> dict[str, float]:
         air = self._air(0, self._state)
         columns = channels(self._state, None if air is None else air.wind)
-        seen = {name: float(values[0]) for name, values in columns.items()}
-        seen |= dict(zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True))
+        readings = {name: float(values[0]) for name, values in columns.items()}
+        readings |= dict(zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True))
         if self.ended:
-            seen = dict.fromkeys(seen, np.nan)
-        return {"time": self.time, **seen}
+            readings = dict.fromkeys(readings, np.nan)
+        return {"time": self.time, **readings}

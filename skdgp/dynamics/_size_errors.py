@@ -1,4 +1,4 @@
-"""Errors of the sizes of an aircraft, and what they make of coefficients that are learned with them."""
+"""Errors of the sizes of an aircraft, and their effect on the learned coefficients."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
         if "airspeed" in table:
             _warn_of_wind(table["airspeed"].to_numpy(float), states[:, VELOCITY] - wind)
         return states
-    # u, v, w alone do not say the angles
+    # u, v, w alone do not determine the angles
     needed = ["airspeed"] if set(BODY_VELOCITY).isdisjoint(table) else AIR_DATA
     check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
     for speed in table["airspeed"]:
@@ -158,7 +158,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
 
 
 def _warn_of_wind(stated: Array, velocity: Array) -> None:
-    """Warn of an airspeed (n,) that is not that of the velocity (n, 3) through the air."""
+    """Warn of an airspeed (n,) that differs from the velocity (n, 3) through the air."""
     airspeed = np.linalg.norm(velocity, axis=1)
     off = np.nan_to_num(np.abs(airspeed / stated - 1.0))
     worst = int(np.argmax(off))

@@ -26,7 +26,8 @@ from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._integrate import REASONS, Record, by_name, channels
 from skdgp.dynamics._motion import Motion
 
-# Fraction of its training range by which a regressor may exceed it without a warning
+# Largest excess of a regressor over its training range without a warning, as a fraction of the
+# range
 MARGIN = 0.02
 BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
 

@@ -59,14 +59,14 @@ class TrimSettings:
 
     # Largest acceleration of a trim [m/s^2, rad/s^2]
     tolerance: float = 1e-6
-    # Where between its limits alpha starts
+    # Start of alpha, as fractions of the range between its limits
     starts: tuple[float, ...] = (0.5, 0.25, 0.75, 0.05)
     # Step of an unknown, relative if it is above 1, for differences of the residual
     step: float = 1e-5
     # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path
     # is as given
     path_weight: float = 100.0
-    # Least distance by which a control or alpha may leave its training range [rad]
+    # Least allowed excess of a control or alpha over its training range [rad]
     margin: float = 0.1
 
 
@@ -179,15 +179,15 @@ def trim(
     airspeeds = np.asarray(airspeed, dtype=float)
     if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
         raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")
-    given = dict(fixed or {})
+    values = dict(fixed or {})
     conditions = {
         "altitude": altitude,
         "climb": climb,
-        "turn_rate": given.pop("turn_rate", 0.0 if bank is None else None),
+        "turn_rate": values.pop("turn_rate", 0.0 if bank is None else None),
         "phi": bank,
-        "beta": given.pop("beta", None),
+        "beta": values.pop("beta", None),
     }
-    steady = SteadyFlight(motion, conditions, given)
+    steady = SteadyFlight(motion, conditions, values)
     trims: list[Trim] = []
     near = None
     for speed in np.atleast_1d(airspeeds).tolist():
@@ -401,9 +401,9 @@ class SteadyFlight:
         units = {"airspeed": " m/s", "altitude": " m", "turn_rate": " rad/s"}
         units = dict.fromkeys(self.given, " rad") | units
         conditions = {"airspeed": airspeed} | self.given | self.fixed
-        asked = [f"{name} {value:g}{units.get(name, '')}" for name, value in conditions.items()]
+        requested = [f"{name} {value:g}{units.get(name, '')}" for name, value in conditions.items()]
         return (
-            f"There is no trim of {self.motion.aircraft.name} at {', '.join(asked)}: nearest to it are "
+            f"There is no trim of {self.motion.aircraft.name} at {', '.join(requested)}: nearest to it are "
             f"left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask for "
             "another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )

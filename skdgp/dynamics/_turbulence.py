@@ -28,7 +28,7 @@ CEILING = 1000 * FEET  # Height [m] at which the low-altitude model ends
 class SpectraSettings:
     """Settings of the estimate of turbulence from spectra of the wind."""
 
-    # Flight [s] below which gusts cannot be told from the mean wind
+    # Shortest flight [s] that separates gusts from the mean wind
     duration: float = 30.0
     # Frequency [rad/s] below which the wind changes for other reasons than turbulence
     slowest: float = 0.03

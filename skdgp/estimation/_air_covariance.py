@@ -54,7 +54,7 @@ def add_model_error(covariance: Matrix, derivatives: Vector, fraction: float) ->
 
 
 def add_scale_error(covariance: Matrix, slopes: Vector, fraction: float) -> Matrix:
-    """Return the covariance with one common relative error of slopes, zero but for those by one angle."""
+    """Return the covariance with a relative error that all slopes by one angle share."""
     n = len(slopes)
     total = covariance.copy()
     error = fraction * slopes
@@ -67,5 +67,5 @@ def mix_with_prior(covariance: Matrix, prior_std: Vector, fraction: Vector) -> M
 
     Variances are means of estimate and prior, weighted by one less the squared fraction, and by it.
     """
-    kept = np.sqrt(1 - fraction**2)
-    return kept[:, None] * covariance * kept + np.diag((fraction * prior_std) ** 2)
+    weight = np.sqrt(1 - fraction**2)
+    return weight[:, None] * covariance * weight + np.diag((fraction * prior_std) ** 2)

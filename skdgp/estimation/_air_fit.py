@@ -46,17 +46,17 @@ class Sums:
 
     def add_equation(self, equation: LinearEquation) -> None:
         """Add linear equations of some parameters, known with their variance."""
-        at = np.ix_(equation.places, equation.places)
+        block = np.ix_(equation.places, equation.places)
         fisher = equation.slopes.T @ equation.slopes / equation.variance
-        self.information[at] += fisher
-        self.scatter[at] += fisher
+        self.information[block] += fisher
+        self.scatter[block] += fisher
         self.score[equation.places] += equation.slopes.T @ equation.residual / equation.variance
 
     def add_record(self, places: Indices, Z: Array, D: Array, e: Matrix, width: int) -> None:
         """Add instruments Z, slopes D (n, m, k) and innovations e (n, m), whitened; blocks of ``width`` samples."""
-        at = np.ix_(places, places)
-        self.information[at] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
-        self.scatter[at] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
+        block = np.ix_(places, places)
+        self.information[block] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
+        self.scatter[block] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
         scores = np.einsum("nmk,nm->nk", Z, e)
         self.score[places] += scores.sum(axis=0)
         starts = np.arange(0, len(scores), width)
@@ -110,8 +110,8 @@ class AirFit:
         """Return wind and pitot of each flight by its airspeed."""
         winds = []
         for flight in range(len(self.parameters.places)):
-            own = [record for record in self.records if record.flight == flight]
-            winds.append(steady_wind(own, self.settings))
+            records = [record for record in self.records if record.flight == flight]
+            winds.append(steady_wind(records, self.settings))
         return winds
 
     def search(self, n_before: int) -> bool:
@@ -166,12 +166,12 @@ class AirFit:
         """Return the step of the free parameters, with a lag that stays at or above zero."""
         step = np.asarray(-np.linalg.solve(information, score), dtype=float)
         lag = self.parameters.names.index("servo_lag")
-        at = lag - self.parameters.n_held
-        if at >= 0 and self.x[lag] + step[at] < 0:
-            others = np.arange(len(step)) != at
-            step[at] = -self.x[lag]
-            rest = score[others] + information[others, at] * step[at]
-            step[others] = -np.linalg.solve(information[np.ix_(others, others)], rest)
+        place = lag - self.parameters.n_held
+        if place >= 0 and self.x[lag] + step[place] < 0:
+            free = np.arange(len(step)) != place
+            step[place] = -self.x[lag]
+            gradient = score[free] + information[free, place] * step[place]
+            step[free] = -np.linalg.solve(information[np.ix_(free, free)], gradient)
         return step
 
     def run(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:

@@ -10,8 +10,9 @@ which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the 
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
 
-Derivatives by parameters go by air velocity and coefficients (chain rule). Instruments, which follow the
-parameters, are the same derivatives with the terms of the coefficients in the motion that surfaces cause.
+Derivatives by parameters follow from air velocity and coefficients by the chain rule. Instruments,
+which follow the parameters, are the same derivatives with the terms of the coefficients in the
+motion that surfaces cause.
 """
 
 from __future__ import annotations
@@ -226,7 +227,7 @@ class _Expansion:
         )
         surfaces = self._commanded()
         response = _response(model, variables, slopes, surfaces, record, self.settings)
-        # terms within a step are the mean of those at its ends
+        # terms within a step are the mean of the terms at its ends
         terms = model.terms(variables[:, AIR], variables[:, RATES], inputs.surfaces[:-1])
         terms_at_end = model.terms(end[:, AIR], end[:, RATES], self.later.surfaces)
         mean_response = 0.5 * (response[1:] + response[:-1])
@@ -282,13 +283,13 @@ def linearized(
 
     ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
     """
-    here = _Expansion(record, layout, aircraft, value, states, decay, settings)
+    expansion = _Expansion(record, layout, aircraft, value, states, decay, settings)
     step = record.step[:, None]
-    air_by_state = here.air_by_state
+    air_by_state = expansion.air_by_state
     air_by_parameters = layout.air_slopes(record.attitude, states[:, TURN])
 
     # the step from filtered states
-    start, response, mean_response = here.step()
+    start, response, mean_response = expansion.step()
     end_by_states = _by_states(start, air_by_state[:-1])
     end_by_states[:, AIR] -= step[..., None] * air_by_state[:-1] * decay
     end_by_parameters = _by_parameters(start, air_by_parameters[:-1])
@@ -298,36 +299,36 @@ def linearized(
     transition_slopes[:, TURN] = end_by_parameters[:, RATES]
 
     # sensors at its end, from the past alone
-    past = here.sensors(start.air, start.rates, response)
+    past = expansion.sensors(start.air, start.rates, response)
     past_by_end = past.slopes[:, :, :6]
     past_by_errors = past.slopes[:, :, ERRORS] @ past.errors
-    past_slopes = past_by_end @ end_by_parameters + past_by_errors + here.sensor_slopes(past)
+    past_slopes = past_by_end @ end_by_parameters + past_by_errors + expansion.sensor_slopes(past)
 
     # and at the recorded path, with the predicted gusts
-    predicted = here.predicted(start.rates)
+    predicted = expansion.predicted(start.rates)
     change = (air_by_state[1:] @ (predicted - states[1:])[..., None])[..., 0]
-    known = here.sensors(here.air[1:] + change, start.rates, response)
+    sensed = expansion.sensors(expansion.air[1:] + change, start.rates, response)
     air_by_parameters = layout.air_slopes(record.attitude[1:], start.rates)
-    known_slopes = _by_parameters(known, air_by_parameters) + here.sensor_slopes(known)
+    known_slopes = _by_parameters(sensed, air_by_parameters) + expansion.sensor_slopes(sensed)
 
     measured = record.measured[1:]
-    there = np.isfinite(measured)
+    is_sampled = np.isfinite(measured)
     use = record.sampled
     return Linearization(
         states=states,
         predicted=predicted,
         transition=transition,
         transition_slopes=transition_slopes,
-        innovation=np.where(there, measured - past.values, 0.0)[:, use],
+        innovation=np.where(is_sampled, measured - past.values, 0.0)[:, use],
         innovation_states=(past_by_end @ end_by_states)[:, use],
         innovation_noise=_by_states(past, air_by_state[1:])[:, use],
         innovation_slopes=past_slopes[:, use],
-        residual=np.where(there, measured - known.values, 0.0)[:, use],
-        residual_states=_by_states(known, air_by_state[1:])[:, use],
+        residual=np.where(is_sampled, measured - sensed.values, 0.0)[:, use],
+        residual_states=_by_states(sensed, air_by_state[1:])[:, use],
         residual_slopes=known_slopes[:, use],
         step=record.step,
-        surface_noise=_surface_noise(start.slopes, here.model, here.inputs),
-        weight=np.where(there, 1.0, NOT_SAMPLED)[:, use],
+        surface_noise=_surface_noise(start.slopes, expansion.model, expansion.inputs),
+        weight=np.where(is_sampled, 1.0, NOT_SAMPLED)[:, use],
         response=mean_response,
     )
 
@@ -361,8 +362,8 @@ def _response(
     """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
     It contains no gusts. ``slopes`` (n - 1, 6, 12) are the derivatives of a step from ``variables``.
-    The motion is damped to a memory of ``settings.response_time``, as that of an unstable aircraft
-    would grow.
+    The motion is damped to a correlation time of ``settings.response_time``, as the motion of an
+    unstable aircraft would grow.
     """
     n = len(surfaces)
     delay = settings.response_delay

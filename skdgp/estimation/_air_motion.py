@@ -62,17 +62,17 @@ MEASURED_THRUST = (0.0, 1e-6)
 
 @dataclass(frozen=True)
 class AirMotion:
-    """What the flights of `estimate_air_motion` show.
+    """Estimates of `estimate_air_motion`.
 
     Attributes
     ----------
     derivatives : DataFrame
         A row per derivative, such as CZ_alpha [1/rad]: ``value``, ``std``, and ``prior_std``, which
-        ``std`` comes near where the flights cannot tell.
-    covariance : DataFrame
-        Of the derivatives.
+        ``std`` approaches where the flights contain no information.
+    covariance : DataFrame (p, p)
+        Joint covariance of the derivatives.
     constants : DataFrame
-        The same columns, of servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
+        The same columns for servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
         sensors arm_x, arm_y, arm_z [m], and for each flight wind and biases.
     noise : dict of str to float
         Gusts [m/s], their correlation times [s], and noises of the sensors (SI).
@@ -81,12 +81,12 @@ class AirMotion:
         and ``_std`` of each; NaN in rows that no record contains. Then specific force, attitude and
         ground velocity without bias and lag.
     surfaces : list of str
-        Surfaces of the model.
+        Surfaces that move in the flights.
     converged : bool
-        Whether the last steps were small. Otherwise the results are not to be used; ``std`` has the
-        prior's variance and the distance from its mean.
+        Whether the last steps were small. Otherwise do not use the results; ``std`` then includes
+        the prior's variance and the distance from its mean.
     seconds : float
-        Length of the records.
+        Length of the records [s].
     misfit : float
         Root mean square of the sensors' constants over their prior standard deviations, at least
         one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge
@@ -105,7 +105,7 @@ class AirMotion:
 
     @property
     def summary(self) -> str:
-        """What was found, in one line.
+        """The estimates in one line.
 
         For example "gusts 1.0 m/s rms, 20 m; wind 3.6 m/s from 326 deg; servos 47 ± 2 ms late".
         """
@@ -130,7 +130,7 @@ class AirMotion:
         """Intensity of the gusts of the first flight [m/s], and the length [m] over which they fall to 1/e."""
         gusts = self._gusts(0)
         std = np.sqrt(np.mean(gusts.slow_std**2 + gusts.fast_std**2))
-        # correlation of the horizontal gusts, over that of their slow part
+        # correlation of the horizontal gusts, relative to their slow part
         slow_time = gusts.slow_time[0]
         fast_variance = self.noise["fast_h"] ** 2
         times = np.geomspace(0.01, 10.0, 500) * slow_time
@@ -171,8 +171,8 @@ class AirMotion:
 
     def _gusts(self, flight: int) -> Gusts:
         """Return the gusts of a flight, NaN if unknown."""
-        own = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
-        return Gusts.of({**self.noise, **own})
+        intensities = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
+        return Gusts.of({**self.noise, **intensities})
 
 
 def estimate_air_motion(
@@ -196,23 +196,23 @@ def estimate_air_motion(
 
     where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
     variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
-    gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot answers
-    gusts: the part of the surfaces that past innovations explain is left out of it. Noises maximise the
-    likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound what a flight does
-    not tell. The covariance is
+    gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot
+    answers gusts: this motion excludes the part of the surfaces that past innovations explain.
+    Noises maximise the likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound
+    parameters that a flight does not determine. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
-    larger, times the square of `AirMotion.misfit`, and 4 % of each derivative are added for what a
-    linear model leaves out. All slopes by
-    alpha, and all by beta, share an error of 2 % of the scale of the angle. Where surfaces hardly move
-    a term, so that errors of path and sensors make most of its motion, ``std`` approaches ``prior_std``.
+    larger, times the square of `AirMotion.misfit`. For nonlinear effects 4 % of each derivative are
+    added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.
+    Where surfaces hardly move a term, so that errors of path and sensors make most of its motion,
+    ``std`` approaches ``prior_std``.
 
     Parameters
     ----------
     table : DataFrame
         Flights with time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed,
-        density, surfaces (deflections or commands), thrust or what it follows from; ``flight``
-        names them. alpha and beta are used where they are. SI, radians. Of flights of more than
-        12,000 samples at 50 to 100 Hz, the first parts of the records are used.
+        density, surfaces (deflections or commands), thrust or its sources; ``flight`` names the
+        flights. alpha and beta are used where they are. SI, radians. Of flights of more than 12,000
+        samples at 50 to 100 Hz, the first parts of the records are used.
     aircraft : Aircraft
     terms : mapping of str to sequence of str, optional
         Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces.
@@ -220,8 +220,9 @@ def estimate_air_motion(
         As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
         measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
     known : AirMotion, optional
-        Of other flights of the aircraft. Derivatives, lag of the servos and noise of the sensors
-        are held at its values; winds, biases and gusts are those of the given flights.
+        Estimates from other flights of the aircraft. Derivatives, lag of the servos and noise of
+        the sensors are held at its values; winds, biases and gusts of the given flights are
+        estimated.
     settings : AirSettings
 
     Returns
@@ -304,7 +305,7 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
 
 
 def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
-    """Return the parameters of some flights; those of a known aircraft are held."""
+    """Return the parameters of the flights; the shared ones of a known aircraft are held."""
     shared = dict(SHARED)
     n_held = 0
     if known is not None:
@@ -318,7 +319,7 @@ def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> 
 def _noises(
     records: list[Record], known: AirMotion | None, n_flights: int, settings: AirSettings
 ) -> Parameters:
-    """Return the noises of some flights, as priors; those of a known aircraft are held."""
+    """Return the priors of the noises of the flights; shared ones of a known aircraft are held."""
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))

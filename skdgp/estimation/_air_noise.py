@@ -50,21 +50,21 @@ class NoiseSearch:
     def step(self, records: list[Record], linears: list[Linearization]) -> float:
         """Move the noises by a step of Fisher scoring; return its squared length in standard deviations.
 
-        ``linears`` are parts of the linearizations of the records, which stand for the whole ones.
+        ``linears`` are parts of the records' linearizations, which represent the full records.
         """
         precision = self.noises.std**-2.0
         information = np.diag(precision)
         score = (self.psi - self.prior_mean) * precision
         difference = self.settings.noise_difference
         for record, linear in zip(records, linears, strict=True):
-            at = self.noises.free_places(record.flight)
-            sets = np.tile(self.psi, (len(at) + 1, 1))
-            sets[np.arange(1, len(at) + 1), at] += difference
+            places = self.noises.free_places(record.flight)
+            sets = np.tile(self.psi, (len(places) + 1, 1))
+            sets[np.arange(1, len(places) + 1), places] += difference
             run = innovations(linear, self._sets(sets, record))
             gradient, fisher = _likelihood_slopes(run, difference)
             weight = len(record.step) / len(linear.step)
-            score[at] += weight * gradient
-            information[np.ix_(at, at)] += weight * fisher
+            score[places] += weight * gradient
+            information[np.ix_(places, places)] += weight * fisher
         free = self.noises.free
         information, score = information[free, free], score[free]
         damped = information + self.settings.noise_damping * np.diag(np.diag(information))

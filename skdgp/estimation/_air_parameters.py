@@ -55,9 +55,9 @@ SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", *RATE_BIASES)
 SHARED_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),
-    "fast_h": (0.1, 0.5),  # intensity of the faster part of gusts, over that of the slower one
+    "fast_h": (0.1, 0.5),  # intensity of the fast part of gusts, relative to the slow one
     "fast_v": (0.1, 0.5),
-    "faster_h": (0.2, 0.5),  # its correlation time, over that of the slower one
+    "faster_h": (0.2, 0.5),  # its correlation time, relative to the slow one
     "faster_v": (0.2, 0.5),
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
@@ -77,7 +77,7 @@ PATH_ERRORS = ("path_y", "path_z")
 
 
 class Parameters(NamedTuple):
-    """Parameters of some flights: those that all share, and those of each."""
+    """Parameters of the flights: shared ones, and local ones for each flight."""
 
     names: list[str]
     mean: Vector  # (p,)
@@ -147,7 +147,7 @@ def coefficient_of(derivative: str) -> str:
 
 
 def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) -> Prior:
-    """Return the priors of the derivatives of all terms but those of surfaces that are not there."""
+    """Return the priors of the derivatives of all terms, without missing surfaces."""
     missing = {*SURFACES} - {*surfaces}
     priors = {}
     for coefficient in COEFFICIENTS:
@@ -159,7 +159,10 @@ def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) 
 
 
 def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:
-    """Return prior standard deviations (P, d) of derivatives, NaN where `TERMS` has none."""
+    """Return prior standard deviations (P, d) of derivatives [1/rad], NaN where `TERMS` has none.
+
+    Rates, such as q or q_hat, are non-dimensional.
+    """
     priors = derivatives_of(TERMS, SURFACES)
     stds = np.full((len(coefficients), len(regressors)), np.nan)
     for i, coefficient in enumerate(coefficients):

@@ -48,7 +48,7 @@ class Record(NamedTuple):
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) of the sensors, without biases of the path; NaN where not sampled
     inputs: Inputs  # as logged
-    answers: Matrix | None = None  # (n, k) part of the surfaces by which an autopilot answers gusts
+    answers: Matrix | None = None  # (n, k) part of the surfaces that answers gusts (autopilot)
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
@@ -78,8 +78,8 @@ class Record(NamedTuple):
             residual = surface - X @ _least_squares(X, surface)
             rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, TINY)
             X_rest = X[1:] - rho * X[:-1]
-            rest = surface[1:] - rho * surface[:-1]
-            answers[:, k] = X @ _least_squares(X_rest, rest)
+            whitened = surface[1:] - rho * surface[:-1]
+            answers[:, k] = X @ _least_squares(X_rest, whitened)
         return self._replace(answers=answers)
 
     def earth_velocity(self) -> Matrix:
@@ -121,8 +121,8 @@ def _past_sums(innovation: Matrix, step: float, settings: AirSettings) -> Matrix
     edges = np.append(0, edges)
     before = np.zeros((edges[-1] + 2, innovation.shape[1]))
     total = np.cumsum(np.concatenate([before, innovation]), axis=0)
-    at = np.arange(n) + edges[-1] + 1
-    sums = [total[at - early] - total[at - late] for early, late in pairwise(edges)]
+    places = np.arange(n) + edges[-1] + 1
+    sums = [total[places - early] - total[places - late] for early, late in pairwise(edges)]
     return np.concatenate(sums, axis=1)
 
 
@@ -137,7 +137,7 @@ def records_of(
     """Return the records of a table with propulsive ``loads`` (n, 6) that have ``fewest`` samples or more."""
     deflections = numeric(table, surfaces)
     density = numeric(table, ["density"])
-    known = np.concatenate([deflections, loads, density], axis=1)
+    logged = np.concatenate([deflections, loads, density], axis=1)
     vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
     for number, flight in enumerate(flights_of(table)):
@@ -147,10 +147,10 @@ def records_of(
         free = [*INERTIAL_BIASES, *LAGS]
         path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
         measured = np.column_stack([*path.inertial(sensors), vanes[flight.rows]])
-        values = interpolate_missing(sensors.time, known[flight.rows])
+        values = interpolate_missing(sensors.time, logged[flight.rows])
         k = len(surfaces)
         attitude = path.attitude.as_matrix().mT
-        whole = Record(
+        full_record = Record(
             flight=number,
             rows=flight.rows,
             time=sensors.time,
@@ -162,7 +162,7 @@ def records_of(
         for rows in sensors.segments():
             if len(rows) < 2:
                 continue
-            record = whole.part(_thinned(sensors.time, rows, settings.sample_rate))
+            record = full_record.part(_thinned(sensors.time, rows, settings.sample_rate))
             if len(record.rows) >= fewest:
                 records.append(record)
     return records
@@ -213,7 +213,11 @@ def servo_slopes(surfaces: Matrix, lag: float, step: float) -> tuple[Matrix, Mat
 
 
 def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Matrix:
-    """Return the outputs (n, k) of servos with a first-order lag [s], by gap-free segments."""
+    """Return the deflections (n, k) of servos with a first-order ``lag`` [s].
+
+    They solve lag d(deflection)/dt = command - deflection within each gap-free segment, for the
+    commands ``surfaces`` (n, k).
+    """
     out = np.empty_like(surfaces)
     surfaces = interpolate_missing(sensors.time, surfaces)
     for rows in sensors.segments():

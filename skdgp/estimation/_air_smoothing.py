@@ -1,8 +1,8 @@
 """Smoothed motion through the air and its standard deviations, in the rows of the flight table.
 
-Both errors of the states, given all samples and the parameters, and errors of the parameters count:
-with slopes G of air data, rates and wind by the states of covariance P, and their total derivatives s by
-the parameters of covariance C, the variances are diag(G P G^T + s C s^T).
+Both errors of the states, given all samples and the parameters, and errors of the parameters count.
+With slopes G of air data, rates and wind by the states of covariance P, and their total derivatives
+s by the parameters of covariance C, the variances are diag(G P G^T + s C s^T).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""What flights show before the filter runs: steady wind, scale of the pitot, and derivatives in steady wind.
+r"""Starting values of the filter: steady wind, scale of the pitot, and derivatives in steady wind.
 
 Airspeed V is the speed over the ground less the steady wind w, but for gusts and a scale error s,
 
@@ -47,8 +47,8 @@ def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
 def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
     """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton, five steps).
 
-    Gusts correlate over seconds: a sample has the variance of a mean over ``settings.gust_window``,
-    times the samples of the mean, so that n samples tell as much as they do.
+    Gusts correlate over seconds, so the variance of a sample is the variance of means over
+    ``settings.gust_window`` times the number of samples in a mean.
     """
     _, scale_std = SHARED["airspeed_scale"]
     std = np.array([scale_std, WIND_STD, WIND_STD])
@@ -114,8 +114,8 @@ class SteadyRegression:
             free = np.flatnonzero(of_row & ~by_air)
             if not len(free):
                 continue
-            rest = C[:, row] - X[:, columns[held]] @ x[held]
-            x[free] = np.linalg.lstsq(X[:, columns[free]], rest, rcond=None)[0]
+            residual = C[:, row] - X[:, columns[held]] @ x[held]
+            x[free] = np.linalg.lstsq(X[:, columns[free]], residual, rcond=None)[0]
         return x
 
 
@@ -131,9 +131,9 @@ class LinearEquation(NamedTuple):
 def mean_lift(
     record: Record, x: Vector, regression: SteadyRegression, settings: AirSettings
 ) -> LinearEquation:
-    """Return the equation that the mean lift of a record is that of steady wind, but for a mean vertical gust.
+    """Return the equation of the mean lift: as in steady wind, except for a mean vertical gust.
 
-    Alpha shows in forces alone, so that its mean and CZ_0 would not be told apart.
+    Alpha is observed by forces alone, so its mean and CZ_0 could not be separated otherwise.
     """
     X, C = regression(record, x)
     places = regression.layout.of_coefficient("CZ")
@@ -149,7 +149,8 @@ def pitot_equation(
 ) -> LinearEquation:
     """Return the equations of the airspeed in a steady wind.
 
-    Turns tell wind and scale, without coefficients or attitudes, and instruments hardly show them.
+    Turns separate wind and scale without coefficients or attitudes; the instruments contain little
+    information about both.
     """
     places = parameters.places_of(record.flight, PITOT)
     slopes, error = airspeed_error(record, x[places])

@@ -11,10 +11,10 @@ whose step predicts and corrects (Kalman 1960; Jategaonkar 2015, chapter 5):
 .. math:: P^- = \Phi P \Phi^T + Q, \quad S = H P^- H^T + R, \quad K = P^- H^T S^{-1}, \quad
           P = P^- - K H P^-.
 
-At the fixed point of the passes this is the extended Kalman filter. Each sample is used twice: its
-innovation, for the estimation, is the error of a prediction from earlier samples alone; the update of
-the state also knows the recorded motion over the ground. A gust moves the aircraft within the step,
-so an innovation that knows this motion would have part of the gust taken out of it.
+At the fixed point of the passes this is the extended Kalman filter. Each sample is used twice. Its
+innovation, for the estimation, is the error of a prediction from earlier samples alone. The update
+of the state also uses the recorded motion over the ground. A gust moves the aircraft within the
+step, so an innovation that knows this motion would lack part of the gust.
 
 n samples, N states, m sensors, p parameters, s sets of noises.
 """
@@ -246,7 +246,7 @@ def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     C = np.linalg.solve(P_predicted, PPhi.mT).mT  # gain of the smoother
 
     def step(x: Vector, P: Matrix, k: int) -> tuple[Vector, Matrix]:
-        """Return smoothed state and covariance of sample k, from those of sample k + 1."""
+        """Return smoothed state and covariance of sample k, given the ones of sample k + 1."""
         x = run.states[k] + C[k] @ (x - predicted[k])
         P = run.covariance[k] + C[k] @ (P - P_predicted[k]) @ C[k].T
         return x, P

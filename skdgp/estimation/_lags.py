@@ -45,13 +45,13 @@ PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 
 
 class Lag(NamedTuple):
-    """A lag [s], positive if late, and its standard deviation."""
+    """A lag [s], positive if late, and its standard deviation [s]; NaN if the lag is unknown."""
 
     lag: float
     std: float
 
     def is_significant(self, settings: LagSettings) -> bool:
-        """Return whether the flights show the lag."""
+        """Return whether the lag exceeds ``settings.significance`` standard deviations."""
         return abs(self.lag) > settings.significance * self.std
 
 
@@ -65,9 +65,12 @@ def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
 
 
 def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:
-    """Return the lags of air data, surfaces, attitude and GPS by group; a lag of std NaN is unknown.
+    r"""Return the lags of air data, surfaces, attitude and GPS by group, against inertial sensors.
 
-    Without vanes the lag of surfaces is a parameter of `estimate_air_motion`, and unknown here.
+    Lags of surfaces and air data maximise the profile likelihood
+    :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` of local linear models (Jategaonkar 2006, chapter
+    10). Lags of attitude and GPS are constants of the path over the ground. A lag of std NaN is
+    unknown: surfaces without vanes, whose lag is a parameter of `estimate_air_motion`.
     """
     segments = _segments_of(table, settings)
     surfaces = _surface_lag(segments, settings)
@@ -91,7 +94,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     lags = list(PATH_LAGS.values())
     biases = ("p_bias", "q_bias", "r_bias")
     free = [*biases, *lags, *MEAN_WIND]
-    at = slice(len(biases), len(biases) + len(lags))
+    place = slice(len(biases), len(biases) + len(lags))
     noise = PATH_NOISE | GUSTS
     prior = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
     precision = prior.copy()
@@ -99,7 +102,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
     for flight in flights_of(first):
         solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
-        of_flight = np.linalg.inv(solved.covariance[at, at])
+        of_flight = np.linalg.inv(solved.covariance[place, place])
         weighted += of_flight @ solved.path.constant(*lags)
         precision += of_flight - prior
     values = np.linalg.solve(precision, weighted)
@@ -149,10 +152,10 @@ class _Segment:
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
-        here = [name for name in names if name in self.splines]
-        if not {*ELEVONS} <= {*here}:
-            return here
-        return [name for name in here if name not in MIXED]
+        present = [name for name in names if name in self.splines]
+        if not {*ELEVONS} <= {*present}:
+            return present
+        return [name for name in present if name not in MIXED]
 
     def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
         """Return channels (n, k) within the band, corrected for a lag."""
@@ -233,9 +236,10 @@ def _most_likely_lag(
 ) -> Lag:
     """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
 
-    RSS is the residual sum of squares of n samples over that of the response. Each piece of a
-    segment has its own least squares and lag. The standard deviation is the standard error of the
-    mean of their lags, by Student's quantile at the significance, and the distance to that mean.
+    RSS is the residual sum of squares of n samples over the sum of squares of the response. Each
+    piece of a segment has its own least squares and lag. The standard deviation is the standard
+    error of the mean of their lags, by Student's quantile at the significance, and the distance to
+    that mean.
     """
     segments = [segment for segment in segments if segment.present(names)]
     if not segments:
@@ -245,16 +249,16 @@ def _most_likely_lag(
 
     def profile(lag: float) -> Vector:
         """Return n log RSS of all segments, summed, and of each piece, (1 + pieces,)."""
-        whole = 0.0
+        total_log_rss = 0.0
         pieces: list[float] = []
         for segment in segments:
             response, predictors = regression(segment, lag)
-            whole += _log_rss(response, predictors, settings)
+            total_log_rss += _log_rss(response, predictors, settings)
             count = max(1, round(segment.seconds / seconds))
             responses = np.array_split(response, count)
             parts = zip(responses, np.array_split(predictors, count), strict=True)
             pieces += [_log_rss(y, X, settings) for y, X in parts]
-        return np.array([whole, *pieces])
+        return np.array([total_log_rss, *pieces])
 
     steps = np.arange(-settings.largest, settings.largest + settings.coarse / 2, settings.coarse)
     profiles = np.array([profile(step) for step in steps])
@@ -294,8 +298,8 @@ def _minimum(steps: Vector, values: Vector) -> float:
 
 def _vertex(values: Sequence[float] | Vector, step: float) -> float:
     """Return where the parabola through three values, a step apart, is smallest, relative to the middle."""
-    before, here, after = values
-    curvature = before - 2 * here + after
+    before, centre, after = values
+    curvature = before - 2 * centre + after
     if not curvature > 0:
         return 0.0
     return float(np.clip(step * (before - after) / (2 * curvature), -step, step))

@@ -112,19 +112,19 @@ def _normal_equations(
     linked = process.normal()  # by state, next state, constants, residual
     this = slice(0, s)
     after = slice(s, 2 * s)
-    rest = slice(2 * s, None)
+    remaining = slice(2 * s, None)
     # blocks on the diagonal of A
     diagonal = prior.states[:, :, None] * np.eye(s) + measured[:, this, this]
     diagonal[:-1] += linked[:, this, this]
     diagonal[1:] += linked[:, after, after]
     # B, and g in the last column
     border = measured[:, this, s:].copy()
-    border[:-1] += linked[:, this, rest]
-    border[1:] += linked[:, after, rest]
+    border[:-1] += linked[:, this, remaining]
+    border[1:] += linked[:, after, remaining]
     border[..., -1] += prior.states * prior.states_offset
     border = border.reshape(n * s, c + 1)
     # C, and h in the last column
-    corner = measured[:, s:-1, s:].sum(axis=0) + linked[:, 2 * s : -1, rest].sum(axis=0)
+    corner = measured[:, s:-1, s:].sum(axis=0) + linked[:, 2 * s : -1, remaining].sum(axis=0)
     corner[:, :c] += np.diag(prior.constants)
     corner[:, c] += prior.constants * prior.constants_offset
     band = _banded(diagonal, linked[:, this, after])

@@ -80,6 +80,9 @@ def estimate_path(
 ) -> PathEstimate:
     """Return the most likely path, and the maximum-likelihood noise of the channels in ``learn``.
 
+    The path minimises the squared residuals of its equations in units of their noise (data
+    compatibility check: Klein & Morelli 2006, chapter 10; Jategaonkar 2006, chapter 10).
+
     Parameters
     ----------
     sensors : FlightSensors
@@ -165,7 +168,7 @@ class _Search:
         return process.whitened(scale, self.places), measured.whitened(sensor_noise, self.places)
 
     def prior(self, path: FlightPath, noise: Mapping[str, float]) -> GaussianPrior:
-        """Return the prior: a wide one of the states where a segment begins, and that of the constants."""
+        """Return the prior of the constants, and a wide one of states where segments begin."""
         begins = np.append(True, ~self.sensors.joined)[:, None]
         walk = np.array([noise[name] for name in self.process_noise[GUST]])
         gust_std = walk * np.sqrt(self.settings.gust_time / 2)  # stationary
@@ -233,7 +236,7 @@ def _variance_components(
         squares, trace, count = sums.get(name, np.zeros(3))
         if not count:
             continue
-        # the initial noise of a sensor is worth some residuals; of gusts nothing is known
+        # the initial noise of a sensor counts as some residuals; gusts have no such prior
         is_sensor = name in PATH_NOISE
         prior_count = settings.prior_count if is_sensor else 0.0
         least = settings.least_noise if is_sensor else LEAST_GUST
@@ -251,9 +254,10 @@ def _variance_components(
 def overlapping_parts(
     n: int, most: int, settings: PathSettings = PATH_SETTINGS
 ) -> list[tuple[slice, slice]]:
-    """Return parts of n rows, and of each part the rows between the overlaps.
+    """Return overlapping slices of n rows, and in each slice the rows between the overlaps.
 
-    Parts have at most ``most`` rows and the overlap.
+    Slices are equally long, at most ``most`` rows and one part in ``settings.overlap`` more on
+    either side.
     """
     margin = most // settings.overlap
     n_parts = -(-n // most)
@@ -268,11 +272,11 @@ def overlapping_parts(
 
 
 class Contradiction(NamedTuple):
-    """A sensor whose residuals along the path exceed its white noise."""
+    """A sensor whose residuals along the path exceed its white noise, standard deviations [SI]."""
 
     sensor: str
-    residual: float  # [SI]
-    noise: float  # [SI]
+    residual: float
+    noise: float
 
 
 INERTIAL_SENSORS = {"gyro": RATE, "accelerometer": FORCE}
@@ -284,13 +288,17 @@ def contradictions(
     residuals: Mapping[str, float],
     settings: PathSettings = PATH_SETTINGS,
 ) -> list[Contradiction]:
-    """Return the sensors whose residuals, learned with the path, exceed their noise."""
-    found = []
+    """Return the sensors whose residuals along the path exceed their white noise by a ratio.
+
+    The ratio is ``air_ratio`` or ``inertial_ratio`` of the settings. ``residuals`` are the noises
+    of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
+    """
+    contradicted = []
     for sensor, columns in (INERTIAL_SENSORS | AIR_SENSORS).items():
         is_inertial = sensor in INERTIAL_SENSORS
         largest = settings.inertial_ratio if is_inertial else settings.air_ratio
         residual = residuals[sensor]
         noise = white_noise(flights, columns)
         if residual > largest * noise:
-            found.append(Contradiction(sensor, residual, noise))
-    return found
+            contradicted.append(Contradiction(sensor, residual, noise))
+    return contradicted

@@ -86,12 +86,12 @@ class FlightPath(NamedTuple):
         return cls(velocity, sensors.attitude, gust, np.zeros(len(PATH_CONSTANTS)))
 
     def part(self, first: int, last: int) -> FlightPath:
-        """Return the states from first to before last."""
+        """Return the states of samples ``first`` to ``last`` - 1."""
         states = [values[first:last] for values in self[:-1]]
         return FlightPath._make([*states, self.constants])
 
     def moved(self, states: Matrix, constants: Any) -> FlightPath:
-        """Return the path with errors (n, 9), (c,) added."""
+        """Return the path with changes of states (n, 9) and constants (c,) added."""
         return FlightPath(
             velocity=self.velocity + states[:, VELOCITY],
             attitude=self.attitude * Rotation.from_rotvec(states[:, ATTITUDE]),
@@ -100,7 +100,7 @@ class FlightPath(NamedTuple):
         )
 
     def constant(self, *names: str) -> Vector:
-        """Return constants by name."""
+        """Return the values (k,) of constants by name, SI units."""
         return self.constants[[PLACE[name] for name in names]]
 
     def wind(self) -> Matrix:
@@ -121,7 +121,7 @@ class FlightPath(NamedTuple):
 def process_equations(path: FlightPath, sensors: FlightSensors, correlation: Vector) -> Equations:
     """Return the equations between samples: specific force, angular rate, and the change of the gust.
 
-    ``correlation`` (n - 1,) is that of the gust of a sample and the next.
+    ``correlation`` (n - 1,) is the correlation of the gusts of a sample and the next.
     """
     n = len(sensors.time) - 1
     equations = Equations(
@@ -225,10 +225,10 @@ def _fill_path(
     measured_velocity = np.take_along_axis(sensors.velocity, later[:, :3], axis=0)
     residual[:, 3:6] = path.velocity - measured_velocity
     d_state[:, 3:6, VELOCITY] = np.eye(3)
-    at = later[:, 3]
-    angle = (path.attitude * sensors.attitude[at].inv()).as_rotvec()
+    rows = later[:, 3]
+    angle = (path.attitude * sensors.attitude[rows].inv()).as_rotvec()
     residual[:, 6:9] = angle
-    residual[~sensors.attitude_sampled[at], 6:9] = np.nan
+    residual[~sensors.attitude_sampled[rows], 6:9] = np.nan
     d_state[:, 6:9, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
     # over the rest of the lag velocity and attitude move at their rates of change
     force, rate = path.inertial(sensors)

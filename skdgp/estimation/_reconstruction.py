@@ -20,7 +20,7 @@ RECONSTRUCTED = (*AIR_DATA, *ANGLE_RATES, *MOTION_COLUMNS)
 
 
 def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
-    """Return the reconstructed columns of a flight by its most likely path."""
+    """Return the columns `RECONSTRUCTED` (n,) by a flight's path, SI units and radians."""
     air = np.column_stack(air_data(path.air_velocity()))
     force, rate = path.inertial(sensors)
     euler = path.attitude.as_euler("ZYX")[:, ::-1]
@@ -30,7 +30,11 @@ def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
 
 
 def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
-    """Return the reconstructed columns of a flight by the motion of the air, the rows of `AirMotion.air`."""
+    """Return reconstructed columns (n,) of a flight by ``air``, its n rows of `AirMotion.air`.
+
+    Between the rows that records contain values are interpolated; rates of alpha and beta [rad/s]
+    are the derivatives of cubic splines.
+    """
     names = [*AIR_DATA, *MOTION_COLUMNS]
     motion = air[names].reset_index(drop=True)
     euler = motion[[*EULER]].dropna()

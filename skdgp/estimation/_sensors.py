@@ -85,7 +85,7 @@ AIR_NOISE: Prior = {
     "airspeed": (0.3, 1.0),
     "vane": (0.01, 1.0),
 }
-"""Noises of the sensors as the filter of the air sees them."""
+"""Priors of the noises of the sensors in `estimate_air_motion` [SI]."""
 
 DIFFERENCES = 3  # order of the differences that show white noise
 DIFFERENCE_GAIN = 20  # sum of the squares of their coefficients 1, 3, 3, 1
@@ -125,7 +125,7 @@ class FlightSensors(NamedTuple):
     attitude_sampled: Mask  # (n,) where the attitude was sampled
 
     def part(self, first: int, last: int) -> FlightSensors:
-        """Return the samples from first to before last."""
+        """Return samples ``first`` to ``last`` - 1."""
         return FlightSensors._make(values[first:last] for values in self)
 
     def segments(self) -> list[Indices]:
@@ -148,14 +148,14 @@ class NamedFlight(NamedTuple):
     """One flight of a table."""
 
     name: object
-    rows: Indices  # of the table
+    rows: Indices  # (n,) of the table
     sensors: FlightSensors
 
 
 def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
-    """Return name, rows and sensors of every flight in the table.
+    """Return name, rows and sensors of every flight in the table, SI units and radians.
 
-    Raise ValueError if time does not increase, or a needed channel has no value in a flight.
+    Raise ValueError if time does not increase, or one of `PATH_CHANNELS` has no value in a flight.
     """
     names = np.zeros(len(table), int)
     if "flight" in table:

@@ -24,11 +24,11 @@ class PathSettings:
     prior_count: float = 10.0
     # least noise of a sensor [SI]; avoids a division by zero
     least_noise: float = 1e-9
-    # Gauss-Newton steps in which lags may change by whole samples; trials
+    # Gauss-Newton steps that may change lags by whole samples; trials
     delay_steps: int = 6
     # Gauss-Newton steps at most; trials
     max_steps: int = 40
-    # fraction of a step that the next one takes back, from which steps are halved; trials
+    # fraction of a step that the next one takes back, above which steps are halved; trials
     overshoot: float = 0.5
     # largest change of the logarithm of a noise, and of a state in standard deviations, at the end
     tolerance: float = 0.02
@@ -36,7 +36,7 @@ class PathSettings:
     n_draws: int = 32
     # residual over the noise of a sensor of air data, above which it contradicts the others; trials
     air_ratio: float = 1.4
-    # as above, of an inertial sensor: half a minute of sound ones shows up to 4.4; trials
+    # as above, of an inertial sensor: 30 s of sound sensors show up to 4.4; trials
     inertial_ratio: float = 6.0
     # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
     gust_prior_seconds: float = 2.0
@@ -112,13 +112,13 @@ class AirSettings:
     # least noise of accelerometers and gyros [SI]
     least_noise: float = 1e-4
 
-    # memory of the motion that surfaces cause [s]
+    # correlation time of the motion that surfaces cause [s]
     response_time: float = 4.0
-    # samples by which this motion is late: a command follows the noise of the same sample
+    # delay of this motion in samples: a command follows the noise of the same sample
     response_delay: int = 1
-    # memory of the surfaces' answers to gusts [s]
+    # longest delay of the surfaces' answers to gusts [s]
     answer_time: float = 8.0
-    # bins of this memory, wider the earlier
+    # bins of these delays, wider the longer
     answer_bins: int = 16
     # least singular value of the instruments, relative to the largest
     least_direction: float = 1e-6
@@ -149,7 +149,7 @@ class AirSettings:
 
     # length of the sums of scores whose covariance is taken [s]
     block: float = 2.0
-    # standard deviation of a lag by what a surface does between samples, in steps
+    # standard deviation of a lag by the motion of a surface between samples, in steps
     lag_error: float = 0.1
     # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
     # out in turn, docs/preprocessing.md

@@ -1,4 +1,4 @@
-"""Channels without their lag: values at t + tau in place of those at t, segment by segment."""
+"""Channels without their lag: values at t + tau instead of t, segment by segment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from skdgp._compute.typing import Vector
 from skdgp._flight.clock import flight_segments, uniform_grid
 
-PADDING = 64  # samples by which a channel is continued beyond both ends
+PADDING = 64  # continuation of a channel beyond both ends [samples]
 
 
 def without_lag(
@@ -40,21 +40,21 @@ def without_lag(
     rows = np.flatnonzero(np.isfinite(values))
     names = None if flight is None else np.asarray(flight)[rows]
     for run in flight_segments(time[rows], names):
-        here = rows[run]
-        n = len(here)
+        run_rows = rows[run]
+        n = len(run_rows)
         if n < 2:
             continue
-        grid, jittered = uniform_grid(time[here])
-        clock = time[here] if jittered else grid
+        grid, jittered = uniform_grid(time[run_rows])
+        clock = time[run_rows] if jittered else grid
         later = clock + lag
         if noisy and not jittered:
             rate = (n - 1) / (grid[-1] - grid[0])
-            shifted = _advanced(values[here], lag * rate)
+            shifted = _advanced(values[run_rows], lag * rate)
         else:
-            shifted = CubicSpline(clock, values[here])(np.clip(later, clock[0], clock[-1]))
-        shifted[later > clock[-1]] = values[here[-1]] if repeats else np.nan
-        shifted[later < clock[0]] = values[here[0]] if repeats else np.nan
-        out[here] = shifted
+            shifted = CubicSpline(clock, values[run_rows])(np.clip(later, clock[0], clock[-1]))
+        shifted[later > clock[-1]] = values[run_rows[-1]] if repeats else np.nan
+        shifted[later < clock[0]] = values[run_rows[0]] if repeats else np.nan
+        out[run_rows] = shifted
     return out
 
 

@@ -167,8 +167,8 @@ def _filled(template: str, values: Mapping[str, Any]) -> Element:
 
 def _part(element: Element, path: str) -> Element:
     """Return the element at a path, which a template has."""
-    (found,) = element.findall(path)
-    return found
+    (node,) = element.findall(path)
+    return node
 
 
 def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Element:
@@ -212,7 +212,7 @@ def _has_engine(aircraft: Aircraft) -> bool:
 
 
 def _add_thrust(root: Element, aircraft: Aircraft) -> None:
-    """Add thrust and torque of the propeller, and remove what the aircraft does not have."""
+    """Add thrust and torque of the propeller, and remove parts that the aircraft does not have."""
     reactions = _part(root, "external_reactions")
     moment = _part(reactions, "moment")
     propeller = aircraft.propeller

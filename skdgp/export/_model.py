@@ -187,7 +187,7 @@ class Part:
 
     @cached_property
     def groups(self) -> list[list[Term]]:
-        """Terms in the order of the basis; those of a group add up."""
+        """Terms in the order of the basis; the terms of a group add up."""
         first = attrgetter("first")
         return [list(group) for _, group in groupby(sorted(self.terms, key=first), key=first)]
 
@@ -229,8 +229,8 @@ class Part:
     def variance(self, p: Any, explained: Any, arithmetic: Arithmetic = ARRAYS) -> Any:
         """Return nu from p and U^T g."""
         prior = self.prior(p)
-        left = prior - _row_sum(self._half(p, explained, arithmetic) ** 2)
-        return arithmetic.maximum(left, ROUNDING * prior)
+        unexplained = prior - _row_sum(self._half(p, explained, arithmetic) ** 2)
+        return arithmetic.maximum(unexplained, ROUNDING * prior)
 
     def _half(self, p: Any, explained: Any, arithmetic: Arithmetic = ARRAYS) -> Any:
         """Return h = T^T p + (0, U^T g), (n, r)."""
@@ -355,7 +355,9 @@ class PortableModel:
     @property
     def columns(self) -> tuple[str, ...]:
         """All columns of a flight that the regressors are computed from, each once."""
-        return tuple(dict.fromkeys(name for each in self.regressors for name in each.columns))
+        return tuple(
+            dict.fromkeys(name for regressor in self.regressors for name in regressor.columns)
+        )
 
     @property
     def readouts(self) -> list[Readout]:
@@ -561,11 +563,11 @@ class PortableModel:
     def content_hash(self) -> str:
         """SHA-256 of regressors, outputs and arrays, as hexadecimal digits."""
         formulas = [asdict(regressor) for regressor in self.regressors]
-        found = hashlib.sha256(json.dumps([formulas, self.outputs]).encode())
+        digest = hashlib.sha256(json.dumps([formulas, self.outputs]).encode())
         for name, array in sorted(self.arrays().items()):
-            found.update(f"{name} {array.shape} ".encode())
-            found.update(np.ascontiguousarray(array, dtype="<f8"))
-        return found.hexdigest()
+            digest.update(f"{name} {array.shape} ".encode())
+            digest.update(np.ascontiguousarray(array, dtype="<f8"))
+        return digest.hexdigest()
 
 
 # Arrays of a model
@@ -602,10 +604,10 @@ def _parts_of(arrays: dict[str, np.ndarray]) -> tuple[Part, ...]:
         begin += k
         terms[j].append(Term(first, float(arrays["term_gain"][t]), root[:, used], centres))
     parts = []
-    for j, own in enumerate(terms):
+    for j, term in enumerate(terms):
         parts.append(
             Part(
-                terms=tuple(own),
+                terms=tuple(term),
                 readout=readouts[readout_of[j]],
                 trend_weights=arrays["trend_weights"][j],
                 trend_prior=arrays[f"trend_prior_{j}"],

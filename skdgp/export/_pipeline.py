@@ -80,9 +80,9 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     posterior = regressor.posterior_
     center, parts = _all_parts(posterior)
     samples = training_inputs(posterior) * scale + shift
-    seen = samples
+    points = samples
     if simulated.limits is not None:
-        seen = np.vstack([samples, simulated.limits])
+        points = np.vstack([samples, simulated.limits])
     every = -(-len(samples) // MAX_SAMPLES)
     model = PortableModel(
         regressors=_regressors(pipeline, simulated, aircraft),
@@ -97,7 +97,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         mixture=np.asarray(posterior.mixture, dtype=float),
         noise_variance=np.asarray(regressor.noise_variance_),
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
-        limits=np.stack([seen.min(axis=0), seen.max(axis=0)]),
+        limits=np.stack([points.min(axis=0), points.max(axis=0)]),
         samples=samples[::every],
         servo_lag=np.array([simulated.servo_lag]),
         provenance=plain(facts | {"inference": regressor.inference_}),
@@ -251,15 +251,15 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Ve
             f"Got a model with the kernels {others}, but only ConvolvedGaussian and LinearTrend "
             f"have a portable form. {REMEDY}"
         )
-    own, tau = _trend_of(posterior.kernel)
+    trend, tau = _trend_of(posterior.kernel)
     variance = np.zeros(posterior.kernel.n_outputs)
     for kernel in kernels:
         variance += (kernel.value("amplitude") ** 2).sum(axis=0)
     if isinstance(posterior, ExactPosterior):
-        parts = _exact(posterior, kernels, own, tau, variance)
+        parts = _exact(posterior, kernels, trend, tau, variance)
     else:
         parts = _sparse(cast(SparsePosterior, posterior), tau, variance)
-    moved = _moved_trend(own, center).T
+    moved = _moved_trend(trend, center).T
     moved_parts = []
     for i, part in enumerate(parts):
         trend_prior = moved @ part.trend_prior

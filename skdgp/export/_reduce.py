@@ -22,7 +22,7 @@ class ReductionSettings:
     sizes: Sequence[int] = tuple(np.unique((4 * 1.15 ** np.arange(36)).astype(int)).tolist())
     # Functions of a part to choose from
     max_candidates: int = 3000
-    # Functions of a readout from which on fewer points are used, and how many then
+    # Functions of a readout above which fewer points are used, and their number
     many: int = 1500
     fewer: int = 750
     # Shifts of copies of the points to fit at, and to check at, in standard deviations
@@ -114,8 +114,8 @@ def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, di
     losses = []
     for X in (model.samples, Z * model.scale + model.shift):
         mean, std = model.predict(X, return_std=True, include_input_noise=False)
-        changed, other = small.predict(X, return_std=True, include_input_noise=False)
-        changes = np.stack([(changed - mean) / std, other / std - 1.0])
+        changed, reduced_std = small.predict(X, return_std=True, include_input_noise=False)
+        changes = np.stack([(changed - mean) / std, reduced_std / std - 1.0])
         losses.append(np.sqrt(np.mean(changes**2, axis=1)))
     of_mean, of_std = np.max(losses, axis=0).tolist()
     loss = {}
@@ -148,16 +148,16 @@ class _PartReduction:
         p = model.trend(Z)
         g = self.part.basis(Z)
         explained = self.part.explained(g)
-        own = 1.0 / np.sqrt(self.part.variance(p, explained))[:, None]
+        scale = 1.0 / np.sqrt(self.part.variance(p, explained))[:, None]
         candidates = self._candidates(settings.max_candidates)
-        functions = own * self._functions(Z, candidates)
-        order = self._order(own * p, functions, settings.negligible)
+        functions = scale * self._functions(Z, candidates)
+        order = self._order(scale * p, functions, settings.negligible)
         self.sizes = [0, *(size for size in settings.sizes if size <= len(order))]
         used = order[: self.sizes[-1]]
         self.chosen = candidates[used]
-        Q, self.R = qr(np.hstack([own * p, functions[:, used]]), mode="economic")
+        Q, self.R = qr(np.hstack([scale * p, functions[:, used]]), mode="economic")
         mean = self.part.functions_mean(g)
-        self.targets = Q.T @ (own * np.column_stack([mean, explained]))
+        self.targets = Q.T @ (scale * np.column_stack([mean, explained]))
         self.checked = np.hstack([self.trend, self._functions(check, self.chosen)])
 
     def _candidates(self, most: int) -> Indices:
@@ -173,8 +173,8 @@ class _PartReduction:
     def _order(trend: Matrix, functions: Matrix, negligible: float) -> Indices:
         """Return the functions that the trend and the earlier ones do not represent, largest remainder first."""
         Q, _ = qr(trend, mode="economic")
-        left = functions - Q @ (Q.T @ functions)
-        _, R, order = qr(left, mode="economic", pivoting=True)
+        residual = functions - Q @ (Q.T @ functions)
+        _, R, order = qr(residual, mode="economic", pivoting=True)
         remainder = np.abs(np.diag(R))
         n = int(np.sum(remainder > negligible * remainder.max(initial=0.0)))
         return np.asarray(order[:n])

@@ -57,7 +57,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
 def _interpolated_std(
     regressor: DependentGPRegressor, regressors: Matrix, noise_ratio: np.ndarray, rows: Indices
 ) -> Matrix:
-    """Return standard deviations (n, 6): those of some rows, interpolated between them."""
+    """Return standard deviations (n, 6), computed at some rows and interpolated between these."""
     std = regressor.predict(
         regressors[rows], return_std=True, include_input_noise=noise_ratio[rows]
     )[1]

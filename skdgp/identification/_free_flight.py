@@ -196,7 +196,7 @@ def _unknown_gusts(
     tables: Sequence[pd.DataFrame],
     parts: Sequence[Part],
 ) -> Turbulence | None:
-    """Return the gusts that a simulation of these parts lacks, else those of the training flights; None if known."""
+    """Return the gusts that a simulation lacks, else the training flights' gusts; None if known."""
     if _air(parts).wind is not None:
         return None
     named = [table.assign(flight=str(k)) for k, table in enumerate(tables)]

@@ -71,7 +71,7 @@ class Identification:
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
     findings : tuple of Finding
-        What was warned of.
+        Warnings.
     assumptions : tuple of Finding
         Assumptions where flights and aircraft do not say; empty without assumptions.
     supplements : sequence
@@ -202,9 +202,9 @@ class Identification:
         training = self.fit.training
         if training is None:
             return f"{self.aircraft.name}: {likelihood}"
-        done = "interrupted" if self.fit.interrupted else "fitted"
+        state = "interrupted" if self.fit.interrupted else "fitted"
         return (
-            f"{self.aircraft.name}: {done} in {training.seconds:.1f} s on {training.samples} of "
+            f"{self.aircraft.name}: {state} in {training.seconds:.1f} s on {training.samples} of "
             f"{training.samples_available} samples, {likelihood}"
         )
 

@@ -182,7 +182,7 @@ def _closing(file: BinaryIO, path) -> dict:
         closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
         form = closing["format"]
         made_by = _in_words(dict(closing["versions"]))
-        whole = sha256_of(file, before) + END == end[before - size :]
+        is_complete = sha256_of(file, before) + END == end[before - size :]
     except (
         ValueError,
         LookupError,
@@ -190,8 +190,8 @@ def _closing(file: BinaryIO, path) -> dict:
         AttributeError,
         RecursionError,
     ):  # not what _dump writes
-        whole = False
-    if not whole:
+        is_complete = False
+    if not is_complete:
         raise ModelFileError(
             f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is "
             f"missing or does not fit. Expected a file that skdgp identify or "

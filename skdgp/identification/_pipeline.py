@@ -67,7 +67,7 @@ def make_identification_pipeline(
     Parameters
     ----------
     aircraft : Aircraft
-        With span and chord, by which rates are non-dimensional.
+        With span and chord, for non-dimensional rates.
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
@@ -219,13 +219,13 @@ class FlightPipeline(Pipeline):
     def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
         """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights."""
         name, last = self.steps[-1]
-        given = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
+        parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         steps = self[:-1]
-        own = np.asarray(steps.fit_transform(X, y))
+        transformed = np.asarray(steps.fit_transform(X, y))
         self.steps = [*steps.steps, (name, last)]  # a memory fits clones
-        last.fit(own, y, **self._known_slopes(own, y) | self._clock(X) | given)
+        last.fit(transformed, y, **self._known_slopes(transformed, y) | self._clock(X) | parameters)
         self._learn_turbulence(X)
-        return own
+        return transformed
 
     def _known_slopes(self, X: Matrix, y: Any) -> dict[str, KnownSlopes]:
         """Return the slopes that the motion of the air shows, as a parameter of the last step, if it uses them.

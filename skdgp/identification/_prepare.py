@@ -1,4 +1,4 @@
-"""First stage of an identification: flights to learn from and to test on, checked, and what is assumed of them."""
+"""First stage of an identification: checked training and test flights, and assumptions."""
 
 from __future__ import annotations
 
@@ -168,11 +168,11 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
     columns: dict[str, None] = {}
     for table in flights.values():
         columns |= dict.fromkeys(table.columns)
-    given = {*columns}
-    if given & {*ELEVONS}:
-        given |= {*MIXED}
+    available = {*columns}
+    if available & {*ELEVONS}:
+        available |= {*MIXED}
     names = _names(regressors)
-    lacking = [name for name in SURFACES if name in names and name not in given]
+    lacking = [name for name in SURFACES if name in names and name not in available]
     near = suggestions([name for name in columns if name not in CHANNELS], columns)
     meant = {name: channel for name, channel in near.items() if channel in lacking}
     if meant:
@@ -307,7 +307,7 @@ def with_thrust_errors(
 ) -> Aircraft:
     """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
 
-    If the thrust is T (1 + e), coefficients lack e T / (qbar S) of it, and a model learns that as
+    If the thrust is T (1 + e), coefficients lack e T / (qbar S), and a model learns this as
     the nearest linear function of its regressors.
     """
     propeller = aircraft.propeller

@@ -77,7 +77,7 @@ def judge(
 
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
-    """Return the doubts of the fit, and those of the test flights that the fit does not know, one of each code."""
+    """Return the doubts of the fit, and further ones of the test flights, one of each code."""
     doubts = fit.doubts
     for finding in findings:
         is_known = finding.code in [doubt.code for doubt in doubts]
@@ -87,7 +87,7 @@ def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _with_doubts(use: Use, doubts: Sequence[Finding]) -> Use:
-    """Return a judgement with the doubts, with which no use is judged with "yes"."""
+    """Return a judgement with the doubts; no use is then judged with "yes"."""
     if use.fit != "yes" or not doubts:
         return use
     return Use(use.purpose, "partly", (*use.findings, *doubts))
@@ -175,15 +175,19 @@ def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Fin
     if len(wide):
         finding = Finding(Code.CONTROLS_TOO_UNCERTAIN, numbers={"widths": wide.to_dict()})
         return Use(purpose, "no", (finding,))
-    known = Finding(Code.CONTROLS_KNOWN, numbers={"width": widths.max(), "widest": widths.idxmax()})
+    controls_known = Finding(
+        Code.CONTROLS_KNOWN, numbers={"width": widths.max(), "widest": widths.idxmax()}
+    )
     beyond = list(mechanics.trim.beyond)
     if beyond:
-        return Use(purpose, "no", (Finding(Code.TRIM_BEYOND, numbers={"names": beyond}), known))
+        return Use(
+            purpose, "no", (Finding(Code.TRIM_BEYOND, numbers={"names": beyond}), controls_known)
+        )
     poor = [name for name in MOMENTS if errors[name] > 1]
     if poor:
         finding = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
-        return Use(purpose, "partly", (known, finding))
-    return Use(purpose, "yes", (known,))
+        return Use(purpose, "partly", (controls_known, finding))
+    return Use(purpose, "yes", (controls_known,))
 
 
 def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:

@@ -9,13 +9,13 @@ loading   matrix that multiplies independent variables: G of the noise G G^T tha
           sample; A, b of a posterior mean A b
 clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
-misfit    the discrepancy: the error of the function that residuals show where flights come back to the same
+misfit    the model discrepancy: the error of the function that residuals show where flights come back to the same
           regressors
-errors    of the function, that a posterior does not hold: by correlated noise, by method, and the misfit
+errors    of the function beyond the posterior: by correlated noise, by method, and the discrepancy
 ========  =============================================================================================================
 
-
-Names imported as themselves are not part of the public interface: other rooms of the package use them.
+Names imported as themselves are not part of the public interface: other folders of the package use
+them.
 """
 
 from skdgp._compute.statistics import autocorrelation_time

@@ -44,8 +44,7 @@ class AverageSettings:
     values: int = 4000
     #: Fraction of its values that an output has where whole rows are held out
     complete: float = 0.95
-    #: Smaller weights are set to zero: such a member lies outside the 95 % band, yet would widen
-    #: all of it
+    #: Smaller weights are set to zero: such a component lies outside the 95 % band, yet widens it
     least_weight: float = 0.05
     #: Rows that the prior of the weights is worth, for each component (benchmark `coverage`)
     prior_rows: float = 3.0
@@ -59,9 +58,9 @@ SETTINGS = AverageSettings()
 def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
     r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
 
-    ``values`` are the means :math:`m_k` (n, P, ...) of the members, with ``return_variance`` pairs
-    of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k
-    (v_k + (m_k - m)^2)`.
+    ``values`` are the means :math:`m_k` (n, P, ...) of the components, with ``return_variance``
+    pairs of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and
+    :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
     """
     means = np.asarray([value[0] for value in values] if return_variance else values)
     weights = mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
@@ -73,10 +72,10 @@ def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
 
 
 def parts_of(kernel: MultiOutputKernel) -> list[tuple[int, ...]]:
-    """Return which terms of a kernel each member of its average has, by their numbers: all terms first, the trend last.
+    """Return the numbers of the terms in each component of a kernel's average.
 
-    Between them stands the sum without the processes of several regressors. A kernel without a
-    trend has one member.
+    The first component has all terms, the last one the trend alone; between them is the sum without
+    processes of several regressors. A kernel without a trend has one component.
     """
     trend, single = [], []
     terms = kernel.summands()
@@ -104,21 +103,21 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
 
 
 class AveragePosterior(Posterior):
-    """The mixture of posteriors, the members, with weights for each output (``moments``).
+    """A mixture of posteriors, its components, with weights for each output (``moments``).
 
     Each posterior of all terms is followed by the posteriors of its parts, with the same
     hyperparameters. Another posterior of all terms comes from another search.
 
-    Outputs have the same member as far as their weights agree: a number from 0 to 1, the same for
-    all, picks it by the cumulated weights.
+    Outputs have the same component as far as their weights agree: one number from 0 to 1 for all
+    outputs picks it by the cumulated weights.
 
     Parameters
     ----------
     members : list of ExactPosterior or SparsePosterior
-        Of the same samples. The first has all terms; hyperparameters and likelihood of the average
-        are its own.
+        Components, of the same samples. The first has all terms, and gives the average its
+        hyperparameters and likelihood.
     mixture : ndarray (K, P)
-        Weights of each member, for each output; columns add up to one.
+        Weights of the components for each output; columns add up to one.
     """
 
     def __init__(self, members: list, mixture: Matrix) -> None:
@@ -146,7 +145,7 @@ class AveragePosterior(Posterior):
         starts = ends - self.mixture
         first = np.maximum(starts[:, None, :, None], starts[None, :, None, :])
         last = np.minimum(ends[:, None, :, None], ends[None, :, None, :])
-        # probability that output i has member k and output j member l, (K, K, P, P)
+        # probability that output i has component k and output j component l, (K, K, P, P)
         shared = np.maximum(last - first, 0.0)
         n, P = off.shape[1:]
         joint = np.einsum("klij,kai,lbj->iajb", shared, off, off).reshape(P * n, P * n)
@@ -155,10 +154,10 @@ class AveragePosterior(Posterior):
         return joint
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
-        """Return samples of the mixture that are functions of the regressors: each output of a path has one member.
+        """Return samples, functions of the regressors, with one component for each output.
 
-        The numbers that pick members are spread evenly, so that few paths have them in proportion
-        to the weights.
+        The numbers that pick components are spread evenly, so that few paths have them in
+        proportion to the weights.
         """
         rng = check_random_state(random_state)
         pick = rng.permutation(n_paths) + rng.uniform(size=n_paths)
@@ -197,9 +196,9 @@ def held_out_weights(
     weights = np.empty((len(members), Y.shape[1]))
     for i, y in enumerate(Y[rows].T):
         error = y - means[..., i]
-        known = np.isfinite(error).all(axis=0)
-        error = error[:, known]
-        variance = variances[..., i][:, known]
+        is_complete = np.isfinite(error).all(axis=0)
+        error = error[:, is_complete]
+        variance = variances[..., i][:, is_complete]
         scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
         scores[:-1] -= cost / max(scores.shape[1], 1)
         weights[:, i] = stacked(scores, settings)
@@ -243,7 +242,7 @@ def held_out(
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
     Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
-    at X, if they have any, ``order`` (len(rows),) the place of each row, by which blocks are cut.
+    at X, if they have any, ``order`` (len(rows),) the place of each row, for the cut into blocks.
     Where outputs are observed together, whole rows are left out. A value that is missing while
     others are there is learned from these, so where an output has gaps, blocks are left out of one
     output at a time.
@@ -262,8 +261,8 @@ def held_out(
     for left_out in _folds(Y, order, settings):
         data = Data.from_table(X, np.where(left_out, np.nan, Y), inflated)
         inside = np.flatnonzero(left_out.any(axis=1))
-        others = posterior.of(data, noise * inflation)
-        means, variances = others.predict(X[inside], return_variance=True)
+        remaining = posterior.of(data, noise * inflation)
+        means, variances = remaining.predict(X[inside], return_variance=True)
         mean[left_out] = means[left_out[inside]]
         variance[left_out] = variances[left_out[inside]]
     variance += noise
@@ -298,8 +297,7 @@ class CentredTerm:
 
     .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
 
-    For an average it is the mixture of the terms of its members, zero where a member lacks the
-    term. Errors of the function add their variance: linear ones to the terms of single regressors,
+    For an average it is the mixture of the terms of its components, zero where one lacks the term. Errors of the function add their variance: linear ones to the terms of single regressors,
     the discrepancy to the term of all regressors.
 
     Parameters

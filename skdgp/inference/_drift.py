@@ -65,7 +65,7 @@ def residual_drift(
     Returns
     -------
     ndarray (3, P)
-        The variances sigma^2 and tau^2 and the memory T of each output, see
+        The variances sigma^2 and tau^2 and the correlation time T [s] of each output, see
         ``fit_drift_to_integrals``.
     """
     residual = Y - posterior.predict(X)
@@ -93,12 +93,11 @@ def fit_drift_to_integrals(
     .. math:: \sigma^2 d h + 2 \tau^2 T^2 (h / T - 1 + e^{-h / T}).
 
     tau^2 and T minimise the squared differences between its logarithm and the logarithm of the
-    residuals' variance, over
-    horizons h from two sample intervals to 10 s or the longest record; sigma^2 + tau^2 is the mean
-    square of the residuals. With n = the time flown over h, a logarithm has the weight 1 / (0.3^2 +
-    2 / n): the variance of n squares, and an error of the model. Residuals are not exactly white
-    noise plus a drift: maximum likelihood would fit the differences of neighbouring samples best,
-    and integrals over seconds worse.
+    residuals' variance, over horizons h from two sample intervals to 10 s or the longest record.
+    sigma^2 + tau^2 is the mean square of the residuals. With n = the time flown over h, a logarithm
+    has the weight 1 / (0.3^2 + 2 / n): the variance of n squares, and an error of the model.
+    Residuals are not exactly white noise plus a drift: maximum likelihood would fit the differences
+    of neighbouring samples best, and integrals over seconds worse.
 
     The constant of the function takes up the mean of the residuals, so the mean square of n
     independent integrals is multiplied by n / (n - 1). The clock (n, 2) holds time and flight; no
@@ -116,11 +115,11 @@ def fit_drift_to_integrals(
         2 * step, max(min(longest, settings.longest_horizon), 2 * step), settings.n_horizons
     )
     squares = _mean_squared_integrals(residual, records, horizons)
-    known = (squares > 0) & (horizons < flown)
-    if not known.any():  # nothing shows a drift
+    usable = (squares > 0) & (horizons < flown)
+    if not usable.any():  # nothing shows a drift
         return Drift(power, least, step)
-    horizons = horizons[known]
-    wanted = np.log(squares[known] / (1 - horizons / flown))
+    horizons = horizons[usable]
+    target = np.log(squares[usable] / (1 - horizons / flown))
     weight = 1 / (settings.model_error**2 + 2 * horizons / flown)
 
     def loss(theta):
@@ -128,7 +127,7 @@ def fit_drift_to_integrals(
         ratio = horizons / memory
         drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
         white = (power - variance) * step * horizons
-        return weight @ (np.log(drift + white) - wanted) ** 2
+        return weight @ (np.log(drift + white) - target) ** 2
 
     bounds = np.log([(least, power), (step, longest)])
     shortest, longest = bounds[1]

@@ -2,12 +2,13 @@ r"""Errors of the function that a posterior does not hold, and the posterior wit
 
 A posterior takes the errors of samples as independent, and the regressors as independent of the
 noise. In a flight, errors last, gusts disturb several outputs and move the aircraft, noise of the
-regressors flattens slopes, and the kernel may be too smooth. What this changes is a random function
+regressors flattens slopes, and the kernel may be too smooth. The error that this causes is a random
+function
 
 .. math:: e_i(x) = \sum_k z_k\, (w_{k0i} + \sum_j w_{kji} (x_j - c_j)) + \delta_i(x),
           \quad z_k \sim N(0, 1)
 
-that is added to the posterior: a linear function, of which the outputs share the numbers z, and the
+that is added to the posterior: a linear function, whose numbers z the outputs share, and the
 discrepancy, a process of each output with the variance :func:`misfit_variance` and the width of one
 standard deviation of the regressors.
 """
@@ -103,7 +104,7 @@ class FunctionErrors(NamedTuple):
         return linear + prior_paths(self.kernel, n_paths, PosteriorSettings.frequencies, rng)
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
-        """Return values (n, P, k) and slopes (n, P, d, k) at X (n, d) of the random terms, and of those by method."""
+        """Return values (n, P, k) and slopes (n, P, d, k) of random and method terms at X (n, d)."""
         Q = _basis(X - self.centre)
         parts = []
         for weights, slopes in zip((self.random, self.method), self.slopes(), strict=True):
@@ -188,7 +189,7 @@ class LinearPaths(PathBundle):
 class PosteriorWithErrors(Posterior):
     """A posterior plus independent errors of its function.
 
-    Mean, kernel, noise, likelihood, data and components are those of the posterior.
+    Mean, kernel, noise, likelihood, data and components are the posterior's.
 
     Parameters
     ----------
@@ -244,22 +245,22 @@ def function_errors(
     flight: Vector | None = None,
     settings: ErrorSettings = SETTINGS,
 ) -> FunctionErrors:
-    r"""Return the errors of the function of a posterior that it does not hold, from its time series.
+    r"""Return the errors of a posterior's function that it does not include, from its time series.
 
     With the residuals r of the posterior's mean, Q = (1, x - c) and :math:`G = (Q^T Q)^{-1}`:
 
     - random: over blocks b of consecutive samples, :math:`w_b = G Q_b^T r_b`, whatever the
       correlation within a block and between outputs (Liang & Zeger 1986), as far as their variance
-      exceeds that of white noise, which the posterior holds;
+      exceeds the white noise that the posterior holds;
     - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
-      slopes d of the residuals, with standard deviation s. These count as
-      :math:`\sqrt{d^2 - s^2}`, what is beyond chance;
-    - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes
-      J of regressors with the covariance C by :math:`C^{-1} S J`; it counts by one number for each
-      regressor (Fuller 1987, section 1.1).
+      slopes d of the residuals, with standard deviation s. These count as :math:`\sqrt{d^2 - s^2}`,
+      the part beyond chance;
+    - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
+      of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
+      counts by one number for each regressor.
 
-    With too few samples for that, only the discrepancy and ``mean_errors`` are returned.
+    With too few samples only the discrepancy and ``mean_errors`` are returned.
 
     Parameters
     ----------
@@ -346,8 +347,8 @@ def white_variance(Q: Matrix, noise: float, settings: ErrorSettings = SETTINGS) 
 def beyond(errors: Matrix, variance: Vector) -> Matrix:
     """Return errors (k, m) that are smaller, so that the sum of their squares is less by a ``variance`` (m,)."""
     total = np.sum(errors**2, axis=0)
-    left = np.maximum(total - variance, 0.0)
-    fraction = np.divide(left, total, out=np.zeros_like(total), where=total > 0)
+    remaining = np.maximum(total - variance, 0.0)
+    fraction = np.divide(remaining, total, out=np.zeros_like(total), where=total > 0)
     return errors * np.sqrt(fraction)
 
 
@@ -393,7 +394,8 @@ def block_errors(
 ) -> Matrix:
     """Return errors of the weights of least squares by block, (n_blocks, m), for terms Q (n, m).
 
-    ``parts`` are the places of the rows of each block. ``inverse`` is by default that of Q^T Q.
+    ``parts`` are the places of the rows of each block. ``inverse`` (m, m) is by default the inverse
+    of Q^T Q.
     """
     if inverse is None:
         inverse = settings.inverse(Q.T @ Q)
@@ -408,9 +410,9 @@ def instrumented(
     """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
 
     Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
-    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1): an error that causes
-    motion, such as that of a gust, correlates with present regressors, and so biases least squares.
-    Part of the bias remains, the more the longer gusts last.
+    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
+    motion, such as a gust, correlates with present regressors and so biases least squares. Part of
+    the bias remains, the more the longer gusts last.
     """
     longest = settings.delays[-1]
     lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
@@ -441,8 +443,8 @@ def instrumented(
 def mean_noise(posterior: Posterior) -> Vector:
     """Return the harmonic mean of the noise variances of the values of each output, (P,).
 
-    Noise of the regressors is part of it, and so is the factor by which a sparse posterior takes
-    correlated noise for larger.
+    It includes noise of the regressors, and the inflation of correlated noise by a sparse
+    posterior.
     """
     data = posterior.data
     members = np.array([member.noise for member in posterior.members])
@@ -462,17 +464,17 @@ def mean_errors(posterior: Posterior) -> FunctionErrors:
     The mean of n values with noise of variance s^2 has the variance :math:`v = s^2 / n`, with noise
     that differs between values :math:`v = 1 / \sum_a s_a^{-2}`. For a linear function of centred
     regressors this is the uncertainty of an intercept without a prior. A posterior whose intercept
-    has the prior variance :math:`\tau^2` holds :math:`\tau^2 v / (\tau^2 + v)` of it, and the
-    rest is added.
+    has the prior variance :math:`\tau^2` holds :math:`\tau^2 v / (\tau^2 + v)`, and the rest is
+    added.
     """
     data = posterior.data
     centre = max(data.X, key=len).mean(axis=0)
     variance = mean_noise(posterior) / [len(y) for y in data.y]
     prior = _intercept_variance(posterior.kernel, centre)
-    left = variance**2 / (prior + variance)
+    remaining = variance**2 / (prior + variance)
     P, d = len(data.y), len(centre)
     random = np.zeros((P, d + 1, P))
-    random[:, 0] = np.diag(np.sqrt(left))
+    random[:, 0] = np.diag(np.sqrt(remaining))
     return FunctionErrors(random, np.zeros((0, d + 1, P)), centre, np.zeros(P), np.ones(d))
 
 
@@ -488,10 +490,10 @@ def _intercept_variance(kernel: MultiOutputKernel, centre: Vector) -> Vector:
 
 @one_blas_thread()
 def narrowing(posterior: Posterior, added: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
-    """Return how far rows flown next narrow the deviations of slopes at the centre, (P, d), as of least squares.
+    """Return the ratio (P, d) of deviations of slopes at the centre with and without further rows.
 
-    ``added`` (k, d) are their regressors. With too few rows for least squares no promise is made:
-    the factor is one.
+    ``added`` (k, d) are the regressors of these rows. The ratio is as of linear least squares; with
+    too few rows for it, the ratio is one.
     """
     data = posterior.data
     ratio = np.ones((len(data.y), added.shape[1]))

@@ -33,7 +33,7 @@ class SparseSettings:
     noise_steps: int = 10
     #: Relative change of the noise below which a step is the last
     tolerance: float = 0.01
-    #: Samples for each inducing input, of which k-means finds the centres
+    #: Samples for each inducing input, from which k-means finds the centres
     samples_of_centre: int = 50
 
 
@@ -74,7 +74,7 @@ def fit_exact(
     Y : ndarray (n, P)
         NaN where an output was not observed.
     known : KnownNoise
-        What is known of the noise.
+        Known part of the noise.
     data : Data or None
         Values of X and Y with the known noise, which fits of the same table share.
     **options
@@ -185,7 +185,7 @@ def fit_sparse(
 
 @dataclass(frozen=True)
 class SparseFit:
-    """What the sparse fit at given hyperparameters needs.
+    """Data and features of sparse fits at given hyperparameters.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ class SparseFit:
 
         With noisy regressors, part of each output's noise becomes noise of the regressors, whose
         errors are correlated, too. It propagates by the slopes of the function ``mean``, with the
-        ``loading`` G at X; by default by those of the posterior.
+        ``loading`` G at X; by default by the posterior's slopes.
         """
         posterior = SparsePosterior(learned.kernel, self.features, learned.noise, self.data)
         inflation = np.ones(self.Y.shape[1])
@@ -303,7 +303,7 @@ def inducing_centres(
 def average(
     fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None, known: KnownNoise = UNKNOWN
 ) -> Fit:
-    """Return the fit of the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
+    """Return the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
     After Ctrl-C it is the fit of the whole kernel, interrupted, where ``listening`` keeps the best
     so far.

@@ -11,10 +11,10 @@ from skdgp.inference._errors import FunctionErrors
 
 
 class KnownSlopes(NamedTuple):
-    """Slopes of P outputs by d regressors, NaN where the samples are to tell them.
+    """Slopes of P outputs by d regressors, NaN where they are learned from the samples.
 
     Samples whose regressors were estimated from their own targets, as an angle of attack from the
-    force that it causes, are no evidence of slopes: least squares is biased, and its bands are too
+    force that it causes, are no evidence of slopes. Least squares is biased, and its bands are too
     narrow.
     """
 
@@ -49,26 +49,26 @@ class KnownSlopes(NamedTuple):
         return KnownSlopes(self.value * factor, self.errors * np.asarray(factor)[..., None])
 
     def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
-        """Return Y (n, P) plus what makes its slopes by least squares at X (n, d) the known ones."""
+        """Return Y (n, P) plus a linear function of X (n, d) that gives it the known slopes."""
         Y, centred = Y.copy(), X - X.mean(axis=0)
         for y, value in zip(Y.T, self.value, strict=True):
-            rows, known = np.isfinite(y), np.isfinite(value)
+            rows, is_known = np.isfinite(y), np.isfinite(value)
             Q = np.column_stack([np.ones(rows.sum()), centred[rows]])
-            wanted = np.zeros(1 + len(value))
-            wanted[1:][known] = value[known]
-            free = np.append(True, ~known)
-            residual = y[rows] - Q @ wanted
-            wanted[free] = np.linalg.lstsq(Q[:, free], residual, rcond=None)[0]
-            residual = y[rows] - Q @ wanted
+            weights = np.zeros(1 + len(value))
+            weights[1:][is_known] = value[is_known]
+            free = np.append(True, ~is_known)
+            residual = y[rows] - Q @ weights
+            weights[free] = np.linalg.lstsq(Q[:, free], residual, rcond=None)[0]
+            residual = y[rows] - Q @ weights
             y[rows] -= Q @ np.linalg.lstsq(Q, residual, rcond=None)[0]
         return Y
 
     def replaced(self, errors: FunctionErrors) -> FunctionErrors:
-        """Return the errors of a function, of which known slopes have the errors of their source."""
+        """Return the errors of a function whose known slopes have the errors of their source."""
         P, d, k = self.errors.shape
-        known = np.zeros((k, d + 1, P))
-        known[:, 1:] = np.transpose(self.errors, (2, 1, 0))
+        slope_errors = np.zeros((k, d + 1, P))
+        slope_errors[:, 1:] = np.transpose(self.errors, (2, 1, 0))
         unknown = np.ones((d + 1, P))
         unknown[1:] = np.logical_not(self.known[..., 0]).T
-        random = np.concatenate([errors.random * unknown, known])
+        random = np.concatenate([errors.random * unknown, slope_errors])
         return errors._replace(random=random, method=errors.method * unknown)

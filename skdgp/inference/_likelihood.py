@@ -57,7 +57,7 @@ class SlopeNoise(NamedTuple):
 
     The loading of output i is d f_i / d x times ``std`` (d,) or (P, d). It is computed where it is
     needed, from the few weights of the function: kept, it would hold P times as many numbers as X.
-    ``sample`` and ``X`` are those of the values.
+    ``sample`` and ``X`` belong to the values.
     """
 
     sample: Sequence[np.ndarray]
@@ -84,8 +84,8 @@ class SlopeNoise(NamedTuple):
 def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indices, Matrix]:
     """Return the samples that any output has, (n,), in order, and their inputs (n, d)."""
     samples, first = np.unique(np.concatenate(sample), return_index=True)
-    for inputs, own in zip(X, sample, strict=True):
-        if len(own) == len(samples):
+    for inputs, places in zip(X, sample, strict=True):
+        if len(places) == len(samples):
             return samples, inputs
     return samples, np.concatenate(X)[first]
 
@@ -222,7 +222,7 @@ class Data(NamedTuple):
         """Return some values of each output."""
 
         def chosen(parts):
-            return [part[own] for part, own in zip(parts, rows, strict=True)]
+            return [part[places] for part, places in zip(parts, rows, strict=True)]
 
         noise = self.sample_noise
         if noise is not None:

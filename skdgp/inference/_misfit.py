@@ -39,7 +39,7 @@ def misfit_variance(
     clock: Matrix,
     settings: MisfitSettings = SETTINGS,
 ) -> Vector:
-    r"""Return the variance of the misfit of each output, (P,), at the samples that a posterior has learned from.
+    r"""Return the variance (P,) of the model discrepancy at the training samples of a posterior.
 
     Residuals e of two samples with near regressors share the error of the function, but no noise if
     they are from different flights or 10 s apart. So their products have the mean square of this
@@ -96,9 +96,9 @@ def misfit_variance(
     count = neighbours @ observed.astype(float)
     variance = np.zeros(Y.shape[1])
     for i in range(Y.shape[1]):
-        some = observed[:, i] & (count[:, i] > 0)
-        if some.sum() >= settings.parts:
-            products = error[some, i] * total[some, i] / count[some, i]
+        paired = observed[:, i] & (count[:, i] > 0)
+        if paired.sum() >= settings.parts:
+            products = error[paired, i] * total[paired, i] / count[paired, i]
             variance[i] = max(0.0, products.mean() - _standard_error(products, settings.parts))
     return variance
 
@@ -117,6 +117,6 @@ def _neighbours(X: Matrix, clock: Matrix, settings: MisfitSettings) -> Any:
 
 
 def _standard_error(products: Vector, n_parts: int) -> float:
-    """Return the standard error of the mean of products, of which two parts share those of their samples."""
+    """Return the standard error of the mean of products; two parts share products of samples."""
     means = [part.mean() for part in np.array_split(products, n_parts)]
     return np.sqrt(2 / n_parts) * np.std(means, ddof=1)

@@ -1,4 +1,4 @@
-"""What is known of the noise before a fit, and where noise that is learned starts."""
+"""Known noise of a fit, and starting values of learned noise."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SETTINGS = NoiseSettings()
 
 
 class KnownNoise(NamedTuple):
-    """What is known of the noise before the fit.
+    """Noise that is known before the fit.
 
     ``variance`` (P,) are starting values within ``bounds`` (P, 2); equal bounds keep a value. None:
     both from the data. ``loading`` (n, P, P), or None, is a root of the noise covariance of each

@@ -27,7 +27,7 @@ class OptimizerSettings:
     grid: float = 0.0
     #: Largest width of bounds that counts for the grid
     widest: float = 16.0
-    #: Evaluations from which the rise of further ones is extrapolated
+    #: Last evaluations, whose rise is extrapolated
     recent: int = 10
     #: Pairs of steps and changes of the gradient that L-BFGS keeps
     corrections: int = 20
@@ -158,7 +158,7 @@ class _End(NamedTuple):
 def _minimized(loss, theta, bounds, rounded, max_iter, settings):
     """Return how the minimisation of a loss from ``theta`` ended."""
     first_value, first_gradient = loss(theta)
-    if max_iter == 0:  # of which SciPy makes one
+    if max_iter == 0:  # SciPy would make one
         return _End(0, np.inf, False)
     before = loss.latest
     unit = float(np.linalg.norm(first_gradient)) or 1.0  # so that the first step has length one

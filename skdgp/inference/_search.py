@@ -176,11 +176,11 @@ def search(
     noise, bounds = known.start(start.residual(X, Y), output_scale(Y))
     scale = column_scale(X)
     if options.optimizer is None:
-        given = Hyperparameters(start, noise, known.input_std)
+        hyperparameters = Hyperparameters(start, noise, known.input_std)
         data = Data.from_table(X, Y, known.loading)
         if exact:
-            data = given.noisy(data)
-        return best_noise(given, X, Y, data, known, settings)
+            data = hyperparameters.noisy(data)
+        return best_noise(hyperparameters, X, Y, data, known, settings)
 
     # Stage 1.
     stop = Event()
@@ -257,7 +257,7 @@ class _JointSearch(NamedTuple):
         return self._replace(data=data.with_loadings())
 
     def found(self, kernel, noise, end, n_iter, scale, known) -> Hyperparameters:
-        """Return what the search has found."""
+        """Return the hyperparameters at the end of the search."""
         P = len(self.data.y)
         input_std = None
         if self.options.input_noise:
@@ -309,13 +309,13 @@ def best_noise(
     noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y))
     if known.is_fixed:
         return learned._replace(noise=noise)
-    some = data.every(-(-data.n_values // settings.values[1]))
+    chosen = data.every(-(-data.n_values // settings.values[1]))
     stop = Event()
     end = climb(
         learned.kernel,
         noise,
         bounds,
-        some,
+        chosen,
         settings.noise_steps,
         stop,
         optimizer=settings.optimizer,
@@ -347,7 +347,7 @@ def _wanted_values(n_outputs, settings):
 
 
 def n_searched(Y: Matrix, settings: SearchSettings = SETTINGS) -> int:
-    """Return the number of values that a search learns from."""
+    """Return the number of observed values of Y (n, P) that a search learns from."""
     return int(min(_wanted_values(Y.shape[1], settings), np.isfinite(Y).sum()))
 
 
@@ -385,19 +385,19 @@ def _fit_outputs(
     for i, seed in enumerate(random_state.randint(2**31 - 1, size=Y.shape[1])):
         observed = np.flatnonzero(np.isfinite(Y[:, i]))
         rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
-        own = slice(i, i + 1)
-        one = SingleOutput(
+        column = slice(i, i + 1)
+        problem = SingleOutput(
             alone,
             X[rows],
-            Y[rows, own],
-            None if known.loading is None else known.loading[rows, own],
-            noise[own],
-            noise_bounds[own],
+            Y[rows, column],
+            None if known.loading is None else known.loading[rows, column],
+            noise[column],
+            noise_bounds[column],
             f"output {i + 1}",
             stop,
             settings,
         )
-        fits.append(one.fit(max_iter, seed))
+        fits.append(problem.fit(max_iter, seed))
     return fits
 
 
@@ -419,8 +419,8 @@ class SingleOutput(NamedTuple):
 
         From widths that are much too long, the nearest optimum explains everything as noise. Short
         trials from several widths avoid it. A function that turns often, such as a sine of many
-        periods, has an optimum so narrow that the trials miss it: the best trial is compared with
-        narrow starts by the likelihood of all values.
+        periods, has an optimum so narrow that the trials miss it. So the best trial is compared
+        with narrow starts by the likelihood of all values.
         """
         settings = self.settings
         start = starting_kernel(self.kernel, self.x, self.y, np.random.RandomState(seed))

@@ -266,13 +266,13 @@ class SampleShare(NamedTuple):
 def shares_of(data: Data, settings: ShareSettings = SHARES) -> list[SampleShare]:
     """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
     if data.sample_noise is not None:
-        whole = SampleShare(tuple(range(len(data.y))), *_sample_table(data))
-        return _cut(whole, settings.sample_shares, settings)
+        share = SampleShare(tuple(range(len(data.y))), *_sample_table(data))
+        return _cut(share, settings.sample_shares, settings)
     shares = []
     for i, (X, y) in enumerate(zip(data.X, data.y, strict=True)):
         if len(y):
-            whole = SampleShare((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
-            shares += _cut(whole, settings.shares, settings)
+            share = SampleShare((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
+            shares += _cut(share, settings.shares, settings)
     return shares
 
 

@@ -1,7 +1,7 @@
 """Where the stages of a search start: simpler kernels to fit first, and the values that a stage hands on to the next.
 
 The kernel of a search has missing values. ``initialize`` estimates them from the data, and the
-functions here replace these estimates by those of earlier stages. Given values do not change.
+functions here replace these estimates by values of earlier stages. Given values do not change.
 """
 
 from __future__ import annotations
@@ -105,9 +105,9 @@ def _of_terms(function: Callable, kernel: MultiOutputKernel, *others: Any) -> Mu
 
 
 def _with_missing(term, start, values: Mapping[str, Array]):
-    """Return a start with the values of those parameters that a term does not have."""
-    given = term.get_params(deep=False)
-    missing = {name: value for name, value in values.items() if given[name] is None}
+    """Return a start with values for the parameters that a term lacks."""
+    parameters = term.get_params(deep=False)
+    missing = {name: value for name, value in values.items() if parameters[name] is None}
     return clone(start).set_params(**missing)
 
 
@@ -137,11 +137,11 @@ def _from_data(settings, term, start):
     if not isinstance(term, ConvolvedGaussian) or term.regressors is None:
         return start
     filters = start.filters
-    others = term.without_effect(start.n_features)
-    if not others.any():
+    neutral = term.without_effect(start.n_features)
+    if not neutral.any():
         return start
     lengths = filters.length_scale
-    lengths[..., ~others] *= np.sqrt(np.mean(~others))
+    lengths[..., ~neutral] *= np.sqrt(np.mean(~neutral))
     amplitude = settings.additive_amplitude * filters.amplitude
     return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})
 
@@ -201,6 +201,6 @@ def _filters_from_singles(settings, X, term, start, singles):
         lengths = np.minimum(lengths, settings.widest * column_scale(X))
     if term.covariance_type == "tied":
         lengths = tied(lengths)
-    others = term.without_effect(start.n_features)
-    lengths[..., others] = filters.length_scale[..., others]
+    neutral = term.without_effect(start.n_features)
+    lengths[..., neutral] = filters.length_scale[..., neutral]
     return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})

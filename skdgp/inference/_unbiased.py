@@ -1,7 +1,7 @@
-r"""Unbiased variances of kernel and noise in place of those of the largest likelihood.
+r"""Unbiased variances of kernel and noise, after a fit by maximum likelihood.
 
-Variances of the largest likelihood, :math:`y^T K^{-1} y / N` times those of K, are too small by
-chance, as those of residuals are. As for the noise variance of least squares they are multiplied by
+Maximum-likelihood variances, :math:`y^T K^{-1} y / N` times the ones in K, are biased low, as
+variances of residuals are. As for the noise variance of least squares they are multiplied by
 :math:`n / (n - p)`, where the n values of an output have determined p hyperparameters.
 """
 
@@ -61,7 +61,7 @@ def unbiased(
 
 
 def _is_learned(term: MultiOutputKernel, scaled: MultiOutputKernel) -> bool:
-    """Return whether the values of a term by which it was scaled are learned; a wrapped kernel has none."""
+    """Return whether the scaled values of a term are learned; a wrapped kernel has none."""
     if type(scaled) is not type(term):
         return False
     before, after = term.values(), scaled.values()

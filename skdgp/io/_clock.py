@@ -185,12 +185,12 @@ def resample(
     gap = GAP * usual_step(np.diff(time), settings)
     tolerance = 1e-6 / rate
     for run in _runs(time, gap):
-        own = time[run]
-        begin = np.searchsorted(clock, own[0] - tolerance)
-        end = np.searchsorted(clock, own[-1] + tolerance, side="right")
-        if len(own) > 1 and end > begin:
-            passed = _low_passed(own, values[run], rate, settings)
-            result[begin:end] = _interpolated(clock[begin:end], own, passed)
+        run_time = time[run]
+        begin = np.searchsorted(clock, run_time[0] - tolerance)
+        end = np.searchsorted(clock, run_time[-1] + tolerance, side="right")
+        if len(run_time) > 1 and end > begin:
+            passed = _low_passed(run_time, values[run], rate, settings)
+            result[begin:end] = _interpolated(clock[begin:end], run_time, passed)
     return result
 
 

@@ -167,7 +167,7 @@ class Log:
         Topics with the outputs to servos.
     controls : dict of str to Control
         Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim, with
-        weights of those that make a control together, as of a V-tail.
+        weights of servos that make a control together, as of a V-tail.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""read_flight and inspect_log: a file to a flight table, and what the file holds."""
+"""read_flight and inspect_log: a file to a flight table, and the contents of the file."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def read_flight(
         two following: autopilots only. Without it the table has no surfaces. ``"full throw"``:
         parts of their full throw, -1 to 1, of the servos that the parameters name.
     airborne : bool or float, default=True
-        Keep only what is flight: an airspeed above 0.7 times the slowest set on the autopilot (8
+        Keep only the flight: an airspeed above 0.7 times the slowest set on the autopilot (8
         m/s if none is), or above this number [m/s], and not landed by the autopilot's own account.
         False keeps all.
     rename : mapping of str to str, optional
@@ -202,8 +202,8 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
         check_units(table)
     except ValueError as error:
         raise FlightReadError(*error.args) from error
-    others = [name for name in table.columns if name not in ("time", "flight")]
-    table = table[["time", "flight", *others]]
+    channels = [name for name in table.columns if name not in ("time", "flight")]
+    table = table[["time", "flight", *channels]]
     table.attrs = {UNKNOWN: unknown}
     return table
 

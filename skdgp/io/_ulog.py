@@ -246,7 +246,7 @@ class _File(io.BytesIO):
 
 
 def _topic(data_set: Any, places: list[int]) -> Topic:
-    """Return the messages of a topic; their places are approximate where pyulog refused some of them."""
+    """Return the messages of a topic; places are approximate where pyulog refused messages."""
     fields = numeric_fields(data_set.data)
     time = _sampled(data_set.name, fields) * 1e-6
     order = np.array(places, dtype=float)

@@ -1,6 +1,7 @@
 """Multi-output covariance functions as scikit-learn kernels.
 
-Names imported as themselves are not part of the public interface: other rooms of the package use them.
+Names imported as themselves are not part of the public interface: other folders of the package use
+them.
 """
 
 from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum

@@ -182,7 +182,7 @@ class MultiOutputKernel(Kernel):
             )
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        """Return the kernel of the outputs in another unit, in which their values are multiplied by ``factor``.
+        """Return the kernel of the outputs in other units: values multiplied by ``factor``.
 
         The covariance of outputs i and j is multiplied by ``factor[i] * factor[j]``; factors (P,)
         are positive. Values and bounds are converted. The default wraps the kernel, and unwraps it
@@ -266,11 +266,11 @@ class MultiOutputKernel(Kernel):
         outputs = np.repeat(np.arange(len(rows)), [len(x) for x in rows]).tolist()
         samples = np.concatenate(rows)[:, None]
         gradient = np.zeros((len(samples), len(samples), self.n_dims))
-        one = np.ones((1, 1))
+        unit = np.ones((1, 1))
         for a, i in enumerate(outputs):
             for b, j in enumerate(outputs[: a + 1]):
                 if self.couples(i, j):
-                    slopes = self.block_gradient(i, j, samples[a], samples[b], one)
+                    slopes = self.block_gradient(i, j, samples[a], samples[b], unit)
                     gradient[a, b] = slopes
                     gradient[b, a] = slopes
         return gradient
@@ -644,8 +644,10 @@ def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]
 
 def given_bounds(kernel: MultiOutputKernel, names: Iterable[str]) -> dict[str, Any]:
     """Return the bounds that were given to a kernel, by the name of the parameter, one of ``names``."""
-    given = complete_bounds(kernel.get_params(deep=False)["parameter_bounds"], dict.fromkeys(names))
-    return {name: bounds for name, bounds in given.items() if bounds is not None}
+    given_limits = complete_bounds(
+        kernel.get_params(deep=False)["parameter_bounds"], dict.fromkeys(names)
+    )
+    return {name: bounds for name, bounds in given_limits.items() if bounds is not None}
 
 
 def _equal(mine, theirs):

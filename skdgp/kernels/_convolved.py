@@ -202,8 +202,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         shape = (*feeds.shape, d)
         lengths = as_shape("length_scale", lengths, shape)
         if self.regressors is not None:
-            others = self.without_effect(d)
-            lengths[..., others] = np.maximum(lengths[..., others], CONSTANT_LENGTH)
+            neutral = self.without_effect(d)
+            lengths[..., neutral] = np.maximum(lengths[..., neutral], CONSTANT_LENGTH)
         if self.covariance_type == "tied":
             check_tied(lengths, feeds)
         return Filters(
@@ -223,9 +223,9 @@ class ConvolvedGaussian(MultiOutputKernel):
             raise ValueError(
                 f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}."
             )
-        others = np.ones(d, dtype=bool)
-        others[columns] = False
-        return others
+        neutral = np.ones(d, dtype=bool)
+        neutral[columns] = False
+        return neutral
 
     def _feeds(self, P):
         """Return whether each latent feeds each output, (M, P)."""
@@ -242,8 +242,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         return rescaled_amplitude(self, factor, PARAMETERS)
 
     def bounds_from_data(self, name: str) -> bool:
-        given = given_bounds(self, PARAMETERS).get(name)
-        return given is None or is_spacing(given)
+        bounds = given_bounds(self, PARAMETERS).get(name)
+        return bounds is None or is_spacing(bounds)
 
     @property
     def n_outputs(self) -> int:
@@ -268,11 +268,11 @@ class ConvolvedGaussian(MultiOutputKernel):
     def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         d = X.shape[1]
         feeds = self._feeds(Y.shape[1])
-        others = self.without_effect(d)
+        neutral = self.without_effect(d)
         values, bounds = starting_values(feeds, X, Y, random_state)
         if is_spacing(given_bounds(self, PARAMETERS).get("length_scale")):
             smallest = bounds["length_scale"][..., 0]
-            np.maximum(smallest, spacing(X, Y, ~others) * column_scale(X), out=smallest)
+            np.maximum(smallest, spacing(X, Y, ~neutral) * column_scale(X), out=smallest)
         params = self.get_params()
         params["parameter_bounds"] = self._bounds(bounds)
         if self.covariance_type == "tied":
@@ -282,7 +282,7 @@ class ConvolvedGaussian(MultiOutputKernel):
                 params[name] = value
             else:
                 params[name] = as_shape(name, params[name], value.shape)
-        params["length_scale"][..., others] = CONSTANT_LENGTH * column_scale(X)[others]
+        params["length_scale"][..., neutral] = CONSTANT_LENGTH * column_scale(X)[neutral]
         return type(self)(**params)
 
     def term_regressors(self) -> list[tuple[int, ...]]:
@@ -382,7 +382,7 @@ class ConvolvedGaussian(MultiOutputKernel):
 
 
 def is_spacing(bounds: Any) -> bool:
-    """Return whether bounds of length scales are those of the spacing of the samples."""
+    """Return whether bounds of length scales are set by the spacing of the samples."""
     return isinstance(bounds, str) and bounds == SPACING
 
 
@@ -457,8 +457,8 @@ def rescaled_amplitude(
     amplitude = kernel.get_params(deep=False)["amplitude"]
     bounds = given_bounds(kernel, names)
     if "amplitude" in bounds:
-        given = bounds["amplitude"]
-        bounds["amplitude"] = rescaled_values("bounds of amplitude", given, factor, axis=-2)
+        limits = bounds["amplitude"]
+        bounds["amplitude"] = rescaled_values("bounds of amplitude", limits, factor, axis=-2)
     return clone(kernel).set_params(
         amplitude=rescaled_values("amplitude", amplitude, factor, axis=-1),
         parameter_bounds=bounds or None,

@@ -42,7 +42,7 @@ class PathBundle(ABC):
         """Return the slopes of all outputs, (S, n, P, d)."""
 
     def take(self, index: slice | np.ndarray) -> PathBundle:
-        """Return some of the functions, of which a mixture takes those that it needs."""
+        """Return some of the functions; a mixture takes the ones that it needs."""
         raise NotImplementedError
 
     @abstractmethod
@@ -155,7 +155,7 @@ class MixedPaths(PathBundle):
 
 
 class Basis(Protocol):
-    """Functions of the regressors, of which paths are sums."""
+    """Functions of the regressors that add up to paths."""
 
     def __call__(self, X: Matrix) -> Matrix:
         """Return all functions at X (n, d), (n, C)."""
@@ -163,7 +163,7 @@ class Basis(Protocol):
     def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
         """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
 
-        ``weights`` (S, c) are those of the functions in the columns of each output.
+        ``weights`` (S, c) belong to the functions in the columns of each output.
         """
 
 
@@ -175,7 +175,7 @@ class FeaturePaths(PathBundle):
         self.coefficients = coefficients
         self._basis, variables = features.basis()
         self._columns = consecutive(variables)
-        self._weights = [np.ascontiguousarray(coefficients[:, own]) for own in variables]
+        self._weights = [np.ascontiguousarray(coefficients[:, places]) for places in variables]
 
     def __reduce__(self):
         # Pickle the coefficients only: they are smaller than the weights of all columns.
@@ -401,7 +401,7 @@ class Features(ABC):
     def basis(self) -> tuple[Basis, list[Indices]]:
         """Return the functions of the regressors that Kfu is made of, and the variable of each, for each output.
 
-        Functions of the first output come first, then those of the second. Functions of one
+        Functions of the first output come first, then of the second, and so on. Functions of one
         variable and output add up to its column of Kfu.
         """
         n_outputs = self.kernel.n_outputs
@@ -443,7 +443,7 @@ class LinearBasis:
         return X @ self.matrix + self.constant
 
     def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
-        slopes = [w @ self.matrix[:, own].T for w, own in zip(weights, columns, strict=True)]
+        slopes = [w @ self.matrix[:, places].T for w, places in zip(weights, columns, strict=True)]
         of_outputs = np.stack(slopes, axis=1)[:, None]
         return np.repeat(of_outputs, X.shape[1], axis=1)
 
@@ -514,11 +514,11 @@ class ValueFeatures(Features):
         bases, variables = [], []
         for i, blocks in enumerate(self.blocks):
             bases.append(self._basis_of(i))
-            own = [np.arange(0)]
+            places = [np.arange(0)]
             for f in blocks:
                 n_latents = len(self.joint.filters.latents(i, self.outputs[f]))
-                own.append(np.tile(self._variables[f], n_latents))
-            variables.append(np.concatenate(own))
+                places.append(np.tile(self._variables[f], n_latents))
+            variables.append(np.concatenate(places))
         return GaussianBasis.joined(self.kernel.n_features, bases), variables
 
     def _basis_of(self, i):
@@ -728,8 +728,8 @@ def covariance_paths(
     for term in kernel.summands():
         if isinstance(term, LinearTrend):
             weights = []
-            for i, (x, own) in enumerate(zip(X, consecutive(X), strict=True)):
-                weights.append(coefficients[:, own] @ term.basis(i, x))
+            for i, (x, places) in enumerate(zip(X, consecutive(X), strict=True)):
+                weights.append(coefficients[:, places] @ term.basis(i, x))
             paths.append(TrendFeatures(term).paths(np.hstack(weights)))
         else:
             paths.append(ValueFeatures(term, X).paths(coefficients))

@@ -30,7 +30,7 @@ import numpy as np
 from skdgp._compute.typing import Array, Matrix, Vector
 
 STRIP = 3 * 2**16  # numbers of one strip of rows, which fit the cache
-FAR = 1e9  # exponent above which cancellation, about 1e-16 of it, becomes visible
+FAR = 1e9  # exponent above which cancellation, relatively about 1e-16, becomes visible
 
 
 class GaussianBasis:
@@ -96,13 +96,13 @@ class GaussianBasis:
     def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
         """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
 
-        ``weights`` (S, c) are those of the functions in the columns of each output.
+        ``weights`` (S, c) belong to the functions in the columns of each output.
         """
         n_functions, n, d = X.shape
         values = self(X.reshape(-1, d)).reshape(n_functions, n, len(self.gain))
         slopes = []
-        for w, own in zip(weights, columns, strict=True):
-            sums = (values[..., own] * w[:, None]) @ self._matrix[:, own].T
+        for w, places in zip(weights, columns, strict=True):
+            sums = (values[..., places] * w[:, None]) @ self._matrix[:, places].T
             slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
         return np.stack(slopes, axis=2)
 

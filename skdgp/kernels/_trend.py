@@ -35,7 +35,7 @@ class TrendSettings:
     intercept_bounds: tuple[float, float] = (1e-3, 1e2)
     #: Bounds of slopes (trials)
     slope_bounds: tuple[float, float] = (0.05, 1e2)
-    #: Rows n of which the lower bound of slopes is this number over n: a smaller one makes slopes
+    #: The lower bound of slopes is this number over n for few rows n: a smaller one makes slopes
     #: that are not significant too certain (benchmark ``coverage``)
     few_rows: float = 6.0
     #: Largest lower bound of few rows
@@ -116,11 +116,11 @@ class LinearTrend(MultiOutputKernel):
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         factor = np.asarray(factor, dtype=float)
-        given = self.get_params()
+        parameters = self.get_params()
         params: dict[str, Any] = {}
         bounds = given_bounds(self, OUTPUT_AXES)
         for name, axis in OUTPUT_AXES.items():
-            params[name] = rescaled_values(name, given[name], factor, axis)
+            params[name] = rescaled_values(name, parameters[name], factor, axis)
             if name in bounds:
                 # the last axis of bounds is the pair
                 pairs = rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)
@@ -236,7 +236,7 @@ class LinearTrend(MultiOutputKernel):
 
 
 def ridge_scale(X: Matrix, Y: Matrix) -> Vector:
-    """Return the standard deviation of the slopes (P,) by which Bayesian ridge regression has most evidence.
+    """Return the standard deviation of the slopes (P,) at the largest evidence of ridge regression.
 
     The slopes are of the regressors over their standard deviations. X (n, d), Y (n, P) with NaN.
     """

@@ -308,8 +308,8 @@ def _split_model(model: Any) -> _Parts:
     steps = [step for step in steps if step not in (None, "passthrough")]
     scalers: list[Any] = []
     for step in reversed(steps):
-        _, _, others = scaling_of([step], d)
-        if others:
+        _, _, transforms = scaling_of([step], d)
+        if transforms:
             break
         scalers.insert(0, step)
     if scalers:
@@ -427,11 +427,13 @@ class EffectsDisplay(Display):
         first, second = interaction.regressors
         factor, _ = display_unit(first)
         level_factor, unit = display_unit(second)
-        at = factor * interaction.at
+        values = factor * interaction.at
         for k, color in enumerate((PALETTE["blue"], PALETTE["vermillion"])):
             level = level_factor * interaction.levels[k]
             label = f"{symbol(second)} = {level:.3g} {unit}".rstrip()
-            draw_curve(ax, at, interaction.mean[:, k], interaction.std[:, k], label, color, color)
+            draw_curve(
+                ax, values, interaction.mean[:, k], interaction.std[:, k], label, color, color
+            )
         ax.set_xlabel(axis_label(first))
         lines = [line for line in ax.lines if not line.get_label().startswith("_")]
         ax.legend(handles=lines, frameon=False, fontsize="small")

@@ -25,7 +25,7 @@ from skdgp.plotting._display import (
 
 LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 LEVEL = 0.95
-MAX_BAND = 0.6  # largest part of the lines' range by which a band widens the vertical axis
+MAX_BAND = 0.6  # largest widening of the vertical axis by a band, as a fraction of the lines' range
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 
@@ -134,7 +134,7 @@ class TimeHistoryDisplay(Display):
         line("measured", self.measured, color=ROLES["measured"], linewidth=1.4)
         line("truth", self.truth, color=ROLES["truth"], linewidth=0.9, linestyle="--")
         line(self.estimate, self.mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3)
-        if self.measured is not None:  # else the band is what the figure shows
+        if self.measured is not None:  # else the band is the subject of the figure
             _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
             marks = np.where(self.beyond > 0, 1.0, np.nan)

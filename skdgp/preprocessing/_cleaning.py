@@ -178,12 +178,12 @@ def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Fault]:
 
 def _interpolated(time: Vector, values: Vector) -> Vector:
     """Return values with short gaps interpolated, if nearly every row has a sample."""
-    known = np.isfinite(values)
-    if known.sum() < 2 or usual_spacing(values) > 1:
+    observed = np.isfinite(values)
+    if observed.sum() < 2 or usual_spacing(values) > 1:
         return values
-    sampled = pd.Series(np.where(known, time, np.nan))
+    sampled = pd.Series(np.where(observed, time, np.nan))
     gap = sampled.bfill() - sampled.ffill()  # NaN before the first sample and after the last
-    filled = np.interp(time, time[known], values[known])
+    filled = np.interp(time, time[observed], values[observed])
     return np.where(gap <= LONGEST_BRIDGE + 1e-9, filled, values)
 
 
@@ -270,12 +270,12 @@ class FlightSmoother(TableTransformer):
 
     def _fit_table(self, table):
         self.columns_ = _present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
-        wanted = _present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
-        self.derivatives_ = [name for name in wanted if f"{name}_dot" not in table]
-        check_columns(table, ["time", *self.columns_, *wanted])
-        if self.columns == "auto" and not wanted:
+        names = _present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
+        self.derivatives_ = [name for name in names if f"{name}_dot" not in table]
+        check_columns(table, ["time", *self.columns_, *names])
+        if self.columns == "auto" and not names:
             self._check_any(table, SMOOTHED)
-        numeric(table, {*self.columns_, *wanted})
+        numeric(table, {*self.columns_, *names})
         check_radians(table, IN_RADIANS)
         used = {*self.columns_, *self.derivatives_}
         is_joint = self.joint and self.cutoff == "auto"

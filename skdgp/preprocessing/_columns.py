@@ -60,7 +60,7 @@ class ElevonSplitter(TableTransformer):
     controls : sequence of str, default=("elevator", "aileron")
         Columns to compute [rad].
     mixing : array-like of shape (n_controls, n_surfaces), optional
-        Default: that of two elevons.
+        By default the mixing of two elevons.
 
     Attributes
     ----------
@@ -288,9 +288,9 @@ class RegressorSelector(TableTransformer):
         self.ranges_ = {}
         channels = [name for name in X if name in CHANNELS]
         for name, column in X[channels].select_dtypes("number").items():
-            kept = column[observed].dropna()
-            if len(kept):
-                self.ranges_[str(name)] = float(kept.min()), float(kept.max())
+            observed_values = column[observed].dropna()
+            if len(observed_values):
+                self.ranges_[str(name)] = float(observed_values.min()), float(observed_values.max())
         if is_targeted and len(values):
             is_still = np.ptp(values, axis=0) <= STILL * np.abs(values).max(axis=0)
             self._warn_of_constant(np.flatnonzero(is_still))
@@ -344,11 +344,11 @@ class RegressorSelector(TableTransformer):
         names = list(REGRESSOR_SETS[self.regressors])
         _check_made(table, names)
         names = [name + HAT if name + HAT in table else name for name in names]
-        words = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
+        columns = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
         controls = ("throttle", *SURFACES)
         missing = [name for name in controls if name in names and name not in table]  # or misspelt
         self.absent_ = [
-            name for name in missing if not get_close_matches(name, words, n=1, cutoff=0.85)
+            name for name in missing if not get_close_matches(name, columns, n=1, cutoff=0.85)
         ]
         if all(surface in self.absent_ for surface in SURFACES):
             check_columns(table, SURFACES)

@@ -90,9 +90,9 @@ class FlightPathReconstruction(TableTransformer):
     ----------
     optional : bool, default=False
         Whether all tables pass unchanged, if the flights of ``fit`` lack a needed channel
-        (``missing_``), or an inertial sensor, or two of air data, contradict the others: residuals
-        are larger than their noise, 6 times of an inertial sensor, 1.4 times of airspeed, alpha and
-        beta. A log without alpha or beta is reconstructed all the same. If only flights of
+        (``missing_``), or an inertial sensor, or two of air data, contradict the others. Residuals
+        of a contradiction exceed the noise 6 times (inertial sensors) or 1.4 times (airspeed,
+        alpha, beta). A log without alpha or beta is reconstructed all the same. If only flights of
         ``transform`` lack a channel, `FlightSmoother` smooths them. A table without any of the
         channels is refused.
     max_rows : int, default=65536
@@ -128,7 +128,7 @@ class FlightPathReconstruction(TableTransformer):
         Why gusts of flights without vanes are not known, in words; empty if they are, or with vanes.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
-        ``fit``; the column ``gust`` of the transformed table holds that of each flight.
+        ``fit``; the column ``gust`` of the transformed table holds the value of each flight.
     calibration_ : DataFrame
         Biases of inertial sensors and mean wind of each flight of ``fit``, or of each part of a
         long one: columns ``flight``, ``constant``, ``estimate`` and ``std``.
@@ -136,7 +136,8 @@ class FlightPathReconstruction(TableTransformer):
     Warns
     -----
     FlightDataWarning
-        In ``transform``, where flights are smoothed although those of ``fit`` were reconstructed.
+        In ``transform``, where flights are smoothed although the ones in ``fit`` were
+        reconstructed.
 
     Examples
     --------
@@ -213,13 +214,13 @@ class FlightPathReconstruction(TableTransformer):
             self.noise_std_[name] = _mean_std(stds, samples)
         self.gust_std_ = _mean_std([_gust_std(part.estimate) for part in parts], samples)
         self.calibration_ = pd.concat([_calibration(part) for part in parts], ignore_index=True)
-        found = contradictions([part.sensors for part in parts], self.noise_std_)
-        if not found:
+        contradictory = contradictions([part.sensors for part in parts], self.noise_std_)
+        if not contradictory:
             return
         # one sensor of air data alone is probably filtered by the autopilot
-        is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
+        is_filtered = len(contradictory) == 1 and contradictory[0].sensor in AIR_DATA
         self.used_ = is_filtered or not (self.optional and has_vanes)
-        reasons = "; ".join(map(_contradiction_text, found))
+        reasons = "; ".join(map(_contradiction_text, contradictory))
         self.reason_ = f"although {reasons}" if self.used_ else reasons
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
@@ -325,14 +326,14 @@ class FlightPathReconstruction(TableTransformer):
     ) -> list[FlightPart]:
         """Return the path of every flight, of each part of a long one."""
         parts = []
-        for name, rows, whole in flights_of(table):
+        for name, rows, flight_sensors in flights_of(table):
             for part, inner in overlapping_parts(len(rows), self.max_rows):
-                sensors = whole.part(part.start, part.stop)
+                sensors = flight_sensors.part(part.start, part.stop)
                 estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
                 path = estimate.path.part(inner.start, inner.stop)
-                kept = sensors.part(inner.start, inner.stop)
+                inner_sensors = sensors.part(inner.start, inner.stop)
                 estimate = estimate._replace(path=path)
-                parts.append(FlightPart(name, rows[part][inner], kept, estimate))
+                parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
         diverged = [part.name for part in parts if not part.estimate.converged]
         for name in dict.fromkeys(diverged):
             report(Finding(Code.PATH_NOT_CONVERGED, flight=name), stacklevel=4)

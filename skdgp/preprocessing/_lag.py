@@ -21,7 +21,7 @@ GROUPS = {
     "attitude": EULER,
     "gps": (*EARTH_VELOCITY, *POSITION),
 }
-# channels without noise, in which steps are common
+# channels without noise, where steps are common
 CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")
 # channels that are unknown beyond the end of a segment
 KINEMATIC = (*GROUPS["attitude"], *GROUPS["gps"])
@@ -89,11 +89,11 @@ class LagCorrector(TableTransformer):
             self._check_any(table, _columns_of(GROUPS))
             rows = {group: _applied(lag) for group, lag in estimate_lags(table).items()}
         else:
-            given = self.lags or {}
-            _check_lags(given, table)
-            if given:
-                self._check_any(table, _columns_of(given))
-            rows = {name: (float(lag), np.nan, float(lag), "given") for name, lag in given.items()}
+            lags = self.lags or {}
+            _check_lags(lags, table)
+            if lags:
+                self._check_any(table, _columns_of(lags))
+            rows = {name: (float(lag), np.nan, float(lag), "given") for name, lag in lags.items()}
         columns = ["lag", "std", "applied", "remark"]
         self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
         self.lags_ = self.lags_.rename_axis("group")

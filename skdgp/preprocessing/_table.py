@@ -55,7 +55,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         """Return the new table, without changing the given one."""
 
     def _columns_out(self, names: list[str]) -> list[str]:
-        """Return the columns of the transformed table for those of the input; the default is the same columns."""
+        """Return the columns of the transformed table for given ones; by default the same."""
         return names
 
     def _as_table(self, X: Any) -> pd.DataFrame:
@@ -89,9 +89,9 @@ def as_pandas(X: Any) -> Any:
 
 
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
-    """Return angles shifted by multiples of 2 pi to less than pi from those of a column."""
-    other = near.to_numpy(float, na_value=np.nan)
-    difference = np.where(np.isfinite(other), angle - other, 0.0)
+    """Return angles shifted by multiples of 2 pi to less than pi from a column of angles."""
+    reference = near.to_numpy(float, na_value=np.nan)
+    difference = np.where(np.isfinite(reference), angle - reference, 0.0)
     return angle - 2 * np.pi * np.round(difference / (2 * np.pi))
 
 

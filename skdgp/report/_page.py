@@ -191,7 +191,7 @@ def _sections(content: ReportContent) -> list[str]:
     """Return all sections in their order; those without content are empty."""
     draw = can_draw()
     further = _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
-    done = facts([*content.facts.items(), ("Command", content.command)])
+    rows = facts([*content.facts.items(), ("Command", content.command)])
     effects = ""
     if draw and content.effects is not None:
         effects = content.effects.html(EFFECTS)
@@ -206,7 +206,7 @@ def _sections(content: ReportContent) -> list[str]:
     sections.append(_section("Effects", effects))
     if draw:
         sections.append(_flown(content))
-    sections.append(_section("What was done", done, SIGN))
+    sections.append(_section("What was done", rows, SIGN))
     sections.append(_section("How to read", HOW_TO_READ))
     return sections
 
@@ -256,7 +256,7 @@ def _verdict(content: ReportContent) -> str:
 
 
 def _error_and_coverage(verdict: Verdict) -> str:
-    """Return the error, beside that of least squares, and the coverage of 95 % bands."""
+    """Return the error, beside the one of least squares, and the coverage of 95 % bands."""
     beside = ""
     if verdict.least_squares_error is not None:
         beside = f"<span>least squares {_thousandths(verdict.least_squares_error)}</span>"
@@ -307,11 +307,11 @@ def _next_flight(content: ReportContent) -> str:
     if not rows:
         return _section("What to fly next", _note("Every derivative is known to half its size."))
     flown = Extent.of(list(content.train.values())).seconds
-    more = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
+    reach = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
         "Inputs to excite, and the derivatives that they determine whose 95 % bands are wider than half "
         "their values, widest first. Errors from noise are halved by three times as many seconds "
-        f"again{more} of flight as before, and by fewer with such inputs: <code>skdgp plan</code> "
+        f"again{reach} of flight as before, and by fewer with such inputs: <code>skdgp plan</code> "
         "on the model proposes manoeuvres, their seconds and the errors that they leave."
     )
     head = ["excite", "weak derivatives", "in all"]

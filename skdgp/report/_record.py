@@ -38,7 +38,7 @@ class TrainingRecord:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainingRecord | None:
-        """Return the record in plain values such as those of a model file; None if they lack it."""
+        """Return the record in plain values, as of a model file; None if these lack it."""
         names = [field.name for field in fields(cls)]
         if not values.keys() >= {*names}:
             return None
@@ -107,7 +107,7 @@ class FitRecord:
 
     @property
     def doubts(self) -> list[Finding]:
-        """Findings by which no use of the model is judged with "yes"."""
+        """Findings that exclude the judgement "yes" of any use of the model."""
         doubts = []
         if self.gusts_unknown:
             doubts.append(Finding(Code.GUSTS_UNKNOWN, numbers={"reason": self.gusts_unknown}))

@@ -56,14 +56,23 @@ def reason_of(finding: Finding) -> str:
 
 
 def reasons_of(findings: Iterable[Finding]) -> str:
-    """Return several findings as one sentence without its stop: what speaks against others follows a "but"."""
+    """Return several findings as one sentence without its stop: the first warning after a note follows a "but".
+
+    Examples
+    --------
+    >>> small = Finding(Code.ERRORS_SMALL, numbers={"smallest": 0.1, "largest": 0.2})
+    >>> reasons = reasons_of([small, Finding(Code.GUSTS_UNKNOWN), Finding(Code.NO_BANDS)])
+    >>> reasons.partition("; ")[2]
+    'but gusts without vanes are not known; the model has no bands of derivatives'
+    """
     text = ""
-    before = Severity.WARNING
+    follows_note = False
     for finding in findings:
-        contrast = before is Severity.NOTE and finding.severity is not Severity.NOTE
-        separator = "; but " if contrast else "; "
-        text += (separator if text else "") + reason_of(finding)
-        before = Severity.NOTE if contrast else finding.severity
+        is_note = finding.severity is Severity.NOTE
+        if text:
+            text += "; but " if follows_note and not is_note else "; "
+        text += reason_of(finding)
+        follows_note = is_note
     return text
 
 
@@ -357,8 +366,8 @@ TEXTS: dict[Code, Text] = {
     Code.LEAST_SQUARES_BETTER: "Least squares is better in {worse} of {coefficients} coefficients: "
     "{names: }.",
     Code.NO_DERIVATIVES: "No derivatives: {error}",
-    Code.NO_TRIM: "No steady flight was found at {airspeed:.3g} m/s: derivatives are at the median "
-    "state, without modes.",
+    Code.NO_TRIM: "No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
+    "state, and there are no modes.",
     Code.NOT_SIMULATED: "{error}",
     Code.WRONG_SIGNS: "Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
     "the signs of the log's surfaces and rates, and at gusts without vanes.",

@@ -120,6 +120,7 @@ def mechanics(**changes):
 
 
 NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
+NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
 ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
@@ -286,7 +287,7 @@ class TestControl:
 
     def test_no_derivatives_at_a_trim(self):
         note = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-        without = mechanics(derivatives=pd.DataFrame(), note=note)
+        without = mechanics(derivatives=pd.DataFrame(), notes=(note,))
         assert use(verdict(mechanics_=without), "design a controller") == ("no", "no derivatives")
 
     @pytest.mark.parametrize(("error", "fit"), [(1.2, "partly"), (0.8, "yes")])
@@ -296,9 +297,7 @@ class TestControl:
         assert ("a constant predicts Cm" in use(found, "design a controller")[1]) == (error > 1)
 
     def test_no_steady_flight(self):
-        found = verdict(
-            mechanics_=mechanics(trim=None, note=Finding(Code.NO_TRIM, numbers={"airspeed": 20.0}))
-        )
+        found = verdict(mechanics_=mechanics(trim=None, notes=(NO_TRIM,)))
         assert use(found, "design a controller") == ("no", "no steady flight was found at 20 m/s")
 
 
@@ -378,8 +377,17 @@ class TestMechanics:
         found = flight_mechanics(glider(), heavy, [flight], [flight], SETTINGS)
         assert found.trim is None
         assert found.modes is None
-        assert found.note.code is Code.NO_TRIM
+        assert [note.code for note in found.notes] == [Code.NO_TRIM]
         assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
+
+    def test_without_trim_and_derivatives_both_are_told(self, flight):
+        heavy = replace(AIRCRAFT, mass=500)
+        without_elevator = flight.drop(columns="elevator")
+        found = flight_mechanics(glider(), heavy, [without_elevator], [flight], SETTINGS)
+        assert found.derivatives.empty
+        assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
+        assert found.to_dict()["note"].startswith("No steady flight was found at ")
+        assert "No derivatives: " in found.to_dict()["note"]
 
     def test_is_plain_for_json(self, flight):
         found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS).to_dict()

@@ -311,10 +311,9 @@ TEXTS: dict[Code, Text] = {
     "effects are of a full throw.",
     Code.SIZES_ESTIMATED: _sizes_estimated,
     Code.SIZES_SOURCES: "Estimated by: {sources}.",
-    Code.THRUST_IN_COEFFICIENTS: "Neither thrust_x, thrust_y, thrust_z nor a propeller and its "
-    "speed give the thrust (a column thrust is for simulations), so it is part of the coefficients, "
-    "with throttle and airspeed as regressors: CX is thrust less drag, which the model does not "
-    "tell apart.",
+    Code.THRUST_IN_COEFFICIENTS: "Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
+    "propeller and its speed give the thrust, so it is part of the coefficients, with throttle and "
+    "airspeed as regressors: CX is thrust less drag, which the model does not tell apart.",
     Code.ALREADY_LEARNED: "The model learned from a flight {flight!r}: if it is this one, its "
     "errors say nothing about others.",
     Code.HELD_OUT_FLIGHT: "No test flight was named: the last flight, {flight}, is held out of the "

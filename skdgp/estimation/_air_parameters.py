@@ -147,11 +147,11 @@ def coefficient_of(derivative: str) -> str:
 
 
 def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) -> Prior:
-    """Return the priors of the derivatives of all terms but those of surfaces that are not there."""
+    """Return the priors of the derivatives of the terms, without those of surfaces that are missing."""
     missing = {*SURFACES} - {*surfaces}
     priors = {}
     for coefficient in COEFFICIENTS:
-        for term in terms[coefficient]:
+        for term in terms.get(coefficient, ()):
             if term not in missing:
                 name = f"{coefficient}_{term}"
                 priors[name] = DERIVATIVES.get(name, OTHER_DERIVATIVE)

@@ -15,7 +15,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_FORCES
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_COLUMNS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._pipeline import (
@@ -210,7 +210,7 @@ def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[s
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust is None:
         return ["none"]
-    has_columns = [bool({*THRUST_FORCES} & {*table.columns}) for table in tables]
+    has_columns = [bool({*THRUST_COLUMNS} & {*table.columns}) for table in tables]
     return sorted({"columns" if has else "propeller" for has in has_columns})
 
 

@@ -22,7 +22,7 @@ from skdgp._flight.channels import (
     REGRESSOR_SETS,
     SPECIFIC_FORCE,
     SURFACES,
-    THRUST_FORCES,
+    THRUST_COLUMNS,
 )
 from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import flight_segments
@@ -286,7 +286,7 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     if thrust != "auto":
         return False
     for table in tables:
-        has_thrust = bool({*THRUST_FORCES} & {*table})
+        has_thrust = bool({*THRUST_COLUMNS} & {*table})
         if has_thrust or "throttle" not in table:
             return False
         if propeller_speed_of(aircraft.propeller, table) is not None:

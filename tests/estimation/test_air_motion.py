@@ -12,6 +12,7 @@ import pytest
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
+from skdgp.estimation._air_parameters import TERMS
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction
 
@@ -240,6 +241,17 @@ def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     np.testing.assert_allclose(found.air["ax"].mean(), table["ax"].mean(), atol=0.05)
     value, _ = found.slopes(["CX", "CZ"], ["alpha"])
     np.testing.assert_array_equal(np.isnan(value[:, 0]), [True, False])
+
+
+def test_without_terms_of_drag_the_axial_force_is_no_measurement_of_aerodynamics():
+    table, plane = simulated("calm", seconds=4.0)
+    flight, aircraft = table.drop(columns="alpha_true"), as_aircraft(plane)
+    terms = {name: term for name, term in TERMS.items() if name != "CX"}
+    settings = AirSettings(max_passes=1)
+    found = estimate_air_motion(flight, aircraft, terms=terms, settings=settings)
+    without = estimate_air_motion(flight, aircraft, thrust=None, settings=settings)
+    pd.testing.assert_frame_equal(found.derivatives, without.derivatives)
+    pd.testing.assert_frame_equal(found.air, without.air)
 
 
 def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():

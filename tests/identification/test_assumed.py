@@ -9,13 +9,10 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.wording import text_of
-from skdgp.dynamics import (
-    Aircraft,
-    stability_derivatives,
-    trim,
-)
+from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import portable_model, write_c
 from skdgp.identification import _prepare, identify, load_model, validate
+from skdgp.identification._learn import thrust_sources
 from skdgp.identification._prepare import (
     assumptions,
     check_controls,
@@ -64,12 +61,20 @@ class TestThrust:
             ("throttle propeller_speed", UNKNOWN, "auto", True),
             ("throttle propeller_speed", KNOWN, "auto", False),
             ("throttle thrust_x", UNKNOWN, "auto", False),
+            ("throttle thrust", UNKNOWN, "auto", False),
             ("airspeed", UNKNOWN, "auto", False),  # no throttle explains it: an error says so
             ("throttle", UNKNOWN, None, False),
         ],
     )
     def test_is_unknown_where_nothing_gives_it(self, columns, aircraft, thrust, lacks):
         assert lacks_thrust(thrust, [pd.DataFrame(columns=columns.split())], aircraft) is lacks
+
+    @pytest.mark.parametrize("column", ["thrust", "thrust_x"])
+    def test_a_column_beside_a_throttle_is_read(self, column):
+        table = pd.DataFrame({"throttle": [0.5], "airspeed": [20.0], "density": [1.2], column: 3.0})
+        assert thrust_sources("auto", [table]) == ["columns"]
+        force, _ = propulsive_loads(table, self.UNKNOWN)
+        np.testing.assert_array_equal(force, [[3.0, 0.0, 0.0]])
 
 
 class TestWords:

@@ -167,6 +167,28 @@ def _faults_excluded(finding: Finding) -> str:
     return f"{_faults(finding)} The coefficients are not known there (NaN)."
 
 
+def _contradiction(finding: Finding) -> str:
+    """Return the channels that may be wrong, the slope or lag that shows it, and how sure it is."""
+    template = (
+        "{channels: or } is probably wrong: the slope of {y} over {x} is {slope:.3g} ± {std:.2g}, "
+        "but expected {expected}"
+    )
+    if "lag" in finding.numbers:
+        template = (
+            "{channels: or } is probably wrong: {y} is {lag:.2g} ± {std:.2g} s late against {x}"
+        )
+    if finding.flight is not None:
+        template = "flight {flight}: " + template
+    template += (
+        " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)"
+    )
+    return _filled(template, finding)
+
+
+def _contradiction_sentence(finding: Finding) -> str:
+    return f"Contradiction in the flights: {_contradiction(finding)}."
+
+
 def _large_surfaces(finding: Finding) -> str:
     surfaces = ", ".join(
         f"{name} {top:.2f} rad ({57.29578 * top:.0f} deg)"
@@ -296,7 +318,7 @@ TEXTS: dict[Code, Text] = {
     **dict.fromkeys(FAULTS, _fault),
     Code.FAULTS_BRIDGED: _faults_bridged,
     Code.FAULTS_EXCLUDED: _faults_excluded,
-    Code.CONTRADICTION: "Contradiction in the flights: {contradiction}.",
+    Code.CONTRADICTION: _contradiction_sentence,
     Code.LARGE_SURFACES: _large_surfaces,
     Code.LONE_ROWS: "Flight {flight!r}: {rows} rows that stand alone between gaps are left out.",
     Code.NO_ELEVATOR: "Got flights without an elevator: its effect goes into the coefficients of "
@@ -374,6 +396,7 @@ TEXTS: dict[Code, Text] = {
 
 REASONS: dict[Code, Text] = {
     Code.MESSAGE: "{text}",
+    Code.CONTRADICTION: _contradiction,
     Code.HELD_OUT_FLIGHT: "the last flight, {flight}",
     Code.HELD_OUT_QUARTER: "the last quarter of the only flight, {flight}",
     Code.GUSTS_UNKNOWN: "gusts without vanes are not known",

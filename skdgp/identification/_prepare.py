@@ -239,9 +239,7 @@ def usable_flights(
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     checked = {name: FlightCheck().fit_transform(table) for name, table in flights.items()}
     for contradiction in find_contradictions(pd.concat(checked.values(), ignore_index=True)):
-        numbers = {"contradiction": str(contradiction)}
-        finding = Finding(Code.CONTRADICTION, flight=contradiction.flight, numbers=numbers)
-        report(finding, FlightDataWarning, stacklevel=3)
+        report(contradiction.finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
 

@@ -201,7 +201,7 @@ def _large_surfaces(finding: Finding) -> str:
 
 
 def _gusts_unknown(finding: Finding) -> str:
-    text = f"Gusts are not known: {finding.numbers['reason']}"
+    text = f"Gusts are not known: {text_of(finding.numbers['cause'])}"
     if finding.numbers.get("angles_lack_gusts"):
         text += " alpha and beta lack them."
     if finding.numbers.get("general_bands"):
@@ -346,12 +346,16 @@ TEXTS: dict[Code, Text] = {
     "Compare a few, fit it again, or install those versions.",
     Code.TESTED_ON_TRAINING: "Flight {flight!r} is both learned from and tested on: its errors say "
     "nothing about other flights.",
+    Code.AIR_NOT_CONVERGED: "the estimate did not converge. Give longer flights with inputs of every "
+    "surface, and look at the signs and units of their sensors.",
+    Code.AIR_NOT_ESTIMATED: "{error}",
     Code.CONSTANT_REGRESSORS: "In the training flights {names!r} never change, so the model cannot "
     "learn their effects. Fly manoeuvres that move them, or leave them out of the regressors.",
     Code.GUSTS_UNKNOWN: _gusts_unknown,
     Code.LAGS_CORRECTED: _lags_corrected,
-    Code.PATH_NOT_CONVERGED: "The reconstruction of flight {flight!r} did not converge: its "
-    "sensors contradict one another. Look for wrong signs, units or clocks.",
+    Code.NO_AIRCRAFT: "no sensor measures alpha and beta, and no aircraft is given.",
+    Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
+    "sensors contradict one another: look for wrong signs, units or clocks.",
     Code.PATHS_RECONSTRUCTED: "reconstructed from all sensors: {reason}",
     Code.PATHS_SMOOTHED: "not reconstructed, only smoothed: {reason}",
     Code.SENSORS_MISSING: "Got flights without {names!r}, which those of the fit had: they are "
@@ -378,8 +382,6 @@ TEXTS: dict[Code, Text] = {
     "repeated rows (was a log read twice?).",
     Code.SEARCH_STOPPED: _search_stopped,
     Code.FIT_NOT_CONVERGED: "The fit has not converged: raise max_iter.",
-    Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
-    "sensors contradict one another.",
     Code.BANDS_TOO_NARROW: "95 % bands are too narrow: they hold {coverages:.0%} of the measured "
     "values.",
     Code.CONSTANT_BETTER_IN_FLIGHTS: "In {worse} of {tested} test flights a constant predicts better "

@@ -21,7 +21,6 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
-    reconstruction_of,
 )
 from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
 from skdgp.io import FULL_THROW
@@ -169,7 +168,7 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     step = pipeline["flightpathreconstruction"]
     converged: Mapping[Any, bool] = {}
-    gusts_unknown = ""
+    gusts_unknown = None
     reconstruction = None
     if isinstance(step, FlightPathReconstruction):
         converged = step.converged_
@@ -188,7 +187,6 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
         input_noise_std=dict(zip(names, map(float, input_std), strict=True)),
-        paths_reconstructed=reconstruction_of(pipeline) is not None,
         paths_not_converged=[str(name) for name, is_found in converged.items() if not is_found],
         gusts_unknown=gusts_unknown,
         reconstruction=reconstruction,

@@ -230,7 +230,7 @@ class FlightPipeline(Pipeline):
         if reconstruction.air_motion_ is not None:
             slopes = KnownSlopes(*reconstruction.air_motion_.slopes(*names))
             return {"slopes": slopes.scaled(scale)}
-        if reconstruction.doubt_:
+        if reconstruction.doubt_ is not None:
             return {"slopes": KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)}
         return {}
 

@@ -44,11 +44,6 @@ from skdgp.estimation import (
 from skdgp.preprocessing._cleaning import FlightSmoother
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
-NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
-NOT_CONVERGED = (
-    "the estimate did not converge. Give longer flights with inputs of every surface, and look at the "
-    "signs and units of their sensors."
-)
 DEGREES = 180 / np.pi
 # text, unit and unit's size of a sensor that contradicts the others
 CONTRADICTIONS = {
@@ -124,8 +119,8 @@ class FlightPathReconstruction(TableTransformer):
     air_motion_ : AirMotion or None
         Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
         no ``calibration_``.
-    doubt_ : str
-        Why gusts of flights without vanes are not known, in words; empty if they are, or with vanes.
+    doubt_ : Finding or None
+        That gusts of flights without vanes are not known, and why; None if they are, or with vanes.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds that of each flight.
@@ -188,7 +183,7 @@ class FlightPathReconstruction(TableTransformer):
         self.used_ = not self.missing_
         self.reason_ = "no sensor contradicts the others"
         self.air_motion_: AirMotion | None = None
-        self.doubt_ = ""
+        self.doubt_: Finding | None = None
         self.converged_: dict[Any, bool] = {}
         if self.missing_:
             self.reason_ = f"the flights lack {', '.join(self.missing_)}"
@@ -225,7 +220,8 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
-            self.doubt_ = NO_AIRCRAFT
+            cause = Finding(Code.NO_AIRCRAFT)
+            self.doubt_ = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
             return
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
@@ -241,26 +237,29 @@ class FlightPathReconstruction(TableTransformer):
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: AirMotion | None = None
-    ) -> tuple[AirMotion | None, str]:
-        """Return the motion of the air, None where it cannot be estimated, and why it is in doubt."""
+    ) -> tuple[AirMotion | None, Finding | None]:
+        """Return the motion of the air, None where it cannot be estimated, and its doubt, if any."""
         aircraft: Any = self.aircraft
         settings = self.settings or AirSettings()
-        motion, doubt = None, ""
+        motion = None
+        cause = None
         try:
             motion = estimate_air_motion(
                 table, aircraft, thrust=self.thrust, known=known, settings=settings
             )
         except ValueError as error:
-            doubt = str(error)
+            cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
         if motion is not None and not motion.converged:
-            doubt = NOT_CONVERGED
-        if doubt:
-            numbers = {
-                "reason": doubt,
-                "angles_lack_gusts": motion is None,
-                "general_bands": known is None,
-            }
-            report(Finding(Code.GUSTS_UNKNOWN, numbers=numbers), stacklevel=5)
+            cause = Finding(Code.AIR_NOT_CONVERGED)
+        if cause is None:
+            return motion, None
+        numbers = {
+            "cause": cause,
+            "angles_lack_gusts": motion is None,
+            "general_bands": known is None,
+        }
+        doubt = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
+        report(doubt, stacklevel=5)
         return motion, doubt
 
     def _transform_table(self, table):
@@ -333,9 +332,10 @@ class FlightPathReconstruction(TableTransformer):
                 kept = sensors.part(inner.start, inner.stop)
                 estimate = estimate._replace(path=path)
                 parts.append(FlightPart(name, rows[part][inner], kept, estimate))
-        diverged = [part.name for part in parts if not part.estimate.converged]
-        for name in dict.fromkeys(diverged):
-            report(Finding(Code.PATH_NOT_CONVERGED, flight=name), stacklevel=4)
+        diverged = [str(part.name) for part in parts if not part.estimate.converged]
+        if diverged:
+            numbers = {"flights": list(dict.fromkeys(diverged))}
+            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers), stacklevel=4)
         return parts
 
 

@@ -36,9 +36,8 @@ FIT = FitRecord(
     interrupted=False,
     noise_std={},
     input_noise_std={},
-    paths_reconstructed=True,
     paths_not_converged=[],
-    gusts_unknown="",
+    gusts_unknown=None,
     reconstruction=None,
     lags={},
     training=TrainingRecord(
@@ -315,8 +314,12 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
         assert found.warnings == ()
 
 
-def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
-    found = verdict(findings=[ALONE["a"]], paths_not_converged=["a"])
+@pytest.mark.parametrize("where", ["fit", "test"])
+def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
+    doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
+    found = verdict(findings=[ALONE["a"], doubt])
+    if where == "fit":
+        found = verdict(findings=[ALONE["a"], doubt], paths_not_converged=["a"])
     assert "The paths of these flights did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
     assert "yes" in {use.fit for use in verdict().uses}
@@ -326,8 +329,9 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
 
 @pytest.mark.parametrize("where", ["fit", "test"])
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
-    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"reason": "too short."})
-    found = verdict(gusts_unknown="too short.") if where == "fit" else verdict(findings=[doubt])
+    cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": "too short."})
+    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
+    found = verdict(gusts_unknown=doubt) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts are not known: too short.",)
     for purpose in ("predict coefficients", "simulate"):

@@ -227,7 +227,7 @@ def validate(run: Run) -> None:
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
         )
         if options.plan is not None:
-            thrust = None if result.settings["thrust"] in (None, "none") else "auto"
+            thrust = result.settings["thrust"]
             check = PlanCheck.from_file(
                 options.plan, model.pipeline, result.aircraft, thrust=thrust
             )

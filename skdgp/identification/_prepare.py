@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
+from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     CHANNELS,
@@ -51,6 +51,9 @@ LEARNED_PART = 0.75  # of a single flight, whose rest is held out
 
 # warnings of later steps about the same faults, and about constant regressors, which they number
 REPEATED = (Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED, Code.CONSTANT_INPUTS)
+
+# findings that are assumptions
+ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -327,10 +330,11 @@ def with_thrust_errors(
     return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
 
 
-def assumptions(
-    aircraft: Aircraft, *, has_full_throws: bool, lacks_thrust: bool
-) -> tuple[Finding, ...]:
-    """Return the assumptions; sizes are uncertain by errors of all causes together."""
+def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[Finding, ...]:
+    """Return the assumptions of the aircraft, and those among the reported findings.
+
+    Sizes are uncertain by errors of all causes together.
+    """
     findings = []
     factors = aircraft.deviations or {}
     sizes = _uncertain_sizes(aircraft)
@@ -339,11 +343,7 @@ def assumptions(
     sources = {name: f.source for name, f in factors.items() if f.source != "given"}
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
-    if has_full_throws:
-        findings.append(Finding(Code.FULL_THROWS))
-    if lacks_thrust:
-        findings.append(Finding(Code.THRUST_IN_COEFFICIENTS))
-    return tuple(findings)
+    return (*findings, *with_codes(reported, *ASSUMED))
 
 
 def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, str, float]]:

@@ -82,12 +82,12 @@ class TestWords:
         told = Aircraft.estimate(
             3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2])
         )
-        assert assumptions(told, has_full_throws=False, lacks_thrust=False) == ()
+        assert assumptions(told) == ()
 
     def test_sizes_are_said_with_all_their_errors(self):
         """Iyy follows the length by its square: 25 % of the radius and twice 15 % of the length."""
         aircraft = Aircraft.estimate(3.0, 1.8)
-        first = text_of(assumptions(aircraft, has_full_throws=False, lacks_thrust=False)[0])
+        first = text_of(assumptions(aircraft)[0])
         assert "wing area 0.432 m^2 ± 35 %" in first
         assert "Iyy 0.208 kg m^2 ± 39 %" in first
         assert "mass" not in first

@@ -31,6 +31,15 @@ REMEDIES: dict[Code, str] = {
     Code.SPIKE: "not measured",
     Code.CONSTANT: "a dead sensor, or none: drop the column unless the flight was simulated so",
 }
+DEGREES = 57.29578  # in a radian
+# Text of a sensor that contradicts the others, unit, and number of these in the SI unit
+SENSORS: dict[str, tuple[str, str, float]] = {
+    "gyro": ("the attitude does not follow the gyros", "deg/s", DEGREES),
+    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
+    "airspeed": ("airspeed does not follow the motion", "m/s", 1.0),
+    "alpha": ("alpha does not follow the motion", "deg", DEGREES),
+    "beta": ("beta does not follow the motion", "deg", DEGREES),
+}
 
 
 def text_of(finding: Finding) -> str:
@@ -191,7 +200,7 @@ def _contradiction_sentence(finding: Finding) -> str:
 
 def _large_surfaces(finding: Finding) -> str:
     surfaces = ", ".join(
-        f"{name} {top:.2f} rad ({57.29578 * top:.0f} deg)"
+        f"{name} {top:.2f} rad ({DEGREES * top:.0f} deg)"
         for name, top in finding.numbers["largest"].items()
     )
     return (
@@ -207,6 +216,33 @@ def _gusts_unknown(finding: Finding) -> str:
     if finding.numbers.get("general_bands"):
         text += " Bands of derivatives are those of small aircraft in general."
     return text
+
+
+def _paths(finding: Finding) -> str:
+    is_reconstructed = finding.code is Code.PATHS_RECONSTRUCTED
+    kind = (
+        "reconstructed from all sensors" if is_reconstructed else "not reconstructed, only smoothed"
+    )
+    return f"{kind}: {_paths_reason(finding)}"
+
+
+def _paths_reason(finding: Finding) -> str:
+    """Return why flight paths are reconstructed, or only smoothed."""
+    numbers = finding.numbers
+    if numbers["missing"]:
+        return f"the flights lack {', '.join(numbers['missing'])}"
+    if numbers["air"]:
+        return f"alpha and beta by the motion that gusts cause: {numbers['air']}"
+    if not numbers["contradictions"]:
+        return "no sensor contradicts the others"
+    parts = []
+    for contradiction in numbers["contradictions"]:
+        text, unit, factor = SENSORS[contradiction["sensor"]]
+        residual = factor * contradiction["residual"]
+        noise = factor * contradiction["noise"]
+        parts.append(f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})")
+    reasons = "; ".join(parts)
+    return f"although {reasons}" if finding.code is Code.PATHS_RECONSTRUCTED else reasons
 
 
 def _sizes_estimated(finding: Finding) -> str:
@@ -356,8 +392,8 @@ TEXTS: dict[Code, Text] = {
     Code.NO_AIRCRAFT: "no sensor measures alpha and beta, and no aircraft is given.",
     Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
     "sensors contradict one another: look for wrong signs, units or clocks.",
-    Code.PATHS_RECONSTRUCTED: "reconstructed from all sensors: {reason}",
-    Code.PATHS_SMOOTHED: "not reconstructed, only smoothed: {reason}",
+    Code.PATHS_RECONSTRUCTED: _paths,
+    Code.PATHS_SMOOTHED: _paths,
     Code.SENSORS_MISSING: "Got flights without {names!r}, which those of the fit had: they are "
     "smoothed channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
     "with those sensors.",
@@ -403,6 +439,8 @@ REASONS: dict[Code, Text] = {
     Code.HELD_OUT_QUARTER: "the last quarter of the only flight, {flight}",
     Code.GUSTS_UNKNOWN: "gusts without vanes are not known",
     Code.PATHS_NOT_CONVERGED: "a reconstruction did not converge",
+    Code.PATHS_RECONSTRUCTED: _paths_reason,
+    Code.PATHS_SMOOTHED: _paths_reason,
     Code.WRONG_SIGNS: "wrong sign of {names}",
     Code.CONSTANT_BETTER_IN_MOMENTS: "a constant predicts {names: } of the test flights better",
     Code.ERRORS_SMALL: "errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",

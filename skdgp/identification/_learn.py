@@ -173,8 +173,7 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     if isinstance(step, FlightPathReconstruction):
         converged = step.converged_
         gusts_unknown = step.doubt_
-        code = Code.PATHS_RECONSTRUCTED if step.used_ else Code.PATHS_SMOOTHED
-        reconstruction = Finding(code, numbers={"reason": step.reason_})
+        reconstruction = step.finding_
     weights = {name: _by_coefficient(values) for name, values in regressor.weights_.items()}
     return FitRecord(
         inference=regressor.inference_,

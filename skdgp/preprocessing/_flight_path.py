@@ -115,7 +115,7 @@ class FlightPathReconstruction(TableTransformer):
         Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
         no ``calibration_``.
     doubt_ : Finding or None
-        That gusts of flights without vanes are not known, and why; None if they are, or with vanes.
+        Why gusts of flights without vanes are not known; None if they are, or with vanes.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds that of each flight.

@@ -68,7 +68,7 @@ class FitRecord:
     paths_not_converged : sequence of str
         Training flights whose reconstruction did not converge.
     gusts_unknown : Finding, optional
-        That the gusts of flights without vanes are not known, and why.
+        Why the gusts of flights without vanes are not known.
     reconstruction : Finding, optional
         Whether flight paths are reconstructed, and why; None without this step.
     lags : mapping of str to mapping of str to object

@@ -241,7 +241,7 @@ def no_mechanics(monkeypatch):
     """Leave trim, derivatives and simulations of identified models out: for tests of other numbers and of files."""
     left_out = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
     monkeypatch.setattr(
-        _identification, "flight_mechanics", lambda *_: FlightMechanics(note=left_out)
+        _identification, "flight_mechanics", lambda *_: FlightMechanics(notes=(left_out,))
     )
 
 

@@ -74,10 +74,10 @@ def identify(run: Run) -> None:
       CSV or Parquet, one row per sample, SI units and radians (or units in the header:
       "alpha [deg]"): time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force,
       what accelerometers read), elevator, aileron, rudder (or elevon_left, elevon_right), throttle,
-      and thrust_x, thrust_y, thrust_z (or propeller_speed, with a propeller in the aircraft's
-      file). For the replay also phi, theta, psi, v_north, v_east, v_down. A column "flight" tells
-      several flights in one file apart. Logs of PX4 (.ulg), ArduPilot (.bin) and telemetry (.tlog)
-      are read too; --servos gives angles of surfaces.
+      and thrust along the thrust line (or thrust_x, thrust_y, thrust_z, or propeller_speed, with
+      a propeller in the aircraft's file). For the replay also phi, theta, psi, v_north, v_east,
+      v_down. A column "flight" tells several flights in one file apart. Logs of PX4 (.ulg),
+      ArduPilot (.bin) and telemetry (.tlog) are read too; --servos gives angles of surfaces.
 
     Aircraft file:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
@@ -227,7 +227,7 @@ def validate(run: Run) -> None:
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
         )
         if options.plan is not None:
-            thrust = None if result.settings["thrust"] in (None, "none") else "auto"
+            thrust = result.settings["thrust"]
             check = PlanCheck.from_file(
                 options.plan, model.pipeline, result.aircraft, thrust=thrust
             )

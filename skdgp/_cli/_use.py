@@ -81,7 +81,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             f"derivatives by rates are too small: learn from flights in calmer air.",
             stacklevel=2,
         )
-    return model, None if learned.get("thrust", "auto") in (None, "none") else "auto"
+    return model, learned.get("thrust", "auto")
 
 
 def predict(run: Run) -> None:
@@ -232,7 +232,8 @@ def plan(run: Run) -> None:
       skdgp plan results/model.joblib --airspeed 30 --seconds 120 --axes elevator --goal Cm_q -o pitch
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
-    options, console = run.options, run.console
+    options = run.options
+    console = run.console
     axes = list(dict.fromkeys(options.axes))
     full = dict(options.full)
     if full:

@@ -54,10 +54,13 @@ class Code(Enum):
     TESTED_ON_TRAINING = "tested_on_training"
 
     # transformers
+    AIR_NOT_CONVERGED = "air_not_converged"
+    AIR_NOT_ESTIMATED = "air_not_estimated"
     CONSTANT_REGRESSORS = "constant_regressors"
     GUSTS_UNKNOWN = "gusts_unknown"
     LAGS_CORRECTED = "lags_corrected"
-    PATH_NOT_CONVERGED = "path_not_converged"
+    NO_AIRCRAFT = "no_aircraft"
+    PATHS_NOT_CONVERGED = "paths_not_converged"
     PATHS_RECONSTRUCTED = "paths_reconstructed"
     PATHS_SMOOTHED = "paths_smoothed"
     SENSORS_MISSING = "sensors_missing"
@@ -72,7 +75,6 @@ class Code(Enum):
     FIT_INTERRUPTED = "fit_interrupted"
     FIT_NOT_CONVERGED = "fit_not_converged"
     INDICES_DIFFER = "indices_differ"
-    PATHS_NOT_CONVERGED = "paths_not_converged"
     SAMPLES_REPEATED = "samples_repeated"
     SEARCH_STOPPED = "search_stopped"
 

@@ -31,6 +31,15 @@ REMEDIES: dict[Code, str] = {
     Code.SPIKE: "not measured",
     Code.CONSTANT: "a dead sensor, or none: drop the column unless the flight was simulated so",
 }
+DEGREES = 57.29578  # in a radian
+# Text of a sensor that contradicts the others, unit, and number of these in the SI unit
+SENSORS: dict[str, tuple[str, str, float]] = {
+    "gyro": ("the attitude does not follow the gyros", "deg/s", DEGREES),
+    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
+    "airspeed": ("airspeed does not follow the motion", "m/s", 1.0),
+    "alpha": ("alpha does not follow the motion", "deg", DEGREES),
+    "beta": ("beta does not follow the motion", "deg", DEGREES),
+}
 
 
 def text_of(finding: Finding) -> str:
@@ -56,14 +65,23 @@ def reason_of(finding: Finding) -> str:
 
 
 def reasons_of(findings: Iterable[Finding]) -> str:
-    """Return several findings as one sentence without its stop: what speaks against others follows a "but"."""
+    """Return several findings as one sentence without its stop: the first warning after a note follows a "but".
+
+    Examples
+    --------
+    >>> small = Finding(Code.ERRORS_SMALL, numbers={"smallest": 0.1, "largest": 0.2})
+    >>> reasons = reasons_of([small, Finding(Code.GUSTS_UNKNOWN), Finding(Code.NO_BANDS)])
+    >>> reasons.partition("; ")[2]
+    'but gusts without vanes are not known; the model has no bands of derivatives'
+    """
     text = ""
-    before = Severity.WARNING
+    follows_note = False
     for finding in findings:
-        contrast = before is Severity.NOTE and finding.severity is not Severity.NOTE
-        separator = "; but " if contrast else "; "
-        text += (separator if text else "") + reason_of(finding)
-        before = Severity.NOTE if contrast else finding.severity
+        is_note = finding.severity is Severity.NOTE
+        if text:
+            text += "; but " if follows_note and not is_note else "; "
+        text += reason_of(finding)
+        follows_note = is_note
     return text
 
 
@@ -158,9 +176,31 @@ def _faults_excluded(finding: Finding) -> str:
     return f"{_faults(finding)} The coefficients are not known there (NaN)."
 
 
+def _contradiction(finding: Finding) -> str:
+    """Return the channels that may be wrong, the slope or lag that shows it, and how sure it is."""
+    template = (
+        "{channels: or } is probably wrong: the slope of {y} over {x} is {slope:.3g} ± {std:.2g}, "
+        "but expected {expected}"
+    )
+    if "lag" in finding.numbers:
+        template = (
+            "{channels: or } is probably wrong: {y} is {lag:.2g} ± {std:.2g} s late against {x}"
+        )
+    if finding.flight is not None:
+        template = "flight {flight}: " + template
+    template += (
+        " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)"
+    )
+    return _filled(template, finding)
+
+
+def _contradiction_sentence(finding: Finding) -> str:
+    return f"Contradiction in the flights: {_contradiction(finding)}."
+
+
 def _large_surfaces(finding: Finding) -> str:
     surfaces = ", ".join(
-        f"{name} {top:.2f} rad ({57.29578 * top:.0f} deg)"
+        f"{name} {top:.2f} rad ({DEGREES * top:.0f} deg)"
         for name, top in finding.numbers["largest"].items()
     )
     return (
@@ -170,12 +210,39 @@ def _large_surfaces(finding: Finding) -> str:
 
 
 def _gusts_unknown(finding: Finding) -> str:
-    text = f"Gusts are not known: {finding.numbers['reason']}"
+    text = f"Gusts are not known: {text_of(finding.numbers['cause'])}"
     if finding.numbers.get("angles_lack_gusts"):
         text += " alpha and beta lack them."
     if finding.numbers.get("general_bands"):
         text += " Bands of derivatives are those of small aircraft in general."
     return text
+
+
+def _paths(finding: Finding) -> str:
+    is_reconstructed = finding.code is Code.PATHS_RECONSTRUCTED
+    kind = (
+        "reconstructed from all sensors" if is_reconstructed else "not reconstructed, only smoothed"
+    )
+    return f"{kind}: {_paths_reason(finding)}"
+
+
+def _paths_reason(finding: Finding) -> str:
+    """Return why flight paths are reconstructed, or only smoothed."""
+    numbers = finding.numbers
+    if numbers["missing"]:
+        return f"the flights lack {', '.join(numbers['missing'])}"
+    if numbers["air"]:
+        return f"alpha and beta by the motion that gusts cause: {numbers['air']}"
+    if not numbers["contradictions"]:
+        return "no sensor contradicts the others"
+    parts = []
+    for contradiction in numbers["contradictions"]:
+        text, unit, factor = SENSORS[contradiction["sensor"]]
+        residual = factor * contradiction["residual"]
+        noise = factor * contradiction["noise"]
+        parts.append(f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})")
+    reasons = "; ".join(parts)
+    return f"although {reasons}" if finding.code is Code.PATHS_RECONSTRUCTED else reasons
 
 
 def _sizes_estimated(finding: Finding) -> str:
@@ -287,7 +354,7 @@ TEXTS: dict[Code, Text] = {
     **dict.fromkeys(FAULTS, _fault),
     Code.FAULTS_BRIDGED: _faults_bridged,
     Code.FAULTS_EXCLUDED: _faults_excluded,
-    Code.CONTRADICTION: "Contradiction in the flights: {contradiction}.",
+    Code.CONTRADICTION: _contradiction_sentence,
     Code.LARGE_SURFACES: _large_surfaces,
     Code.LONE_ROWS: "Flight {flight!r}: {rows} rows that stand alone between gaps are left out.",
     Code.NO_ELEVATOR: "Got flights without an elevator: its effect goes into the coefficients of "
@@ -302,10 +369,9 @@ TEXTS: dict[Code, Text] = {
     "effects are of a full throw.",
     Code.SIZES_ESTIMATED: _sizes_estimated,
     Code.SIZES_SOURCES: "Estimated by: {sources}.",
-    Code.THRUST_IN_COEFFICIENTS: "Neither thrust_x, thrust_y, thrust_z nor a propeller and its "
-    "speed give the thrust (a column thrust is for simulations), so it is part of the coefficients, "
-    "with throttle and airspeed as regressors: CX is thrust less drag, which the model does not "
-    "tell apart.",
+    Code.THRUST_IN_COEFFICIENTS: "Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
+    "propeller and its speed give the thrust, so it is part of the coefficients, with throttle and "
+    "airspeed as regressors: CX is thrust less drag, which the model does not tell apart.",
     Code.ALREADY_LEARNED: "The model learned from a flight {flight!r}: if it is this one, its "
     "errors say nothing about others.",
     Code.HELD_OUT_FLIGHT: "No test flight was named: the last flight, {flight}, is held out of the "
@@ -316,14 +382,18 @@ TEXTS: dict[Code, Text] = {
     "Compare a few, fit it again, or install those versions.",
     Code.TESTED_ON_TRAINING: "Flight {flight!r} is both learned from and tested on: its errors say "
     "nothing about other flights.",
+    Code.AIR_NOT_CONVERGED: "the estimate did not converge. Give longer flights with inputs of every "
+    "surface, and look at the signs and units of their sensors.",
+    Code.AIR_NOT_ESTIMATED: "{error}",
     Code.CONSTANT_REGRESSORS: "In the training flights {names!r} never change, so the model cannot "
     "learn their effects. Fly manoeuvres that move them, or leave them out of the regressors.",
     Code.GUSTS_UNKNOWN: _gusts_unknown,
     Code.LAGS_CORRECTED: _lags_corrected,
-    Code.PATH_NOT_CONVERGED: "The reconstruction of flight {flight!r} did not converge: its "
-    "sensors contradict one another. Look for wrong signs, units or clocks.",
-    Code.PATHS_RECONSTRUCTED: "reconstructed from all sensors: {reason}",
-    Code.PATHS_SMOOTHED: "not reconstructed, only smoothed: {reason}",
+    Code.NO_AIRCRAFT: "no sensor measures alpha and beta, and no aircraft is given.",
+    Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
+    "sensors contradict one another: look for wrong signs, units or clocks.",
+    Code.PATHS_RECONSTRUCTED: _paths,
+    Code.PATHS_SMOOTHED: _paths,
     Code.SENSORS_MISSING: "Got flights without {names!r}, which those of the fit had: they are "
     "smoothed channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
     "with those sensors.",
@@ -348,8 +418,6 @@ TEXTS: dict[Code, Text] = {
     "repeated rows (was a log read twice?).",
     Code.SEARCH_STOPPED: _search_stopped,
     Code.FIT_NOT_CONVERGED: "The fit has not converged: raise max_iter.",
-    Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
-    "sensors contradict one another.",
     Code.BANDS_TOO_NARROW: "95 % bands are too narrow: they hold {coverages:.0%} of the measured "
     "values.",
     Code.CONSTANT_BETTER_IN_FLIGHTS: "In {worse} of {tested} test flights a constant predicts better "
@@ -357,8 +425,8 @@ TEXTS: dict[Code, Text] = {
     Code.LEAST_SQUARES_BETTER: "Least squares is better in {worse} of {coefficients} coefficients: "
     "{names: }.",
     Code.NO_DERIVATIVES: "No derivatives: {error}",
-    Code.NO_TRIM: "No steady flight was found at {airspeed:.3g} m/s: derivatives are at the median "
-    "state, without modes.",
+    Code.NO_TRIM: "No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
+    "state, and there are no modes.",
     Code.NOT_SIMULATED: "{error}",
     Code.WRONG_SIGNS: "Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
     "the signs of the log's surfaces and rates, and at gusts without vanes.",
@@ -366,10 +434,13 @@ TEXTS: dict[Code, Text] = {
 
 REASONS: dict[Code, Text] = {
     Code.MESSAGE: "{text}",
+    Code.CONTRADICTION: _contradiction,
     Code.HELD_OUT_FLIGHT: "the last flight, {flight}",
     Code.HELD_OUT_QUARTER: "the last quarter of the only flight, {flight}",
     Code.GUSTS_UNKNOWN: "gusts without vanes are not known",
     Code.PATHS_NOT_CONVERGED: "a reconstruction did not converge",
+    Code.PATHS_RECONSTRUCTED: _paths_reason,
+    Code.PATHS_SMOOTHED: _paths_reason,
     Code.WRONG_SIGNS: "wrong sign of {names}",
     Code.CONSTANT_BETTER_IN_MOMENTS: "a constant predicts {names: } of the test flights better",
     Code.ERRORS_SMALL: "errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",

@@ -33,6 +33,8 @@ WIND = ("wind_north", "wind_east", "wind_down")
 MIXED = ("elevator", "aileron")
 ELEVONS = ("elevon_left", "elevon_right")
 THRUST_FORCES = ("thrust_x", "thrust_y", "thrust_z")
+# any of these gives the thrust: along the thrust line, or by its components
+THRUST_COLUMNS = ("thrust", *THRUST_FORCES)
 THRUST_MOMENTS = ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)

@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.findings import Code, Finding
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import (
@@ -111,23 +112,21 @@ class Contradiction(NamedTuple):
     n_effective: float
 
     @property
-    def message(self) -> str:
-        """One sentence of the channels and the numbers."""
+    def finding(self) -> Finding:
+        """The finding of the compared signals, y over x, and the numbers."""
         check = CHECKS[self.check]
-        names = " or ".join(self.channels)
-        result = (
-            f"the slope of {check.y} over {check.x} is {self.slope:.3g} ± {self.std:.2g}, "
-            f"but expected {check.expected}"
-        )
-        if self.quantity == "lag":
-            result = f"{check.y} is {self.slope:.2g} ± {self.std:.2g} s late against {check.x}"
-        return (
-            f"{names} is probably wrong: {result} (t = {self.t:.1f}, correlation "
-            f"{self.correlation:.2f}, {self.n_effective:.0f} effective samples)"
-        )
-
-    def __str__(self) -> str:
-        return self.message if self.flight is None else f"flight {self.flight}: {self.message}"
+        numbers = {
+            "channels": list(self.channels),
+            "y": check.y,
+            "x": check.x,
+            "expected": check.expected,
+            self.quantity: self.slope,
+            "std": self.std,
+            "t": self.t,
+            "correlation": self.correlation,
+            "effective_samples": self.n_effective,
+        }
+        return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,16 @@ import pandas as pd
 
 from skdgp._compute.linalg import eigen_root
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import ELEVONS, EULER, HAT, MIXED, RATES, SURFACES, THRUST_FORCES, VANES
+from skdgp._flight.channels import (
+    ELEVONS,
+    EULER,
+    HAT,
+    MIXED,
+    RATES,
+    SURFACES,
+    THRUST_COLUMNS,
+    VANES,
+)
 from skdgp._flight.checks import check_columns, check_radians, check_table
 from skdgp._flight.tables import has_values
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
@@ -215,7 +224,8 @@ def estimate_air_motion(
         samples at 50 to 100 Hz, the first parts of the records are used.
     aircraft : Aircraft
     terms : mapping of str to sequence of str, optional
-        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces.
+        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces. Without CX the axial
+        force is taken as measured, see ``thrust``.
     thrust : str or None, default="auto"
         As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
         measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
@@ -238,15 +248,15 @@ def estimate_air_motion(
     check_columns(check_table(table), ["time", *PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
     table = _with_elevator_and_aileron(table)
-    has_thrust = thrust is not None and _has_thrust(table, aircraft)
-    if known is not None and not _has_drag(known.derivatives.index):
-        has_thrust = False
-    loads = propulsive_loads(table, aircraft, thrust if has_thrust else None)
     if known is None:
         surfaces = [name for name in SURFACES if _moves(table, name)]
         fewest = settings.fewest_samples
+        derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
     else:
         surfaces, fewest = known.surfaces, 2
+        derivatives = _as_prior(known.derivatives)
+    has_thrust = thrust is not None and _has_thrust(table, aircraft) and _has_drag(derivatives)
+    loads = propulsive_loads(table, aircraft, thrust if has_thrust else None)
     records = records_of(table, surfaces, np.concatenate(loads, axis=1), fewest, settings)
     if not records:
         raise ValueError(
@@ -254,9 +264,6 @@ def estimate_air_motion(
         )
     if known is None:
         records = shortened(records, settings)
-        derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
-    else:
-        derivatives = _as_prior(known.derivatives)
     if not has_thrust:
         records = [record.with_axial_force(aircraft.mass) for record in records]
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
@@ -294,7 +301,7 @@ def _has_drag(derivatives: Iterable[str]) -> bool:
 
 def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
     """Return whether thrust is in the table, or follows from the propeller."""
-    if any(has_values(table, name) for name in ("thrust", *THRUST_FORCES)):
+    if any(has_values(table, name) for name in THRUST_COLUMNS):
         return True
     return propeller_speed_of(aircraft.propeller, table) is not None
 

@@ -151,7 +151,7 @@ def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) 
     missing = {*SURFACES} - {*surfaces}
     priors = {}
     for coefficient in COEFFICIENTS:
-        for term in terms[coefficient]:
+        for term in terms.get(coefficient, ()):
             if term not in missing:
                 name = f"{coefficient}_{term}"
                 priors[name] = DERIVATIVES.get(name, OTHER_DERIVATIVE)

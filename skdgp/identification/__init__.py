@@ -7,7 +7,6 @@ from skdgp.identification._identify import identify, validate
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
-    default_regressor,
     flight_regressors,
     make_identification_pipeline,
 )
@@ -17,7 +16,6 @@ __all__ = [
     "Identification",
     "ModelFileError",
     "check_identified",
-    "default_regressor",
     "flight_regressors",
     "identify",
     "load_model",

@@ -161,7 +161,9 @@ class Identification:
 
     def summary(self) -> str:
         """Return the text of the command line: scores of all test flights together, and a line or table of each."""
-        fit, tested, verdict = self.fit, self.evaluations, self.verdict
+        fit = self.fit
+        tested = self.evaluations
+        verdict = self.verdict
         lines = [self._fit_text()]
         if not fit.converged:
             lines.append(f"not converged after {fit.iterations} iterations: raise max_iter")
@@ -248,7 +250,9 @@ class Identification:
 
     def _facts(self) -> dict[str, str]:
         """Return the facts of the fit as text; empty where a fact does not apply."""
-        fit, aircraft, settings = self.fit, self.aircraft, self.settings
+        fit = self.fit
+        aircraft = self.aircraft
+        settings = self.settings
         regressor = self.pipeline[-1]
         tested = {flight.name: flight.table for flight in self.evaluations}
         sources = thrust_sources(settings["thrust"], [*self.train.values(), *tested.values()])
@@ -331,13 +335,14 @@ def _score_metrics(tables: Mapping[str, pd.DataFrame]) -> dict:
 def _score_text(of: Mapping[str, pd.DataFrame], names: list[str]) -> str:
     """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
     tables = {key: pd.concat([x, group_means(x)]) for key, x in of.items()}
-    measured, truth = tables["measured"].loc[names], tables.get("truth", pd.DataFrame())
+    measured = tables["measured"].loc[names]
     columns = {
         "rel. error [%]": 100 * measured["median_relative_error"],
         "NRMSE": measured["normalized_rmse"],
         "in 95 % band [%]": 100 * measured["interval_coverage"],
     }
-    if len(truth):
+    if "truth" in tables:
+        truth = tables["truth"]
         columns["rel. error of truth [%]"] = 100 * truth["median_relative_error"]
         columns["NRMSE of truth"] = truth["normalized_rmse"]
     form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in columns}

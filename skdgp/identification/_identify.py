@@ -129,11 +129,7 @@ def identify(
         train=prepared.train,
         evaluations=evaluations,
         findings=tuple(record.findings),
-        assumptions=assumptions(
-            model.aircraft,
-            has_full_throws=prepared.has_full_throws,
-            lacks_thrust=prepared.lacks_thrust,
-        ),
+        assumptions=assumptions(model.aircraft, record.findings),
     )
 
 

@@ -15,13 +15,12 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_FORCES
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_COLUMNS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
-    reconstruction_of,
 )
 from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
 from skdgp.io import FULL_THROW
@@ -169,13 +168,12 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     step = pipeline["flightpathreconstruction"]
     converged: Mapping[Any, bool] = {}
-    gusts_unknown = ""
+    gusts_unknown = None
     reconstruction = None
     if isinstance(step, FlightPathReconstruction):
         converged = step.converged_
         gusts_unknown = step.doubt_
-        code = Code.PATHS_RECONSTRUCTED if step.used_ else Code.PATHS_SMOOTHED
-        reconstruction = Finding(code, numbers={"reason": step.reason_})
+        reconstruction = step.finding_
     weights = {name: _by_coefficient(values) for name, values in regressor.weights_.items()}
     return FitRecord(
         inference=regressor.inference_,
@@ -188,7 +186,6 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
         input_noise_std=dict(zip(names, map(float, input_std), strict=True)),
-        paths_reconstructed=reconstruction_of(pipeline) is not None,
         paths_not_converged=[str(name) for name, is_found in converged.items() if not is_found],
         gusts_unknown=gusts_unknown,
         reconstruction=reconstruction,
@@ -210,7 +207,7 @@ def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[s
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust is None:
         return ["none"]
-    has_columns = [bool({*THRUST_FORCES} & {*table.columns}) for table in tables]
+    has_columns = [bool({*THRUST_COLUMNS} & {*table.columns}) for table in tables]
     return sorted({"columns" if has else "propeller" for has in has_columns})
 
 

@@ -49,6 +49,7 @@ def flight_mechanics(
     thrust = settings["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     results: dict[str, Any] = {}
+    notes = []
     airspeed = float(flown["airspeed"])
     state_and_inputs: tuple
     try:
@@ -56,19 +57,19 @@ def flight_mechanics(
         results["trim"] = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
         state_and_inputs = (results["trim"],)
     except ValueError:
-        results["note"] = Finding(Code.NO_TRIM, numbers={"airspeed": airspeed})
+        notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
         state_and_inputs = _median_state(flown)
     try:
         results |= _derivatives(pipeline, aircraft, state_and_inputs, conditions, least_squares)
     except ValueError as error:
-        results["note"] = Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)})
+        notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
     try:
         flown_states = [reconstructed(pipeline, table) for table in test]
         results["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
         results["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
     except ValueError as error:
         results["simulation_note"] = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
-    return FlightMechanics(**results)
+    return FlightMechanics(notes=tuple(notes), **results)
 
 
 def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:

@@ -52,7 +52,7 @@ def save_model(
     pipeline : Pipeline
     aircraft : Aircraft
     **facts
-        Further entries, such as ``options={"thrust": "columns"}``.
+        Further entries, such as ``options={"thrust": None}``.
 
     Returns
     -------

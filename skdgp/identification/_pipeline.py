@@ -133,18 +133,6 @@ def make_identification_pipeline(
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def default_regressor(**parameters: Any) -> DependentGPRegressor:
-    """Return ``DependentGPRegressor(**parameters)``, the regressor of pipelines and of the command line.
-
-    Examples
-    --------
-    >>> from skdgp.identification import default_regressor
-    >>> default_regressor(random_state=0)
-    DependentGPRegressor(random_state=0)
-    """
-    return DependentGPRegressor(**parameters)
-
-
 def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
     r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than in the fit.
 
@@ -242,7 +230,7 @@ class FlightPipeline(Pipeline):
         if reconstruction.air_motion_ is not None:
             slopes = KnownSlopes(*reconstruction.air_motion_.slopes(*names))
             return {"slopes": slopes.scaled(scale)}
-        if reconstruction.doubt_:
+        if reconstruction.doubt_ is not None:
             return {"slopes": KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)}
         return {}
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
+from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     CHANNELS,
@@ -22,7 +22,7 @@ from skdgp._flight.channels import (
     REGRESSOR_SETS,
     SPECIFIC_FORCE,
     SURFACES,
-    THRUST_FORCES,
+    THRUST_COLUMNS,
 )
 from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import flight_segments
@@ -51,6 +51,9 @@ LEARNED_PART = 0.75  # of a single flight, whose rest is held out
 
 # warnings of later steps about the same faults, and about constant regressors, which they number
 REPEATED = (Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED, Code.CONSTANT_INPUTS)
+
+# findings that are assumptions
+ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -239,9 +242,7 @@ def usable_flights(
         check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
     checked = {name: FlightCheck().fit_transform(table) for name, table in flights.items()}
     for contradiction in find_contradictions(pd.concat(checked.values(), ignore_index=True)):
-        numbers = {"contradiction": str(contradiction)}
-        finding = Finding(Code.CONTRADICTION, flight=contradiction.flight, numbers=numbers)
-        report(finding, FlightDataWarning, stacklevel=3)
+        report(contradiction.finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
 
@@ -286,7 +287,7 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     if thrust != "auto":
         return False
     for table in tables:
-        has_thrust = bool({*THRUST_FORCES} & {*table})
+        has_thrust = bool({*THRUST_COLUMNS} & {*table})
         if has_thrust or "throttle" not in table:
             return False
         if propeller_speed_of(aircraft.propeller, table) is not None:
@@ -329,10 +330,11 @@ def with_thrust_errors(
     return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
 
 
-def assumptions(
-    aircraft: Aircraft, *, has_full_throws: bool, lacks_thrust: bool
-) -> tuple[Finding, ...]:
-    """Return the assumptions; sizes are uncertain by errors of all causes together."""
+def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[Finding, ...]:
+    """Return the assumptions of the aircraft, and those among the reported findings.
+
+    Sizes are uncertain by errors of all causes together.
+    """
     findings = []
     factors = aircraft.deviations or {}
     sizes = _uncertain_sizes(aircraft)
@@ -341,11 +343,7 @@ def assumptions(
     sources = {name: f.source for name, f in factors.items() if f.source != "given"}
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
-    if has_full_throws:
-        findings.append(Finding(Code.FULL_THROWS))
-    if lacks_thrust:
-        findings.append(Finding(Code.THRUST_IN_COEFFICIENTS))
-    return tuple(findings)
+    return (*findings, *with_codes(reported, *ASSUMED))
 
 
 def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, str, float]]:

@@ -135,7 +135,8 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
         return Use(purpose, "no", (finding,))
     table = mechanics.simulation
     if table is None:
-        return Use(purpose, "unknown", _given(mechanics.simulation_note))
+        note = mechanics.simulation_note
+        return Use(purpose, "unknown", () if note is None else (note,))
     ends = table["lasts"].sort_values()
     seconds = float(ends.iloc[0])
     horizon = float(table["horizon"].iloc[0])
@@ -155,17 +156,13 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     return Use(purpose, fit, (Finding(Code.FOLLOWS_SHORTLY, numbers=late),))
 
 
-def _given(finding: Finding | None) -> tuple[Finding, ...]:
-    return () if finding is None else (finding,)
-
-
 def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Finding]) -> Use:
     """Return whether the model serves to design a controller."""
     purpose = "design a controller"
     if faults:
         return Use(purpose, "no", tuple(faults))
     if mechanics.trim is None or mechanics.derivatives.empty:
-        return Use(purpose, "no", _given(mechanics.note))
+        return Use(purpose, "no", mechanics.notes)
     if "std" not in mechanics.derivatives:
         return Use(purpose, "unknown", (Finding(Code.NO_BANDS),))
     widths = _half_widths(mechanics)
@@ -197,9 +194,7 @@ def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
     if bands.empty:
         return None
     if mechanics.modes is not None:
-        # several of one kind, as of two real roots, are numbered
-        kinds = mechanics.modes.index.str.replace(r" \d+$", "", regex=True)
-        is_fast = kinds.isin(FAST_MODES)
+        is_fast = mechanics.mode_kinds.isin(FAST_MODES)
         fast = mechanics.modes.loc[is_fast, ["frequency", "frequency_std"]]
         bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
     return 1.96 * bands["std"] / bands["value"].abs()

@@ -297,7 +297,8 @@ class CentredTerm:
 
     .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
 
-    For an average it is the mixture of the terms of its components, zero where one lacks the term. Errors of the function add their variance: linear ones to the terms of single regressors,
+    For an average it is the mixture of the terms of its components, zero where one lacks the term.
+    Errors of the function add their variance: linear ones to the terms of single regressors,
     the discrepancy to the term of all regressors.
 
     Parameters

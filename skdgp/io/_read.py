@@ -15,7 +15,7 @@ import pandas as pd
 
 from skdgp._compute.files import plain
 from skdgp._compute.messages import warn
-from skdgp._compute.wording import grouped_faults
+from skdgp._compute.wording import grouped_faults, reason_of
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
@@ -394,6 +394,7 @@ def _faults(table: pd.DataFrame) -> list[str]:
     """Return faults and contradictions of flights; no contradiction if their clocks are too irregular to filter."""
     faults = grouped_faults(fault.finding for fault in find_faults(table))
     try:
-        return faults + [str(contradiction) for contradiction in find_contradictions(table)]
+        contradictions = find_contradictions(table)
     except ValueError:
         return faults
+    return faults + [reason_of(contradiction.finding) for contradiction in contradictions]

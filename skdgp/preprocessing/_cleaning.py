@@ -50,8 +50,7 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     ``gap``        time jumps forward by more than 2.5 steps
     ``missing``    no value where the channel usually has one
     ``stuck``      a sensor repeats its last value for 0.3 s or longer
-    ``impossible`` a value that no aircraft has; in more than 5 % of the samples it is another unit,
-    and no fault
+    ``impossible`` a value that no aircraft has, in at most 5 % of the samples: more are of another unit
     ``spike``      up to three samples that jump away from their neighbours
     ``constant``   a sensor that never changes while similar ones do
     ============== ===========================================================================================

@@ -14,6 +14,7 @@ from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices, Vector
+from skdgp._compute.wording import reason_of
 from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, EULER, RATES, VANES
 from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.faults import FlightDataWarning
@@ -43,21 +44,6 @@ from skdgp.estimation import (
 )
 from skdgp.preprocessing._cleaning import FlightSmoother
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
-
-NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
-NOT_CONVERGED = (
-    "the estimate did not converge. Give longer flights with inputs of every surface, and look at the "
-    "signs and units of their sensors."
-)
-DEGREES = 180 / np.pi
-# text, unit and unit's size of a sensor that contradicts the others
-CONTRADICTIONS = {
-    "gyro": ("the attitude does not follow the gyros", "deg/s", DEGREES),
-    "accelerometer": ("the velocity does not follow the accelerometers", "m/s2", 1.0),
-    "airspeed": ("airspeed does not follow the motion", "m/s", 1.0),
-    "alpha": ("alpha does not follow the motion", "deg", DEGREES),
-    "beta": ("beta does not follow the motion", "deg", DEGREES),
-}
 
 
 class FlightPart(NamedTuple):
@@ -113,8 +99,12 @@ class FlightPathReconstruction(TableTransformer):
     ----------
     used_, reason_ : bool, str
         Whether ``transform`` reconstructs flights, or passes them unchanged, and why.
+    finding_ : Finding
+        The same as a finding.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
+    contradictions_ : list of Contradiction
+        Sensors that contradict the others, with residual and noise.
     converged_ : dict of str to bool
         Whether the search for the path converged, for each flight of ``fit``: where it did not, its
         sensors contradict one another.
@@ -124,8 +114,8 @@ class FlightPathReconstruction(TableTransformer):
     air_motion_ : AirMotion or None
         Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
         no ``calibration_``.
-    doubt_ : str
-        Why gusts of flights without vanes are not known, in words; empty if they are, or with vanes.
+    doubt_ : Finding or None
+        Why gusts of flights without vanes are not known; None if they are, or with vanes.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds the value of each flight.
@@ -183,16 +173,31 @@ class FlightPathReconstruction(TableTransformer):
         motion = self.air_motion_
         return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
 
+    @property
+    def finding_(self) -> Finding:
+        """Whether ``transform`` reconstructs flights, and why."""
+        code = Code.PATHS_RECONSTRUCTED if self.used_ else Code.PATHS_SMOOTHED
+        numbers = {
+            "missing": self.missing_,
+            "contradictions": [found._asdict() for found in self.contradictions_],
+            "air": "" if self.air_motion_ is None else self.air_motion_.summary,
+        }
+        return Finding(code, numbers=numbers)
+
+    @property
+    def reason_(self) -> str:
+        """Why ``transform`` reconstructs flights, or not, in words."""
+        return reason_of(self.finding_)
+
     def _fit_table(self, table):
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
         self.used_ = not self.missing_
-        self.reason_ = "no sensor contradicts the others"
+        self.contradictions_: list[Contradiction] = []
         self.air_motion_: AirMotion | None = None
-        self.doubt_ = ""
+        self.doubt_: Finding | None = None
         self.converged_: dict[Any, bool] = {}
         if self.missing_:
-            self.reason_ = f"the flights lack {', '.join(self.missing_)}"
             return
         self._check(table)
         has_vanes = has_values(table, *AIR_DATA)
@@ -214,19 +219,17 @@ class FlightPathReconstruction(TableTransformer):
             self.noise_std_[name] = _mean_std(stds, samples)
         self.gust_std_ = _mean_std([_gust_std(part.estimate) for part in parts], samples)
         self.calibration_ = pd.concat([_calibration(part) for part in parts], ignore_index=True)
-        contradictory = contradictions([part.sensors for part in parts], self.noise_std_)
-        if not contradictory:
-            return
+        found = contradictions([part.sensors for part in parts], self.noise_std_)
+        self.contradictions_ = found
         # one sensor of air data alone is probably filtered by the autopilot
-        is_filtered = len(contradictory) == 1 and contradictory[0].sensor in AIR_DATA
-        self.used_ = is_filtered or not (self.optional and has_vanes)
-        reasons = "; ".join(map(_contradiction_text, contradictory))
-        self.reason_ = f"although {reasons}" if self.used_ else reasons
+        is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
+        self.used_ = not found or is_filtered or not (self.optional and has_vanes)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
-            self.doubt_ = NO_AIRCRAFT
+            cause = Finding(Code.NO_AIRCRAFT)
+            self.doubt_ = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
             return
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
@@ -235,33 +238,35 @@ class FlightPathReconstruction(TableTransformer):
         self.air_motion_ = replace(motion, air=mean)
         names = [flight.name for flight in flights_of(table)]
         self.converged_ = dict.fromkeys(names, motion.converged)
-        self.reason_ = f"alpha and beta by the motion that gusts cause: {motion.summary}"
         changes = [motion.gust_change(number) for number in range(len(names))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: AirMotion | None = None
-    ) -> tuple[AirMotion | None, str]:
-        """Return the motion of the air, None where it cannot be estimated, and why it is in doubt."""
+    ) -> tuple[AirMotion | None, Finding | None]:
+        """Return the motion of the air, None where it cannot be estimated, and its doubt, if any."""
         aircraft: Any = self.aircraft
         settings = self.settings or AirSettings()
-        motion, doubt = None, ""
+        motion = None
+        cause = None
         try:
             motion = estimate_air_motion(
                 table, aircraft, thrust=self.thrust, known=known, settings=settings
             )
         except ValueError as error:
-            doubt = str(error)
+            cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
         if motion is not None and not motion.converged:
-            doubt = NOT_CONVERGED
-        if doubt:
-            numbers = {
-                "reason": doubt,
-                "angles_lack_gusts": motion is None,
-                "general_bands": known is None,
-            }
-            report(Finding(Code.GUSTS_UNKNOWN, numbers=numbers), stacklevel=5)
+            cause = Finding(Code.AIR_NOT_CONVERGED)
+        if cause is None:
+            return motion, None
+        numbers = {
+            "cause": cause,
+            "angles_lack_gusts": motion is None,
+            "general_bands": known is None,
+        }
+        doubt = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
+        report(doubt, stacklevel=5)
         return motion, doubt
 
     def _transform_table(self, table):
@@ -334,9 +339,10 @@ class FlightPathReconstruction(TableTransformer):
                 inner_sensors = sensors.part(inner.start, inner.stop)
                 estimate = estimate._replace(path=path)
                 parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
-        diverged = [part.name for part in parts if not part.estimate.converged]
-        for name in dict.fromkeys(diverged):
-            report(Finding(Code.PATH_NOT_CONVERGED, flight=name), stacklevel=4)
+        diverged = [str(part.name) for part in parts if not part.estimate.converged]
+        if diverged:
+            numbers = {"flights": list(dict.fromkeys(diverged))}
+            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers), stacklevel=4)
         return parts
 
 
@@ -359,11 +365,3 @@ def _calibration(part: FlightPart) -> pd.DataFrame:
         "std": np.sqrt(np.diag(part.estimate.covariance)),
     }
     return pd.DataFrame(columns)
-
-
-def _contradiction_text(contradiction: Contradiction) -> str:
-    """Return a contradiction in words."""
-    text, unit, factor = CONTRADICTIONS[contradiction.sensor]
-    residual = factor * contradiction.residual
-    noise = factor * contradiction.noise
-    return f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})"

@@ -181,8 +181,10 @@ class FlightMechanics:
         ``horizon`` [s].
     simulated : TimeHistoryDisplay, optional
         A part of a test flight, simulated with its bands, and as flown.
-    note, simulation_note : Finding, optional
-        Why derivatives, or the simulation, are missing.
+    notes : tuple of Finding
+        Why trim, modes or derivatives are missing.
+    simulation_note : Finding, optional
+        Why the simulation is missing.
     """
 
     trim: Trim | None = None
@@ -191,13 +193,19 @@ class FlightMechanics:
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     simulated: TimeHistoryDisplay | None = None
-    note: Finding | None = None
+    notes: tuple[Finding, ...] = ()
     simulation_note: Finding | None = None
+
+    @property
+    def mode_kinds(self) -> pd.Index:
+        """Kind of each mode: its name without the number, which several of one kind have."""
+        names = pd.Index([]) if self.modes is None else self.modes.index
+        return names.astype(str).str.replace(r" \d+$", "", regex=True)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
         plain: dict[str, Any] = {
-            "note": text_of(self.note) if self.note else "",
+            "note": " ".join(map(text_of, self.notes)),
             "simulation_note": text_of(self.simulation_note) if self.simulation_note else "",
         }
         if self.trim is not None:

@@ -159,12 +159,9 @@ EXCITED = {
     "rudder": ("beta", "beta_dot", "r", "r_hat", "rudder"),
     "throttle": ("throttle",),
 }
-# How the names of the modes begin that a 3-2-1-1 of an input excites
-MODES = {
-    "elevator": ("short period",),
-    "aileron": ("Dutch roll", "roll"),
-    "rudder": ("Dutch roll", "roll"),
-}
+# Kinds of modes that a 3-2-1-1 of an input excites
+LATERAL_MODES = ("Dutch roll", "roll", "roll-spiral")
+MODES = {"elevator": ("short period",), "aileron": LATERAL_MODES, "rudder": LATERAL_MODES}
 # Flights that a page shows in full; of more only the one that is predicted worst has figures
 EXCERPT = 15.0  # length of the close look at a flight [s]
 MOST_OPEN = 3
@@ -331,8 +328,8 @@ def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
     """Return the unit of the 3-2-1-1 that excites the modes of an input; empty where they are unknown."""
     if axis not in MODES or mechanics.modes is None:
         return ""
-    frequencies = mechanics.modes["frequency"]
-    excited = frequencies[[str(mode).startswith(MODES[axis]) for mode in frequencies.index]]
+    is_excited = mechanics.mode_kinds.isin(MODES[axis])
+    excited = mechanics.modes.loc[is_excited, "frequency"]
     if excited.empty:
         return ""
     unit = number(0.5 * np.pi / excited.min(), ".2g")
@@ -347,8 +344,7 @@ def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
     parts = []
-    if mechanics.note is not None:
-        parts.append(_note(text(text_of(mechanics.note))))
+    parts += [_note(text(text_of(note))) for note in mechanics.notes]
     if mechanics.trim is not None:
         parts.append("<p>Steady flight in the middle of the training range:</p>")
         parts.append(_trim(mechanics.trim))

@@ -65,12 +65,10 @@ class FitRecord:
         Whether the search took as many iterations as allowed, converged, or was ended by Ctrl-C.
     noise_std, input_noise_std : mapping of str to float
         Standard deviations of the noise of coefficients and of regressors.
-    paths_reconstructed : bool
-        Whether flight paths are reconstructed from all sensors.
     paths_not_converged : sequence of str
         Training flights whose reconstruction did not converge.
-    gusts_unknown : str
-        Why the gusts of flights without vanes are not known; empty if they are.
+    gusts_unknown : Finding, optional
+        Why the gusts of flights without vanes are not known.
     reconstruction : Finding, optional
         Whether flight paths are reconstructed, and why; None without this step.
     lags : mapping of str to mapping of str to object
@@ -89,12 +87,17 @@ class FitRecord:
     interrupted: bool
     noise_std: Mapping[str, float]
     input_noise_std: Mapping[str, float]
-    paths_reconstructed: bool
     paths_not_converged: Sequence[str]
-    gusts_unknown: str
+    gusts_unknown: Finding | None
     reconstruction: Finding | None
     lags: Mapping[str, Mapping[str, Any]]
     training: TrainingRecord | None = None
+
+    @property
+    def paths_reconstructed(self) -> bool:
+        """Whether flight paths are reconstructed from all sensors."""
+        finding = self.reconstruction
+        return finding is not None and finding.code is Code.PATHS_RECONSTRUCTED
 
     @property
     def lags_corrected(self) -> dict[str, float]:
@@ -109,8 +112,8 @@ class FitRecord:
     def doubts(self) -> list[Finding]:
         """Findings that exclude the judgement "yes" of any use of the model."""
         doubts = []
-        if self.gusts_unknown:
-            doubts.append(Finding(Code.GUSTS_UNKNOWN, numbers={"reason": self.gusts_unknown}))
+        if self.gusts_unknown is not None:
+            doubts.append(self.gusts_unknown)
         if self.paths_not_converged:
             numbers = {"flights": self.paths_not_converged}
             doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
@@ -119,5 +122,7 @@ class FitRecord:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         values = asdict(self)
+        values["paths_reconstructed"] = self.paths_reconstructed
+        values["gusts_unknown"] = text_of(self.gusts_unknown) if self.gusts_unknown else ""
         values["reconstruction"] = text_of(self.reconstruction) if self.reconstruction else None
         return values | (values.pop("training") or {})

@@ -297,5 +297,5 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
     change = 100 * aircraft.propeller.load_std * abs(others[4, 4] - weights[4, 4])
     assert_allclose(derivatives.loc["Cm_throttle", "std_aircraft"], change, rtol=1e-6)
     assert derivatives.loc["CZ_alpha", "std_aircraft"] == 0
-    (source,) = assumptions(aircraft, has_full_throws=False, lacks_thrust=False)[-1:]
+    (source,) = assumptions(aircraft)[-1:]
     assert source.numbers["sources"]["thrust"] == "size of the propeller"

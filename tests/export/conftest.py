@@ -106,7 +106,7 @@ def identified(once, first_minute, cut_short):
             warnings.simplefilter("ignore")  # of few rows
             settings = replace(DependentGPRegressor.settings, n_searches=2)
             patch.setattr(DependentGPRegressor, "settings", settings)
-            mechanics = FlightMechanics(note="Left out.")
+            mechanics = FlightMechanics()
             patch.setattr(_identification, "flight_mechanics", lambda *_: mechanics)
             fit_identified(folder, first_minute())
 

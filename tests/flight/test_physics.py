@@ -6,6 +6,7 @@ import pytest
 from scipy import signal
 
 from skdgp._compute.statistics import autocorrelation_time
+from skdgp._compute.wording import reason_of
 from skdgp._flight.frames import STANDARD_GRAVITY, gravity_in_body_axes
 from skdgp._flight.physics import Regression, estimated_slope, find_contradictions
 from skdgp.datasets import load_example_flights
@@ -175,10 +176,11 @@ def test_several_faults_are_all_found(flight):
 
 def test_the_message_has_the_numbers(flight):
     (found,) = find_contradictions(scaled(DEGREES, "phi")(flight))
-    assert str(found).startswith(
+    text = reason_of(found.finding)
+    assert text.startswith(
         "phi is probably wrong: the slope of the change of phi over the integral of p is 57."
     )
-    assert str(found).endswith("effective samples)")
+    assert text.endswith("effective samples)")
 
 
 def test_the_message_of_gravity_says_what_is_over_what(flight):
@@ -186,7 +188,7 @@ def test_the_message_of_gravity_says_what_is_over_what(flight):
     (found,) = find_contradictions(scaled(1 / STANDARD_GRAVITY, *FORCES)(flight))
     assert (
         "the slope of the integral of specific force over the change of velocity less gravity is 0.1"
-        in str(found)
+        in reason_of(found.finding)
     )
 
 
@@ -280,7 +282,7 @@ def test_one_of_several_flights(flight):
     wrong = opposite("beta")(flight).assign(flight="d")
     (found,) = find_contradictions(pd.concat([*others, wrong], ignore_index=True))
     assert (found.flight, found.channels) == ("d", ("beta", "ay"))
-    assert str(found).startswith("flight d: beta or ay is probably wrong")
+    assert reason_of(found.finding).startswith("flight d: beta or ay is probably wrong")
 
 
 def test_inspect_and_identify_say_so_and_turn_nothing(flight, tmp_path):

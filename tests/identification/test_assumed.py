@@ -9,13 +9,10 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.wording import text_of
-from skdgp.dynamics import (
-    Aircraft,
-    stability_derivatives,
-    trim,
-)
+from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import portable_model, write_c
 from skdgp.identification import _prepare, identify, load_model, validate
+from skdgp.identification._learn import thrust_sources
 from skdgp.identification._prepare import (
     assumptions,
     check_controls,
@@ -64,6 +61,7 @@ class TestThrust:
             ("throttle propeller_speed", UNKNOWN, "auto", True),
             ("throttle propeller_speed", KNOWN, "auto", False),
             ("throttle thrust_x", UNKNOWN, "auto", False),
+            ("throttle thrust", UNKNOWN, "auto", False),
             ("airspeed", UNKNOWN, "auto", False),  # no throttle explains it: an error says so
             ("throttle", UNKNOWN, None, False),
         ],
@@ -71,18 +69,25 @@ class TestThrust:
     def test_is_unknown_where_nothing_gives_it(self, columns, aircraft, thrust, lacks):
         assert lacks_thrust(thrust, [pd.DataFrame(columns=columns.split())], aircraft) is lacks
 
+    @pytest.mark.parametrize("column", ["thrust", "thrust_x"])
+    def test_a_column_beside_a_throttle_is_read(self, column):
+        table = pd.DataFrame({"throttle": [0.5], "airspeed": [20.0], "density": [1.2], column: 3.0})
+        assert thrust_sources("auto", [table]) == ["columns"]
+        force, _ = propulsive_loads(table, self.UNKNOWN)
+        np.testing.assert_array_equal(force, [[3.0, 0.0, 0.0]])
+
 
 class TestWords:
     def test_nothing_was_assumed_of_what_was_told(self):
         told = Aircraft.estimate(
             3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2])
         )
-        assert assumptions(told, has_full_throws=False, lacks_thrust=False) == ()
+        assert assumptions(told) == ()
 
     def test_sizes_are_said_with_all_their_errors(self):
         """Iyy follows the length by its square: 25 % of the radius and twice 15 % of the length."""
         aircraft = Aircraft.estimate(3.0, 1.8)
-        first = text_of(assumptions(aircraft, has_full_throws=False, lacks_thrust=False)[0])
+        first = text_of(assumptions(aircraft)[0])
         assert "wing area 0.432 m^2 ± 35 %" in first
         assert "Iyy 0.208 kg m^2 ± 39 %" in first
         assert "mass" not in first

@@ -36,9 +36,8 @@ FIT = FitRecord(
     interrupted=False,
     noise_std={},
     input_noise_std={},
-    paths_reconstructed=True,
     paths_not_converged=[],
-    gusts_unknown="",
+    gusts_unknown=None,
     reconstruction=None,
     lags={},
     training=TrainingRecord(
@@ -120,6 +119,7 @@ def mechanics(**changes):
 
 
 NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
+NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
 ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
@@ -286,7 +286,7 @@ class TestControl:
 
     def test_no_derivatives_at_a_trim(self):
         note = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-        without = mechanics(derivatives=pd.DataFrame(), note=note)
+        without = mechanics(derivatives=pd.DataFrame(), notes=(note,))
         assert use(verdict(mechanics_=without), "design a controller") == ("no", "no derivatives")
 
     @pytest.mark.parametrize(("error", "fit"), [(1.2, "partly"), (0.8, "yes")])
@@ -296,9 +296,7 @@ class TestControl:
         assert ("a constant predicts Cm" in use(found, "design a controller")[1]) == (error > 1)
 
     def test_no_steady_flight(self):
-        found = verdict(
-            mechanics_=mechanics(trim=None, note=Finding(Code.NO_TRIM, numbers={"airspeed": 20.0}))
-        )
+        found = verdict(mechanics_=mechanics(trim=None, notes=(NO_TRIM,)))
         assert use(found, "design a controller") == ("no", "no steady flight was found at 20 m/s")
 
 
@@ -316,8 +314,12 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
         assert found.warnings == ()
 
 
-def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
-    found = verdict(findings=[ALONE["a"]], paths_not_converged=["a"])
+@pytest.mark.parametrize("where", ["fit", "test"])
+def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
+    doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
+    found = verdict(findings=[ALONE["a"], doubt])
+    if where == "fit":
+        found = verdict(findings=[ALONE["a"], doubt], paths_not_converged=["a"])
     assert "The paths of these flights did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
     assert "yes" in {use.fit for use in verdict().uses}
@@ -327,8 +329,9 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes():
 
 @pytest.mark.parametrize("where", ["fit", "test"])
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
-    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"reason": "too short."})
-    found = verdict(gusts_unknown="too short.") if where == "fit" else verdict(findings=[doubt])
+    cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": "too short."})
+    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
+    found = verdict(gusts_unknown=doubt) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts are not known: too short.",)
     for purpose in ("predict coefficients", "simulate"):
@@ -378,8 +381,17 @@ class TestMechanics:
         found = flight_mechanics(glider(), heavy, [flight], [flight], SETTINGS)
         assert found.trim is None
         assert found.modes is None
-        assert found.note.code is Code.NO_TRIM
+        assert [note.code for note in found.notes] == [Code.NO_TRIM]
         assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
+
+    def test_without_trim_and_derivatives_both_are_told(self, flight):
+        heavy = replace(AIRCRAFT, mass=500)
+        without_elevator = flight.drop(columns="elevator")
+        found = flight_mechanics(glider(), heavy, [without_elevator], [flight], SETTINGS)
+        assert found.derivatives.empty
+        assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
+        assert found.to_dict()["note"].startswith("No steady flight was found at ")
+        assert "No derivatives: " in found.to_dict()["note"]
 
     def test_is_plain_for_json(self, flight):
         found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS).to_dict()

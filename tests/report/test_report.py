@@ -186,7 +186,7 @@ class TestPage:
         assert "://" not in re.sub(r'src="[^"]*"', "", html)
 
     def test_contents_lead_to_every_section_and_the_verdict_comes_first(self, numbers_only):
-        html = render_report(content(mechanics=FlightMechanics(note=said("none"))))
+        html = render_report(content(mechanics=FlightMechanics(notes=(said("none"),))))
         contents = re.search(r'<nav class="contents">(.*?)</nav>', html)[1]
         titles = re.findall(r'<h2 id="s\d+">(.*?)</h2>', html)
         assert re.findall(r">([^<]+)</a>", contents) == titles

@@ -34,6 +34,7 @@ def script(monkeypatch):
     [
         ("likelihood", []),
         ("coverage", []),
+        ("dependence", []),
         ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),
         ("published", [".", "--methods", "skdgp, `impute`"]),
     ],

@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence, Sized
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, lapack
@@ -14,7 +15,7 @@ from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp._compute.messages import warn
-from skdgp._compute.typing import Array, Mask, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 
 JITTER_FIRST = 1e-10  # of the diagonal
 JITTER_LAST = 1e-4
@@ -123,6 +124,43 @@ def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:
     if B.ndim == 1:
         return dtrsv(L, B, lower=1, trans=int(transposed))
     return dtrsm(1.0, L, B, lower=1, trans_a=int(transposed), overwrite_b=1)
+
+
+class BlockFactor(NamedTuple):
+    """Cholesky factor of a symmetric matrix that is block-diagonal after a permutation.
+
+    ``rows`` are the places of the rows of each block, ``factors`` the lower triangles.
+    """
+
+    rows: Sequence[Indices]
+    factors: Sequence[Matrix]
+
+    @property
+    def size(self) -> int:
+        """Side of the matrix."""
+        return sum(map(len, self.factors))
+
+    @property
+    def log_determinant(self) -> float:
+        """Return log |K|."""
+        return sum(map(log_determinant, self.factors))
+
+    def solve(self, B: Array, *, transposed: bool = False) -> Array:
+        """Return L^-1 B, or L^-T B, for a vector or a matrix B, which may be overwritten."""
+        if len(self.factors) == 1:
+            return triangular_solve(self.factors[0], B, transposed=transposed)
+        solution = np.empty_like(B, order="F")
+        for places, L in zip(self.rows, self.factors, strict=True):
+            part = np.asfortranarray(B[places])
+            solution[places] = triangular_solve(L, part, transposed=transposed)
+        return solution
+
+    def dense(self) -> Matrix:
+        """Return L (N, N), with zeros beside the blocks."""
+        full = np.zeros((self.size, self.size), order="F")
+        for places, L in zip(self.rows, self.factors, strict=True):
+            full[np.ix_(places, places)] = np.tril(L)
+        return full
 
 
 def symmetric(lower: Matrix) -> Matrix:

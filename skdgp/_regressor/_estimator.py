@@ -368,9 +368,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _check_memory(recipe, int(np.isfinite(Y).sum()))
         Z = self._normalised(X, Y, slopes, noise.weights)
         known_noise = noise.in_units(self.scale_)
-        kernel = recipe.make_kernel(X, Z).rescaled(1 / self.scale_)
+        kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
         self.max_iter_ = recipe.most_iterations(Z)
-        fit = recipe.fit(kernel, X, Z, known_noise)
+        fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z)
         self._set_noise(fit, X, Z, clock, known_noise)

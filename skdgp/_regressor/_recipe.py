@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,14 +18,17 @@ from skdgp.inference import (
     Fit,
     KnownNoise,
     Posterior,
+    SearchOptions,
     SearchSettings,
     as_exact,
     average,
     fit_exact,
     fit_sparse,
-    mean_of,
+    mixture_of,
     n_searched,
+    search,
     stratified,
+    structure_weights,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_multi_output
 
@@ -98,8 +102,8 @@ class Recipe:
                 f"n_latent, and give it to the kernel, such as ConvolvedGaussian({self.n_latent})."
             )
 
-    def make_kernel(self, X: Matrix, Z: Matrix) -> MultiOutputKernel:
-        """Return the kernel of all terms, in the units of the outputs."""
+    def make_kernels(self, X: Matrix, Z: Matrix) -> list[MultiOutputKernel]:
+        """Return the kernels of all terms to be compared, in the units of the outputs."""
         self.check()
         n, d = X.shape
         # one centre for all searches and components
@@ -107,25 +111,30 @@ class Recipe:
         if self.kernel is not None:
             multi_output = as_multi_output(clone(self.kernel))
             has_trend = any(term.n_processes == 0 for term in multi_output.summands())
-            return multi_output if trend is None or has_trend else trend + multi_output
+            return [multi_output if trend is None or has_trend else trend + multi_output]
         averaged = self.structure == "average" and trend is not None
         if trend is not None and (self.structure == "trend" or (averaged and d > n)):
-            return trend  # with fewer rows than regressors a process would have no weight
-        kernel = self._processes(X, Z, averaged)
-        return kernel if trend is None else trend + kernel
+            return [trend]  # with fewer rows than regressors a process would have no weight
+        kernels = self._processes(X, Z, averaged)
+        return [kernel if trend is None else trend + kernel for kernel in kernels]
 
     def _processes(self, X, Z, averaged):
-        """Return the joint processes, and the processes of each regressor alone."""
+        """Return the joint processes of each structure, with the processes of each regressor alone."""
         n, d = X.shape
+        n_latent = self._number_of_latents(Z)
         bounds = {"length_scale": "spacing"} if self.time_series else None
         kernel: MultiOutputKernel
-        kernel = ConvolvedGaussian(self._number_of_latents(Z), parameter_bounds=bounds)
+        kernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
         few = n <= self.settings.additive_samples
         averages_effects = self.time_series and averaged and d > 1 and few
         if self.structure == "additive" or averages_effects:
             for k in range(d):
                 kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel
-        return kernel
+        if self.time_series or not self._averages or n_latent == 0:
+            return [kernel]
+        independent = ConvolvedGaussian(0)
+        tied = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
+        return [independent, tied, kernel]
 
     def _number_of_latents(self, Z):
         """Return the number of shared latents, more where they can fill missing targets."""
@@ -180,36 +189,53 @@ class Recipe:
             return False
         return self.input_noise == "learned" or self.time_series
 
-    def fit(self, kernel: MultiOutputKernel, X: Matrix, Z: Matrix, known: KnownNoise) -> Fit:
+    def fit(
+        self, kernels: Sequence[MultiOutputKernel], X: Matrix, Z: Matrix, known: KnownNoise
+    ) -> Fit:
         """Return the fit to X (n, d) and centred and scaled targets Z (n, P).
 
-        ``kernel`` has all terms, and ``known`` is the noise, of the scaled targets.
+        ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
         random_state = check_random_state(self.random_state)
         fits: list[Fit] = []
+        weights: list[float] = []
         data = Data.from_table(X, Z, known.loading)  # one copy for all
         for _ in range(self.n_searches):
-            fits.append(self._searched(kernel, X, Z, data, known, random_state))
+            found, shares = self._searched(kernels, X, Z, data, known, random_state)
+            fits += found
+            weights += [share / self.n_searches for share in shares]
             if fits[-1].learned.interrupted:
                 return fits[0].cut_short()
-        return mean_of(fits)
+        return mixture_of(fits, weights)
 
-    def _searched(self, kernel, X, Z, data, known, random_state):
-        """Return the fit of one search."""
+    def _searched(self, kernels, X, Z, data, known, random_state):
+        """Return the fits of one search, and their weights."""
         options = {
-            "known": known,
-            "data": data,
             "optimizer": self.optimizer,
             "max_iter": self.most_iterations(Z),
             "input_noise": self.learns_input_noise(known),
             "random_state": random_state.randint(2**31 - 1),
             "settings": self.settings.search,
         }
+        exact = self.inference_of(data.n_values) == "exact"
+        shifts = len(kernels) > 1
+        requested = SearchOptions(shifts=shifts, **options)
+        found = search(kernels, X, Z, requested, exact=exact, known=known)
+        weights = structure_weights([learned.score for learned in found])
+        order = np.argsort(-weights, kind="stable")
+        fits = []
+        for k in order[: np.count_nonzero(weights)]:
+            fits.append(self._fitted(found[k], X, Z, data, known, random_state, options))
+        return fits, weights[order[: len(fits)]]
+
+    def _fitted(self, learned, X, Z, data, known, random_state, options):
+        """Return the fit at hyperparameters that a search has found."""
+        options = options | {"known": known, "data": data, "learned": learned}
         if self.inference_of(data.n_values) == "exact":
-            fit = fit_exact(kernel, X, Z, **options)
+            fit = fit_exact(learned.kernel, X, Z, **options)
         else:
             options |= {"n_inducing": self.n_inducing, "ordered": self.time_series}
-            fit = fit_sparse(kernel, X, Z, **options)
+            fit = fit_sparse(learned.kernel, X, Z, **options)
             if self._is_neglectful(fit):
                 rows = stratified(np.arange(len(X)), self._exact_rows(X, Z), random_state)
                 X, Z, known = X[rows], Z[rows], known.of_rows(rows)

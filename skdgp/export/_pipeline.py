@@ -310,7 +310,7 @@ def _exact(
     """
     X = posterior.data.X
     places = np.cumsum([0, *map(len, X)])
-    inverse, info = lapack.dtrtri(posterior.L, lower=1)
+    inverse, info = lapack.dtrtri(posterior.factor.dense(), lower=1)
     if info:
         raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri {info}).")
     inverse = np.tril(inverse)

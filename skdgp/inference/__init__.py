@@ -28,7 +28,7 @@ from skdgp.inference._errors import (
     mean_errors,
     narrowing,
 )
-from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mean_of
+from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mixture_of
 from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
@@ -46,8 +46,10 @@ from skdgp.inference._posterior import (
     PosteriorSettings as PosteriorSettings,
 )
 from skdgp.inference._search import Objective as Objective
+from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
 from skdgp.inference._search import n_searched, stratified
+from skdgp.inference._search import search as search
 from skdgp.inference._search import some_rows as some_rows
 from skdgp.inference._sparse import ShareSettings as ShareSettings
 from skdgp.inference._sparse import SparsePosterior
@@ -66,6 +68,7 @@ from skdgp.inference._starts import (
 from skdgp.inference._starts import (
     starting_kernel as starting_kernel,
 )
+from skdgp.inference._structures import structure_weights as structure_weights
 from skdgp.inference._unbiased import unbiased_factor
 
 __all__ = [
@@ -92,8 +95,8 @@ __all__ = [
     "log_likelihood",
     "maximize",
     "mean_errors",
-    "mean_of",
     "misfit_variance",
+    "mixture_of",
     "n_searched",
     "narrowing",
     "residual_drift",

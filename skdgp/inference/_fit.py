@@ -62,6 +62,7 @@ def fit_exact(
     *,
     known: KnownNoise = UNKNOWN,
     data: Data | None = None,
+    learned: Hyperparameters | None = None,
     **options: Any,
 ) -> Fit:
     """Return the exact posterior at the best hyperparameters from one starting point.
@@ -77,6 +78,8 @@ def fit_exact(
         Known part of the noise.
     data : Data or None
         Values of X and Y with the known noise, which fits of the same table share.
+    learned : Hyperparameters or None
+        Result of the search. None: it is done here.
     **options
         Of the search, see ``SearchOptions``.
 
@@ -86,7 +89,8 @@ def fit_exact(
         The posterior, its hyperparameters and the history of the search.
     """
     search_options = SearchOptions(**options)
-    learned = search(kernel, X, Y, search_options, exact=True, known=known)
+    if learned is None:
+        learned = search([kernel], X, Y, search_options, exact=True, known=known)[0]
     if data is None:
         data = Data.from_table(X, Y, known.loading)
     posterior = _exact_posterior(learned, data)
@@ -141,6 +145,7 @@ def fit_sparse(
     ordered: bool = False,
     known: KnownNoise = UNKNOWN,
     data: Data | None = None,
+    learned: Hyperparameters | None = None,
     **options: Any,
 ) -> Fit:
     """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
@@ -156,6 +161,8 @@ def fit_sparse(
         Whether the rows are a time series, whose neighbours have correlated errors.
     known : KnownNoise
     data : Data or None
+        As for ``fit_exact``.
+    learned : Hyperparameters or None
         As for ``fit_exact``.
     **options
         As for ``fit_exact``.
@@ -176,7 +183,8 @@ def fit_sparse(
     size = inducing_features(start, Z).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
     options["random_state"] = random_state
-    learned = search(kernel, X, Y, SearchOptions(**options), known=known)
+    if learned is None:
+        learned = search([kernel], X, Y, SearchOptions(**options), known=known)[0]
     features = inducing_features(learned.kernel, Z)
     data = Data.from_table(X, Y, known.loading) if data is None else data
     fit = SparseFit(features, data, X, Y, ordered, known)
@@ -351,27 +359,27 @@ def _average(fit, X, Y, random_state, known, parts):
     return Fit(AveragePosterior(members, weights), fit.learned._replace(noise=noise))
 
 
-def mean_of(fits: Sequence[Fit]) -> Fit:
-    """Return the fit of the mean of averages, each of one search; with the likelihood of the first.
+def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
+    """Return the fit of the mixture of posteriors with weights that add up to one; with the likelihood of the first.
 
-    Searches explain the data equally well but predict other flights differently, so their mean
+    Searches explain the data equally well but predict other data differently, so their mean
     predicts better than each (Breiman 1996).
     """
     if len(fits) == 1:
         return fits[0]
     members: list[SinglePosterior] = []
-    weights = []
-    for fit in fits:
+    mixture = []
+    for fit, weight in zip(fits, weights, strict=True):
         members += fit.posterior.members
-        weights.append(fit.posterior.mixture / len(fits))
+        mixture.append(weight * fit.posterior.mixture)
     learned = [fit.learned for fit in fits]
     stds = [part.input_std for part in learned if part.input_std is not None]
     common = learned[0]._replace(
-        noise=np.mean([part.noise for part in learned], axis=0),
-        input_std=np.sqrt(np.mean(np.square(stds), axis=0)) if stds else None,
+        noise=np.average([part.noise for part in learned], axis=0, weights=weights),
+        input_std=np.sqrt(np.average(np.square(stds), axis=0, weights=weights)) if stds else None,
         converged=all(part.converged for part in learned),
     )
-    return Fit(AveragePosterior(members, np.concatenate(weights)), common)
+    return Fit(AveragePosterior(members, np.concatenate(mixture)), common)
 
 
 def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:

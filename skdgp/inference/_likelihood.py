@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dsymv, dsyr
+from scipy.sparse.csgraph import connected_components
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
@@ -204,19 +205,12 @@ class Data(NamedTuple):
         """Return every ``step``-th value of each output."""
         return self._of_rows([slice(None, None, step)] * len(self.y))
 
-    def by_output(self) -> list[Data]:
-        """Return the values of each output that has any alone, for evaluations one after another.
-
-        What noise of regressors has in common between outputs is lost.
-        """
-        data = self.with_loadings()
-        parts = []
-        for i, y in enumerate(self.y):
-            if len(y):
-                rows = [slice(0)] * len(self.y)
-                rows[i] = slice(None)
-                parts.append(data._of_rows(rows))
-        return parts
+    def of_outputs(self, outputs: Sequence[int]) -> Data:
+        """Return the values of some outputs; the others have none."""
+        if len(outputs) == len(self.y):
+            return self
+        rows = [slice(None) if i in outputs else slice(0) for i in range(len(self.y))]
+        return self._of_rows(rows)
 
     def _of_rows(self, rows):
         """Return some values of each output."""
@@ -233,6 +227,21 @@ class Data(NamedTuple):
     def n_values(self) -> int:
         """Number of observed values N."""
         return sum(len(y) for y in self.y)
+
+
+def coupled_outputs(
+    kernel: MultiOutputKernel, data: Data, common_noise: bool = True
+) -> list[list[int]]:
+    """Return the groups of outputs that have values and depend on each other by the kernel, or by noise in common."""
+    outputs = [i for i, y in enumerate(data.y) if len(y)]
+    if common_noise and data.sample_noise is not None:
+        return [outputs]
+    depends = np.eye(len(data.y), dtype=bool)
+    for i, j in combinations(outputs, 2):
+        depends[i, j] = kernel.couples(i, j)
+    n_groups, group = connected_components(depends, directed=False)
+    members = [[i for i in outputs if group[i] == number] for number in range(n_groups)]
+    return [outputs for outputs in members if outputs]
 
 
 class Tile(NamedTuple):

@@ -10,22 +10,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import (
+    BlockFactor,
     consecutive,
     jittered_cholesky,
-    log_determinant,
     triangular_solve,
     unexplained_variance,
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data, covariance, draw_noise
+from skdgp.inference._likelihood import Data, coupled_outputs, covariance, draw_noise
 from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
 
 
@@ -189,7 +189,7 @@ class ExactPosterior(SinglePosterior):
         self.data = data
         # equation 20
         constant = data.n_values * np.log(2 * np.pi)
-        log_determinants = log_determinant(self.L) + constant
+        log_determinants = self.factor.log_determinant + constant
         self.log_marginal_likelihood = -0.5 * (self.quadratic_form + log_determinants)
 
     @property
@@ -203,30 +203,39 @@ class ExactPosterior(SinglePosterior):
         return self.data.n_values
 
     @cached_property
-    def L(self) -> np.ndarray:
-        """Cholesky factor of Kff + noise, (N, N), lower triangle. A loaded posterior computes it again.
+    def factor(self) -> BlockFactor:
+        """Cholesky factor of Kff + noise, a block for each group of dependent outputs.
 
-        The result has the same bits for the same number of BLAS threads.
+        A loaded posterior computes it again. The result has the same bits for the same number of BLAS threads.
         """
-        with threads_for(self.size):
-            return jittered_cholesky(lambda: covariance(self.kernel, self.noise, self.data))
+        places = consecutive(self.data.y)
+        rows, factors = [], []
+        for outputs in coupled_outputs(self.kernel, self.data):
+            rows.append(
+                np.concatenate([np.arange(places[i].start, places[i].stop) for i in outputs])
+            )
+            part = self.data.of_outputs(outputs)
+            with threads_for(part.n_values):
+                assemble = partial(covariance, self.kernel, self.noise, part)
+                factors.append(jittered_cholesky(assemble))
+        return BlockFactor(rows, factors)
 
     @cached_property
     def _white(self):
         """L^-1 y."""
         with threads_for(self.size):
-            return triangular_solve(self.L, np.concatenate(self.data.y))
+            return self.factor.solve(np.concatenate(self.data.y))
 
     @cached_property
     def alpha(self) -> np.ndarray:
         """K^-1 y of the stacked values, (N,)."""
         with threads_for(self.size):
-            return triangular_solve(self.L, self._white, transposed=True)
+            return self.factor.solve(self._white.copy(), transposed=True)
 
     def __getstate__(self):
-        # A saved model holds the samples, not L: the file is about a hundred times smaller.
-        not_saved = {"L", "_white", "mean_function"}
-        self.alpha  # noqa: B018 - computed now, so that a loaded model predicts means without L
+        # A saved model holds the samples, not the factor: the file is about a hundred times smaller.
+        not_saved = {"factor", "_white", "mean_function"}
+        self.alpha  # noqa: B018 - computed now, so that a loaded model predicts means without it
         return {name: value for name, value in self.__dict__.items() if name not in not_saved}
 
     def of(self, data: Data, noise: Vector) -> ExactPosterior:
@@ -246,8 +255,13 @@ class ExactPosterior(SinglePosterior):
 
     def explained(self, i: int, A: Matrix) -> np.ndarray:
         """Return the variance that the data explain of functions with the loadings A (n, N), (n,)."""
-        half = triangular_solve(self.L, A.T)
-        return np.einsum("ab,ab->b", half, half)
+        variance = np.zeros(len(A))
+        for rows, L in zip(self.factor.rows, self.factor.factors, strict=True):
+            part = A.T if len(rows) == self.size else A.T[rows]
+            if part.any():  # else of outputs that are independent of i
+                half = triangular_solve(L, part)
+                variance += np.einsum("ab,ab->b", half, half)
+        return variance
 
     # -- prediction
     # ------------------------------------------------------------------------------------
@@ -261,7 +275,7 @@ class ExactPosterior(SinglePosterior):
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint posterior covariance at Xs, (P n, P n), output-major."""
         A = np.vstack([self.loading(i, Xs)[0] for i in range(self.kernel.n_outputs)])
-        half = triangular_solve(self.L, A.T)
+        half = self.factor.solve(A.T)
         return self.kernel(Xs) - half.T @ half
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
@@ -277,8 +291,8 @@ class ExactPosterior(SinglePosterior):
                 f.append(values[:, row.ravel()[place], i])
             noise = draw_noise(self.noise, data, n_paths, rng)
             residual = np.concatenate(data.y) - np.hstack(f) - noise
-            half = triangular_solve(self.L, np.array(residual.T, order="F"))
-            weights = triangular_solve(self.L, half, transposed=True)
+            half = self.factor.solve(np.array(residual.T, order="F"))
+            weights = self.factor.solve(half, transposed=True)
             return prior + covariance_paths(self.kernel, data.X, weights.T)
 
 
@@ -290,7 +304,7 @@ class ExactTerm(ExactPosterior):
         self.noise = whole.noise
         self.data = whole.data
         self.log_marginal_likelihood = whole.log_marginal_likelihood
-        self.L = whole.L
+        self.factor = whole.factor
         self.alpha = whole.alpha
 
 

@@ -11,8 +11,9 @@ likelihood from one starting point by ``maximize``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, product
+from itertools import product
 from threading import Event
 from typing import Any, NamedTuple
 
@@ -22,11 +23,13 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._likelihood import Data, coupled_outputs, log_likelihood
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
 from skdgp.inference._posterior import ExactPosterior
+from skdgp.inference._shifts import found_shifts, price_of_shifts
 from skdgp.inference._starts import coarse, from_coarse, narrowed, single_output, starting_kernel
+from skdgp.inference._structures import has_shared_latents, n_mattering, with_shifts
 from skdgp.kernels import MultiOutputKernel
 
 
@@ -76,6 +79,8 @@ class SearchOptions:
     random_state : int, RandomState or None
     input_noise : bool
         Whether a standard deviation of the noise of each regressor is learned.
+    shifts : bool
+        Whether kernels with shifts are searched too, where separate fits of the outputs show them.
     settings : SearchSettings
     """
 
@@ -83,6 +88,7 @@ class SearchOptions:
     max_iter: int
     random_state: Seed
     input_noise: bool = False
+    shifts: bool = False
     settings: SearchSettings = SETTINGS
 
 
@@ -92,6 +98,8 @@ class Hyperparameters(NamedTuple):
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
     noise, None for exact regressors. ``remaining`` is the expected rise of the likelihood by
     further iterations. ``is_unbiased``: variances are multiplied by ``unbiased_factor``.
+    ``score`` is the log likelihood of the values of the search, less one for each
+    hyperparameter that matters.
     """
 
     kernel: MultiOutputKernel
@@ -102,6 +110,7 @@ class Hyperparameters(NamedTuple):
     remaining: float = 0.0
     converged: bool = True
     is_unbiased: bool = False
+    score: float = -np.inf
 
     def noisy(self, data: Data, passes: int = 2) -> Data:
         """Return observed values of exact regressors with the noise of the regressors.
@@ -155,124 +164,173 @@ def climb(
 
 
 def search(
-    kernel: MultiOutputKernel,
+    kernels: Sequence[MultiOutputKernel],
     X: Matrix,
     Y: Matrix,
     options: SearchOptions,
     *,
     exact: bool = False,
     known: KnownNoise = UNKNOWN,
-) -> Hyperparameters:
-    """Return hyperparameters, learned from each output separately and then from some rows of all outputs jointly.
+) -> list[Hyperparameters]:
+    """Return hyperparameters of each kernel, learned from each output separately and then from some rows of all.
+
+    The kernels have the same terms for one output, whose separate fits they share; simple ones are
+    first. With ``options.shifts`` the same kernels with shifts follow, where separate fits correlate
+    more with shifts, as long as these raise the score.
 
     Without ``exact`` the search neglects the correlation of outputs by errors of the regressors, so
-    noise is learned again at the end. Without an optimizer the kernel keeps its values, and noise
-    that is not known is estimated for it.
+    noise is learned again at the end. Without an optimizer the first kernel keeps its values, and
+    noise that is not known is estimated for it.
+
+    Parameters
+    ----------
+    kernels : sequence of MultiOutputKernel
+        Missing values are estimated from the data.
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    options : SearchOptions
+    exact : bool
+        Whether the likelihood has the correlation of outputs by errors of the regressors.
+    known : KnownNoise
+
+    Returns
+    -------
+    list of Hyperparameters
+        Of the kernels, then of those with shifts.
     """
     random_state = check_random_state(options.random_state)
     settings = options.settings
     rows = some_rows(Y, random_state, settings)
+    kernel = kernels[0]
     start = starting_kernel(kernel, X, Y, random_state)
     noise, bounds = known.start(start.residual(X, Y), output_scale(Y))
-    scale = column_scale(X)
     if options.optimizer is None:
         hyperparameters = Hyperparameters(start, noise, known.input_std)
         data = Data.from_table(X, Y, known.loading)
         if exact:
             data = hyperparameters.noisy(data)
-        return best_noise(hyperparameters, X, Y, data, known, settings)
+        return [best_noise(hyperparameters, X, Y, data, known, settings)]
 
     # Stage 1.
     stop = Event()
     singles = None
     alone = single_output(kernel)
+    shift = None
     if alone is not None and not kernel.has_values():
         fits = _fit_outputs(
             alone, noise, bounds, X, Y, options.max_iter, random_state, stop, known, settings
         )
         singles = [fit.kernel for fit in fits]
         noise = np.concatenate([fit.noise for fit in fits])
+        if options.shifts and len(singles) > 1:
+            shift = found_shifts(singles, noise, X, Y)
 
-    # Stage 2.
-    X, Y, known = X[rows], Y[rows], known.of_rows(rows)
-    joint = _JointSearch(kernel, Data.from_table(X, Y, known.loading), bounds, stop, options, exact)
-    start = starting_kernel(kernel, X, Y, random_state, singles)
-    shared = starting_kernel(coarse(kernel), X, Y, random_state, singles)
-    n_iter = 0
-    if shared.n_dims < start.n_dims or options.input_noise:
-        shared, noise, end = joint.with_shared_widths(shared, noise)
-        n_iter = end.n_iter
-        start = from_coarse(kernel, start, shared)
+    joint = _JointSearch(
+        X[rows],
+        Y[rows],
+        known.of_rows(rows),
+        singles,
+        noise,
+        bounds,
+        stop,
+        options,
+        exact,
+        column_scale(X),
+        random_state,
+    )
+    found = [joint.learned(kernel) for kernel in kernels]
+    if shift is not None:
+        found += _with_shifts(joint, kernels, found, shift, X)
+    return found
 
-    # Stage 3.
-    if options.input_noise:
-        joint = joint.with_noisy_regressors(shared, noise, scale)
-        noise, input_bounds = initial_input_noise(noise, joint.data, scale, known)
-        joint = joint._replace(bounds=np.concatenate([bounds, input_bounds]))
-    best, noise, end = joint.climb(start, noise, options.max_iter - n_iter)
 
-    # Stage 4.
-    if options.input_noise and not exact and not stop.is_set():
-        noise = _noise_from_half(best, noise, joint.bounds, X, Y, scale, stop, settings)
-    return joint.found(best, noise, end, n_iter, scale, known)
+def _with_shifts(joint, kernels, found, shift, X):
+    """Return hyperparameters of the kernels with shifts (P, d), as long as these raise the score."""
+    with_shift = []
+    for kernel, without in zip(kernels, found, strict=True):
+        if not has_shared_latents(kernel):
+            continue
+        learned = joint.learned(with_shifts(kernel, shift, X))
+        learned = learned._replace(score=learned.score - price_of_shifts(shift))
+        with_shift.append(learned)
+        if learned.score < without.score:
+            break
+    return with_shift
 
 
 class _JointSearch(NamedTuple):
-    """Stages 2 and 3: a kernel, some values of all outputs, and the bounds of the noise."""
+    """Stages 2 to 4: some rows of all outputs, the separate fits and their noise, and the bounds of the noise."""
 
-    kernel: MultiOutputKernel
-    data: Data
+    X: Matrix
+    Y: Matrix
+    known: KnownNoise
+    singles: list[MultiOutputKernel] | None
+    noise: Vector
     bounds: Matrix
     stop: Event
     options: SearchOptions
     exact: bool
+    scale: Vector
+    random_state: Any
 
-    def climb(self, start, noise, max_iter) -> Point:
-        """Return the best kernel and noise found from a start."""
-        optimizer = self.options.settings.optimizer
-        return climb(
-            start,
-            noise,
-            self.bounds,
-            self.data,
-            max_iter,
-            self.stop,
-            optimizer=optimizer,
-            common=self.exact,
-        )
+    def learned(self, kernel: MultiOutputKernel) -> Hyperparameters:
+        """Return the hyperparameters of a kernel."""
+        options = self.options
+        data = Data.from_table(self.X, self.Y, self.known.loading)
+        noise = self.noise
 
-    def with_shared_widths(self, start, noise) -> Point:
-        """Return the best kernel whose outputs share widths.
+        # Stage 2. From shared widths, stage 3 needs few iterations, and ends at optima that predict
+        # better than those reached from arbitrary widths.
+        start = self._start(kernel)
+        shared = self._start(coarse(kernel))
+        n_iter = 0
+        if shared.n_dims < start.n_dims or options.input_noise:
+            half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
+            shared, noise, end = self._climb(shared, noise, self.bounds, data, half)
+            n_iter = end.n_iter
+            start = from_coarse(kernel, start, shared)
 
-        From these widths, stage 3 needs few iterations, and ends at optima that predict better than
-        those reached from arbitrary widths.
-        """
-        max_iter = self.options.max_iter
-        half = min(-(-max_iter // 2), max_iter - 1)  # stage 3 has at least one
-        return self.climb(start, noise, half)
+        # Stage 3.
+        bounds = self.bounds
+        if options.input_noise:
+            # slopes of the kernel of stage 2 propagate noise of the regressors
+            data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
+            noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
+            bounds = np.concatenate([bounds, input_bounds])
+        best, noise, end = self._climb(start, noise, bounds, data, options.max_iter - n_iter)
 
-    def with_noisy_regressors(self, shared, noise, scale) -> _JointSearch:
-        """Return the search with noise of the regressors, which slopes of the kernel of stage 2 propagate."""
-        data = Hyperparameters(shared, noise, scale).noisy(self.data, 1)
-        return self._replace(data=data.with_loadings())
-
-    def found(self, kernel, noise, end, n_iter, scale, known) -> Hyperparameters:
-        """Return the hyperparameters at the end of the search."""
-        P = len(self.data.y)
+        # Stage 4.
+        if options.input_noise and not self.exact and not self.stop.is_set():
+            noise = _noise_from_half(
+                best, noise, bounds, self.X, self.Y, self.scale, self.stop, options.settings
+            )
+        P = self.Y.shape[1]
         input_std = None
-        if self.options.input_noise:
-            input_std = known.input_std
+        if options.input_noise:
+            input_std = self.known.input_std
             if input_std is None:
-                input_std = scale * np.sqrt(noise[P:])
-        irrelevant = self.options.settings.irrelevant_rise * self.data.n_values
+                input_std = self.scale * np.sqrt(noise[P:])
+        irrelevant = options.settings.irrelevant_rise * data.n_values
         return Hyperparameters(
-            kernel,
+            best,
             noise[:P],
             input_std,
             n_iter=n_iter + end.n_iter,
             interrupted=self.stop.is_set(),
             remaining=end.remaining,
             converged=bool(end.converged or end.remaining <= irrelevant),
+            score=end.value - n_mattering(best, self.X),
+        )
+
+    def _start(self, kernel):
+        return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)
+
+    def _climb(self, start, noise, bounds, data, max_iter) -> Point:
+        """Return the best kernel and noise found from a start."""
+        optimizer = self.options.settings.optimizer
+        return climb(
+            start, noise, bounds, data, max_iter, self.stop, optimizer=optimizer, common=self.exact
         )
 
 
@@ -475,8 +533,8 @@ class SingleOutput(NamedTuple):
 class Objective:
     """The function [theta, log noise] -> log likelihood, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. Where nothing couples outputs, this is the sum of
-    their likelihoods: P^2 times faster.
+    ``n_noise`` is the length of the noise vector. This is the sum of the likelihoods of groups of
+    dependent outputs: where nothing couples outputs, P^2 times faster.
     With ``common`` false it neglects the correlation of outputs by errors of the regressors: widths
     and amplitudes hardly change, but the variances of the regressors' noise must then be learned
     again.
@@ -487,9 +545,9 @@ class Objective:
     ) -> None:
         self.kernel = kernel
         self.n_noise = n_noise
-        coupled = any(kernel.couples(i, j) for i, j in combinations(range(kernel.n_outputs), 2))
-        coupled |= common and data.sample_noise is not None
-        self.parts = [data.with_loadings()] if coupled else data.by_output()
+        data = data.with_loadings()
+        groups = coupled_outputs(kernel, data, common)
+        self.parts = [data.of_outputs(outputs) for outputs in groups]
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:
         """Return the kernel and the noise of [theta, log noise]."""

@@ -121,15 +121,12 @@ def _single_output(term):
 
 
 def _coarse(term):
-    if (
-        not isinstance(term, ConvolvedGaussian)
-        or term.covariance_type != "diag"
-        or term.length_scale is not None
-        or not term.bounds_from_data("length_scale")
-    ):
+    if not isinstance(term, ConvolvedGaussian) or term.length_scale is not None:
+        return term
+    if not term.bounds_from_data("length_scale"):
         return term
     bounds = {**(term.parameter_bounds or {}), "shift": "fixed"}
-    return clone(term).set_params(covariance_type="tied", shift=0.0, parameter_bounds=bounds)
+    return clone(term).set_params(covariance_type="tied", parameter_bounds=bounds)
 
 
 def _from_data(settings, term, start):

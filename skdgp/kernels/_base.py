@@ -61,10 +61,10 @@ class FreeParameter:
         """Return the bounds of each element, (n_elements, 2), from one pair or one for each entry."""
         bounds = np.asarray(self.bounds, dtype=float)
         lower = "0 < lower" if self.log else "lower"
-        is_pair = bounds.shape[-1:] == (2,) and (bounds[..., 0] < bounds[..., 1]).all()
+        is_pair = bounds.shape[-1:] == (2,) and (bounds[..., 0] <= bounds[..., 1]).all()
         if not is_pair or (self.log and not (bounds > 0).all()):
             raise ValueError(
-                f"Got bounds {self.bounds!r} of {self.name}, but expected {lower} < upper: "
+                f"Got bounds {self.bounds!r} of {self.name}, but expected {lower} <= upper: "
                 "a pair, or one for each entry."
             )
         if bounds.shape == (2,):

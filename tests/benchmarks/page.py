@@ -82,6 +82,7 @@ def main(words=None):
         "tabular": [options.published],
         "derivatives": [],
         "coverage": [],
+        "dependence": [],
     }
     run = partial(measured, out=options.out.absolute(), without=options.without)
     with ThreadPoolExecutor(options.jobs) as pool:

@@ -1,0 +1,159 @@
+"""Shifts of outputs relative to each other, from the cross-correlation of their separate fits.
+
+In equation 16 two outputs that are translated copies of one function have one latent, and the
+shifts mu of its filters differ. A search finds mu from starts that are at most one width away, so
+it starts where the separate fits correlate most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skdgp._compute.linalg import constant_columns
+from skdgp._compute.parallel import one_blas_thread
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._likelihood import Data
+from skdgp.inference._posterior import ExactPosterior, SinglePosterior
+from skdgp.kernels import MultiOutputKernel
+
+
+@dataclass(frozen=True)
+class ShiftSettings:
+    """Where shifts are looked for, and when one is a start for the search."""
+
+    #: Largest shift, over the range of a regressor
+    largest: float = 0.5
+    #: Shifts from the largest negative to the largest positive one
+    n_lags: int = 81
+    #: Most samples at which functions are compared
+    rows: int = 100
+    #: Most values of each separate fit
+    values: int = 200
+    #: Least part of the samples where both functions are known
+    overlap: float = 0.3
+    #: Largest squared correlation that counts
+    highest: float = 0.999
+    #: Least rise of the squared correlation by a shift
+    rise: float = 0.2
+
+
+SETTINGS = ShiftSettings()
+
+
+@one_blas_thread()
+def found_shifts(
+    singles: Sequence[MultiOutputKernel],
+    noise: Vector,
+    X: Matrix,
+    Y: Matrix,
+    settings: ShiftSettings = SETTINGS,
+) -> Matrix | None:
+    """Return the shift (P, d) of each output relative to the first one, or None where no shift correlates more.
+
+    Parameters
+    ----------
+    singles : sequence of MultiOutputKernel
+        Learned from each output alone.
+    noise : ndarray (P,)
+        Of these fits.
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    settings : ShiftSettings
+    """
+    functions = []
+    for i, single in enumerate(singles):
+        functions.append(_process(single, noise[i : i + 1], X, Y[:, i], settings))
+    P, d = len(functions), X.shape[1]
+    points = X[:: -(-len(X) // settings.rows)]
+    lags = np.linspace(-settings.largest, settings.largest, settings.n_lags)
+    gain = np.zeros((P, P))
+    shift = np.zeros((P, P, d))
+    for k in np.flatnonzero(~constant_columns(X)):
+        of_regressor = np.ptp(X[:, k]) * lags
+        higher, best = _gains(functions, points, k, of_regressor, settings)
+        better = higher > gain
+        gain[better] = higher[better]
+        shift[better] = 0.0
+        shift[better, k] = best[better]
+    reference = int(gain.sum(axis=1).argmax())
+    relative = shift[reference] - shift[reference, 0]
+    return relative if relative.any() else None
+
+
+def _gains(functions, points, k, lags, settings) -> tuple[Matrix, Matrix]:
+    """Return what shifts of one output along regressor k explain of another one, and the best shifts, (P, P) each.
+
+    Output i is compared at x - shift with output j at x. A gain is zero where the squared
+    correlation hardly rises.
+    """
+    P, d = len(functions), points.shape[1]
+    moved = np.repeat(points[None], len(lags), axis=0)
+    moved[:, :, k] -= lags[:, None]
+    present = [_moments(function, points) for function in functions]
+    squared, explained = np.zeros((2, P, P, len(lags)))
+    for i, function in enumerate(functions):
+        earlier = _moments(function, moved.reshape(-1, d))
+        for j in range(P):
+            squared[i, j], explained[i, j] = _correlations(earlier, present[j], len(lags), settings)
+    # j relative to i by a lag is i relative to j by minus the lag
+    squared = 0.5 * (squared + squared.swapaxes(0, 1)[..., ::-1])
+    explained = 0.5 * (explained + explained.swapaxes(0, 1)[..., ::-1])
+
+    highest = explained.argmax(axis=2)[..., None]
+    unmoved = len(lags) // 2
+    rise = np.take_along_axis(squared, highest, axis=2)[..., 0] - squared[..., unmoved]
+    gain = np.take_along_axis(explained, highest, axis=2)[..., 0] - explained[..., unmoved]
+    return np.where(rise >= settings.rise, gain, 0.0), lags[highest[..., 0]]
+
+
+def _process(kernel, noise, X, y, settings) -> SinglePosterior:
+    """Return the posterior of the process of one output, without the trend."""
+    observed = np.flatnonzero(np.isfinite(y))
+    rows = observed[:: -(-len(observed) // settings.values)]
+    posterior = ExactPosterior(kernel, noise, Data.from_table(X[rows], y[rows, None]))
+    processes = [term for term in kernel.summands() if term.n_processes]
+    return posterior.term(processes[-1])
+
+
+def _moments(function: SinglePosterior, X: Matrix) -> tuple[Vector, Vector]:
+    """Return the mean, and the part of the prior variance that the data explain, (n,) each."""
+    mean, variance = function.predict(X, return_variance=True)
+    prior = function.kernel.block_diag(0, X)
+    unknown = np.divide(variance[:, 0], prior, out=np.ones(len(X)), where=prior > 0)
+    return mean[:, 0], np.maximum(1.0 - unknown, 0.0)
+
+
+def _correlations(
+    earlier: tuple[Vector, Vector],
+    present: tuple[Vector, Vector],
+    n_lags: int,
+    settings: ShiftSettings,
+) -> tuple[Vector, Vector]:
+    """Return the squared correlation of two functions for each lag, and how much of the samples it explains.
+
+    It is zero where both functions are known at few samples. A correlation r of n samples explains
+    -n log(1 - r^2), twice the rise of the likelihood of a linear dependence: that of many samples
+    counts more.
+    """
+    a = earlier[0].reshape(n_lags, -1)
+    c = present[0]
+    weight = earlier[1].reshape(n_lags, -1) * present[1]
+    overlap = weight.sum(axis=1)
+    total = np.maximum(overlap, np.finfo(float).tiny)[:, None]
+    a = a - np.sum(weight * a, axis=1, keepdims=True) / total
+    c = c - np.sum(weight * c, axis=1, keepdims=True) / total
+    product = np.sum(weight * a * c, axis=1) ** 2
+    norms = np.sum(weight * a**2, axis=1) * np.sum(weight * c**2, axis=1)
+    squared = np.divide(product, norms, out=np.zeros(n_lags), where=norms > 0)
+    squared[overlap < settings.overlap * overlap.max(initial=0.0)] = 0.0
+    explained = -overlap * np.log1p(-np.minimum(squared, settings.highest))
+    return squared, explained
+
+
+def price_of_shifts(shift: Matrix, settings: ShiftSettings = SETTINGS) -> float:
+    """Return what a likelihood pays for shifts (P, d), each chosen among several before the search [nats]."""
+    return float(np.count_nonzero(shift) * np.log(settings.n_lags))

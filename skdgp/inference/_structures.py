@@ -1,0 +1,100 @@
+"""Structures of kernels that a search compares: what each one costs, and its weight.
+
+A kernel that contains another one as a special case always has the larger likelihood. So each pays
+one nat for each hyperparameter that matters (Akaike 1974), and the weights of structures are the
+exponentials of what remains (Burnham & Anderson 2002, section 2.9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import softmax
+from sklearn.base import clone
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.kernels import ConvolvedGaussian, MultiOutputKernel, Sum
+
+
+@dataclass(frozen=True)
+class StructureSettings:
+    """Which hyperparameters matter, and which structures are kept."""
+
+    #: Smallest amplitude that counts, over the standard deviation of the process of its output
+    amplitude: float = 0.01
+    #: Largest length scale that counts, in standard deviations of the regressor
+    length_scale: float = 10.0
+    #: Smaller weights are set to zero, as those of an average
+    least_weight: float = 0.05
+
+
+SETTINGS = StructureSettings()
+
+
+def with_shifts(kernel: MultiOutputKernel, shift: Matrix, X: Matrix) -> MultiOutputKernel:
+    """Return a kernel without values whose shifts start at ``shift`` (P, d), free along regressors that have one."""
+    if isinstance(kernel, Sum):
+        return Sum(with_shifts(kernel.k1, shift, X), with_shifts(kernel.k2, shift, X))
+    if not has_shared_latents(kernel):
+        return kernel
+    P, d = shift.shape
+    M = kernel.n_latent + (P if kernel.private_latents else 0)
+    limit = np.ptp(X, axis=0) * shift.any(axis=0)  # the range of the regressor
+    bounds = np.broadcast_to(np.stack([-limit, limit], axis=-1), (M, P, d, 2))
+    return clone(kernel).set_params(
+        shift=np.array(np.broadcast_to(shift, (M, P, d))),
+        parameter_bounds={**(kernel.parameter_bounds or {}), "shift": bounds},
+    )
+
+
+def has_shared_latents(kernel: MultiOutputKernel) -> bool:
+    """Return whether a kernel without values has latents that several outputs share."""
+    processes = [term for term in kernel.summands() if isinstance(term, ConvolvedGaussian)]
+    return any(term.n_latent > 0 for term in processes)
+
+
+def n_mattering(
+    kernel: MultiOutputKernel, X: Matrix, settings: StructureSettings = SETTINGS
+) -> int:
+    """Return the number of hyperparameters that matter to the covariance of samples X (n, d).
+
+    An amplitude that is nearly zero does not, nor does a length scale far beyond the samples.
+    """
+    return sum(_n_mattering(term, column_scale(X), settings) for term in kernel.summands())
+
+
+def _n_mattering(term, scale, settings):
+    if not isinstance(term, ConvolvedGaussian):
+        return term.n_dims
+    filters = term.filters
+    size = np.abs(filters.amplitude)
+    total = np.sqrt(np.sum(size**2, axis=0))
+    feeds = size > settings.amplitude * total
+    wide = filters.length_scale > settings.length_scale * scale
+    matters = {
+        "amplitude": feeds,
+        "length_scale": feeds[..., None] & ~wide,
+        "shift": np.broadcast_to(feeds[..., None], wide.shape),
+    }
+    n = 0
+    for parameter in term.free_parameters():
+        if parameter.fixed:
+            continue
+        numbers = np.broadcast_to(parameter.index, matters[parameter.name].shape)
+        free = matters[parameter.name] & (numbers >= 0)
+        if parameter.name == "shift":
+            limits = np.broadcast_to(parameter.bounds, (*free.shape, 2))
+            free = free & (limits[..., 0] < limits[..., 1])
+        n += len(np.unique(numbers[free]))
+    return n
+
+
+def structure_weights(scores: Sequence[float], settings: StructureSettings = SETTINGS) -> Vector:
+    """Return the weights (K,), which add up to one, of kernels with these scores, learned from the same values."""
+    lowest = -np.finfo(float).max / 2  # of kernels without a likelihood
+    weights = softmax(np.maximum(scores, lowest))
+    weights[weights < settings.least_weight] = 0.0
+    return weights / weights.sum()

@@ -1,0 +1,217 @@
+"""Outputs that depend on each other in known ways: what the defaults learn, beside separate processes of scikit-learn.
+
+    python tests/benchmarks/dependence.py --out OUT [--figure PNG]
+
+"translated": three copies of a function of one regressor, moved by 0, 1.5 and -1, each with a gap
+of its own. "noisy copies": four multiples of one function of three regressors, of which one has
+little noise. "mixtures": three mixtures of two functions of two regressors, each without the
+samples in a region of its own. "unequal widths": the same white noise through filters of widths 0.5
+and 2, with gaps. "15 regressors": of which three matter. "little overlap": two outputs that were
+observed in different places, as in GPy's tutorial of coregionalisation; only there do errors and
+bands refer to places where the output was not observed.
+"""
+
+import warnings
+
+import numpy as np
+from _common import Kept, finish, parser_of
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from skdgp import DependentGPRegressor
+from skdgp.kernels import ConvolvedGaussian
+
+SEEDS = range(100, 105)
+SHIFTS = np.array([0.0, 1.5, -1.0])
+
+
+def waves(rng, x):
+    """Return a draw of a stationary process of unit variance and width about one."""
+    frequency = rng.normal(size=40)
+    phase = rng.uniform(0, 2 * np.pi, 40)
+    return np.sqrt(2 / 40) * np.cos(np.multiply.outer(x, frequency) + phase).sum(axis=-1)
+
+
+def translated(rng):
+    x = np.sort(rng.uniform(0, 20, 150))
+    points = np.linspace(0.5, 19.5, 400)
+    both = waves(rng, np.subtract.outer(np.concatenate([x, points]), SHIFTS))
+    Y = both[:150] + rng.normal(0, 0.1, (150, 3))
+    for i, start in enumerate((4.0, 9.0, 14.0)):
+        Y[(x > start) & (x < start + 4), i] = np.nan
+    return x[:, None], Y, points[:, None], both[150:]
+
+
+def noisy_copies(rng):
+    X = rng.uniform(-2, 2, (480, 3))
+    f = np.sin(X[:, 0]) + 0.5 * X[:, 1] * X[:, 2] + 0.5 * np.cos(2 * X[:, 1])
+    F = np.outer(f, [1.0, -2.0, 0.5, 1.5])
+    return X[:80], F[:80] + rng.normal(size=(80, 4)) * [0.05, 1.0, 0.5, 1.5], X[80:], F[80:]
+
+
+def mixtures(rng):
+    X = rng.uniform(-2, 2, (550, 2))
+    first = np.sin(1.7 * X[:, 0]) * np.cos(X[:, 1])
+    second = np.cos(1.3 * X[:, 0] + 0.8 * X[:, 1])
+    F = np.column_stack([first, second]) @ [[1.0, -0.8, 0.5], [0.3, 0.6, -1.0]]
+    Y = F[:150] + rng.normal(0, 0.1, (150, 3))
+    for i in range(3):
+        centre = rng.uniform(-1.2, 1.2, 2)
+        nearest = np.argsort(np.sum((X[:150] - centre) ** 2, axis=1))[:60]
+        Y[nearest, i] = np.nan
+    return X[:150], Y, X[150:], F[150:]
+
+
+def unequal_widths(rng):
+    x = np.concatenate([np.sort(rng.uniform(0, 20, 150)), np.linspace(0.5, 19.5, 300)])
+    kernel = ConvolvedGaussian(
+        1, private_latents=False, amplitude=[[1.0, 1.0]], length_scale=[[[0.5], [2.0]]]
+    )
+    K = kernel(x[:, None]) + 1e-9 * np.eye(2 * len(x))
+    F = (np.linalg.cholesky(K) @ rng.normal(size=2 * len(x))).reshape(2, -1).T
+    Y = F[:150] + rng.normal(0, 0.1, (150, 2))
+    Y[(x[:150] > 5) & (x[:150] < 9), 1] = np.nan
+    Y[(x[:150] > 12) & (x[:150] < 15), 0] = np.nan
+    return x[:150, None], Y, x[150:, None], F[150:]
+
+
+def many_regressors(rng):
+    X = rng.normal(size=(650, 15))
+    first = np.sin(2 * X[:, 0]) + X[:, 1] * X[:, 2]
+    second = np.cos(2 * X[:, 0]) + 0.5 * X[:, 1] ** 2 - X[:, 2]
+    F = np.column_stack([first, second])
+    return X[:250], F[:250] + rng.normal(0, 0.2, (250, 2)), X[250:], F[250:]
+
+
+def little_overlap(rng):
+    def functions(x):
+        wave = np.cos(x / 5)
+        return np.column_stack([4 * wave - 0.4 * x - 35, 6 * wave + 0.2 * x + 35])
+
+    x = np.concatenate([rng.uniform(0, 75, 100), rng.uniform(70, 100, 100)])
+    Y = functions(x) + rng.uniform(-1, 1, (200, 2)) * [1.0, 4.0]
+    Y[100:, 0] = np.nan
+    Y[:100, 1] = np.nan
+    points = np.linspace(0, 100, 101)
+    truth = functions(points)
+    truth[points <= 75, 0] = np.nan
+    truth[points >= 70, 1] = np.nan
+    return x[:, None], Y, points[:, None], truth
+
+
+PROBLEMS = {
+    "translated": translated,
+    "noisy copies": noisy_copies,
+    "mixtures": mixtures,
+    "unequal widths": unequal_widths,
+    "15 regressors": many_regressors,
+    "little overlap": little_overlap,
+}
+
+
+def separately(X, Y, points):
+    """Return mean and standard deviation of a process of scikit-learn for each output."""
+    means, stds = [], []
+    for y in Y.T:
+        seen = np.isfinite(y)
+        kernel = ConstantKernel() * RBF(X.std(axis=0)) + WhiteKernel()
+        gp = GaussianProcessRegressor(
+            kernel, normalize_y=True, n_restarts_optimizer=3, random_state=0
+        )
+        gp.fit(X[seen], y[seen])
+        mean, std = gp.predict(points, return_std=True)
+        # the kernel's noise is part of std
+        noise = gp.kernel_.k2.noise_level * y[seen].var()
+        means.append(mean)
+        stds.append(np.sqrt(np.maximum(std**2 - noise, 0.0)))
+    return np.column_stack(means), np.column_stack(stds)
+
+
+def one_structure(X, Y, points):
+    """Return mean and standard deviation of one kernel without shifts."""
+    model = DependentGPRegressor(structure="joint", random_state=0).fit(X, Y)
+    return model.predict(points, return_std=True)
+
+
+def defaults(X, Y, points):
+    return DependentGPRegressor(random_state=0).fit(X, Y).predict(points, return_std=True)
+
+
+METHODS = {"skdgp": defaults, "one structure": one_structure, "scikit-learn": separately}
+
+
+def scored(problem, method, seed):
+    """Return the error over the spread of the truth, and the fraction of points inside the band."""
+    X, Y, points, truth = PROBLEMS[problem](np.random.default_rng(seed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        mean, std = METHODS[method](X, Y, points)
+    error = np.sqrt(np.nanmean((mean - truth) ** 2, axis=0)) / np.nanstd(truth, axis=0)
+    known = np.isfinite(truth)
+    inside = np.abs(mean - truth)[known] < 1.96 * std[known]
+    return {"error": float(error.mean()), "inside": float(inside.mean())}
+
+
+def table(runs):
+    """Return a row for each problem: error, and percentage inside, of each method, over the seeds."""
+    rows = []
+    for problem in PROBLEMS:
+        row = {"problem": problem}
+        for method in METHODS:
+            some = [run for run in runs if (run["problem"], run["method"]) == (problem, method)]
+            if some:
+                error = np.mean([run["error"] for run in some])
+                inside = np.mean([run["inside"] for run in some])
+                seconds = np.mean([run["seconds"] for run in some])
+                row[method] = f"{error:.3f}, {100 * inside:.0f} %, {seconds:.1f} s"
+        rows.append(row)
+    return rows
+
+
+def draw(path):
+    """Draw two translated outputs with gaps, and what is learned with and without shifts."""
+    from matplotlib.figure import Figure
+
+    rng = np.random.default_rng(7)
+    x = np.sort(rng.uniform(0, 20, 110))
+    points = np.linspace(0, 20, 400)
+    both = waves(rng, np.subtract.outer(np.concatenate([x, points]), SHIFTS[:2]))
+    Y = both[:110] + rng.normal(0, 0.1, (110, 2))
+    Y[(x > 4) & (x < 8), 0] = np.nan
+    Y[(x > 12) & (x < 16), 1] = np.nan
+    fits = {}
+    for method in (defaults, one_structure):
+        fits[method] = method(x[:, None], Y, points[:, None])
+    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
+    for i, axes in enumerate(figure.subplots(2, sharex=True)):
+        mean, std = (values[:, i] for values in fits[defaults])
+        axes.fill_between(points, mean - 1.96 * std, mean + 1.96 * std, alpha=0.25, lw=0)
+        axes.plot(points, mean, label="with shifts, the default")
+        fixed = fits[one_structure][0][:, i]
+        axes.plot(points, fixed, "--", color="C1", label="shifts fixed at zero")
+        axes.plot(points, both[110:, i], ":", color="black", label="truth")
+        axes.plot(x, Y[:, i], ".", color="C3", ms=4, label="samples")
+        axes.set_ylabel(f"output {i + 1}")
+    axes.set_xlabel("regressor")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figure.savefig(path, dpi=110)
+
+
+def main(words=None):
+    parser = parser_of(__doc__, smoke=True)
+    parser.add_argument("--figure", help="file of the figure on the theory page")
+    options = parser.parse_args(words)
+    kept = Kept(options, "dependence")
+    for problem in ["unequal widths"] if options.smoke else PROBLEMS:
+        for method in METHODS:
+            for seed in list(SEEDS)[: 1 if options.smoke else None]:
+                key = {"problem": problem, "method": method, "seed": seed}
+                kept.run(key, scored, problem, method, seed)
+    if options.figure:
+        draw(options.figure)
+    finish(options, "dependence", problems=table([*kept.memory.values()]))
+
+
+if __name__ == "__main__":
+    main()

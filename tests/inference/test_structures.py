@@ -1,0 +1,148 @@
+"""Structures of kernels that a fit compares: shifted outputs, copies, and independent outputs."""
+
+import numpy as np
+import pytest
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import structure_weights
+from skdgp.kernels import ConvolvedGaussian
+
+
+def process_of(model):
+    """Return the process of the kernel of a fit."""
+    return next(term for term in model.kernel_.summands() if isinstance(term, ConvolvedGaussian))
+
+
+def error_over_spread(predicted, truth):
+    return np.mean(np.sqrt(np.mean((predicted - truth) ** 2, axis=0)) / truth.std(axis=0))
+
+
+SHIFTS = np.array([0.0, 1.6, -1.1])
+
+
+@pytest.fixture(scope="module", params=[3, 4])
+def copies(request):
+    """Return a fit to copies of one function, translated by SHIFTS, each with a gap of its own, and the truth."""
+    rng = np.random.default_rng(request.param)
+    frequencies = rng.normal(size=40)
+    phases = rng.uniform(0, 2 * np.pi, 40)
+
+    def translated(x):
+        s = np.subtract.outer(x, SHIFTS)
+        waves = np.cos(np.multiply.outer(s, frequencies) + phases)
+        return np.sqrt(2 / 40) * waves.sum(axis=-1)
+
+    x = np.sort(rng.uniform(0, 20, 120))
+    Y = translated(x) + 0.1 * rng.normal(size=(120, 3))
+    for i, start in enumerate((4.0, 9.0, 14.0)):
+        Y[(x > start) & (x < start + 4), i] = np.nan
+    points = np.linspace(0.5, 19.5, 200)
+    model = DependentGPRegressor(random_state=0).fit(x[:, None], Y)
+    return model, points[:, None], translated(points)
+
+
+class TestShiftedOutputs:
+    def test_are_learned_by_default(self, copies):
+        model, _, _ = copies
+        lags = np.linspace(-4, 4, 801)[:, None]
+        for i, shift in enumerate(SHIFTS):
+            covariance = process_of(model).block(i, 0, lags, np.zeros((1, 1)))[:, 0]
+            assert lags[np.abs(covariance).argmax(), 0] == pytest.approx(shift, abs=0.05)
+
+    def test_fill_the_gaps_of_each_other(self, copies):
+        model, points, truth = copies
+        mean, std = model.predict(points, return_std=True)
+        assert error_over_spread(mean, truth) < 0.1
+        assert np.mean(np.abs(mean - truth) < 1.96 * std) > 0.85
+
+    def test_along_one_of_two_regressors(self):
+        rng = np.random.default_rng(0)
+        X = rng.uniform(-3, 3, (150, 2))
+        Y = np.column_stack(
+            [np.sin(1.3 * (X[:, 0] - shift)) * np.exp(-0.2 * X[:, 1] ** 2) for shift in (0.0, 0.8)]
+        )
+        Y += 0.05 * rng.normal(size=Y.shape)
+        kernel = process_of(DependentGPRegressor(random_state=0).fit(X, Y))
+        shift = kernel.value("shift")
+        strongest = np.abs(kernel.value("amplitude")).sum(axis=1).argmax()
+        np.testing.assert_allclose(shift[strongest, 1], [0.8, 0.0], atol=0.1)
+
+
+def test_outputs_that_are_not_translated_have_no_shift():
+    rng = np.random.default_rng(1)
+    X = rng.uniform(-2, 2, (100, 1))
+    F = np.column_stack([np.sin(2 * X[:, 0]), -2.0 * np.sin(2 * X[:, 0])])
+    model = DependentGPRegressor(random_state=0).fit(X, F + 0.1 * rng.normal(size=F.shape))
+    assert not process_of(model).value("shift").any()
+
+
+def test_noisy_copies_learn_from_the_exact_one():
+    """Of four copies one has little noise: widths that copies share make the others as exact."""
+    rng = np.random.default_rng(2)
+    gains = np.array([1.0, -2.0, 0.5, 1.5])
+    noise = np.array([0.05, 1.0, 0.5, 1.5])
+
+    def copies(X):
+        f = np.sin(X[:, 0]) + 0.5 * X[:, 1] * X[:, 2] + 0.5 * np.cos(2 * X[:, 1])
+        return np.outer(f, gains)
+
+    X, points = rng.uniform(-2, 2, (2, 80, 3))
+    Y = copies(X) + noise * rng.normal(size=(80, 4))
+    truth = copies(points)
+    model = DependentGPRegressor(random_state=0).fit(X, Y)
+    alone = []
+    for y in Y.T:
+        kernel = ConstantKernel() * RBF(np.ones(3)) + WhiteKernel()
+        gp = GaussianProcessRegressor(kernel, normalize_y=True, random_state=0)
+        alone.append(gp.fit(X, y).predict(points))
+    joint = error_over_spread(model.predict(points), truth)
+    assert joint < 0.7 * error_over_spread(np.column_stack(alone), truth)
+
+
+def test_independent_outputs_do_not_learn_from_each_other():
+    """Without common points nothing says how two outputs depend: bands stay as wide as of one alone."""
+    rng = np.random.default_rng(3)
+    x = np.linspace(0, 10, 80)
+    Y = np.full((80, 2), np.nan)
+    Y[:40, 0] = np.sin(2 * x[:40])
+    Y[40:, 1] = 3 * np.cos(1.5 * x[40:])
+    Y += 0.1 * rng.normal(size=Y.shape)
+    model = DependentGPRegressor(random_state=0).fit(x[:, None], Y)
+    single = DependentGPRegressor(random_state=0).fit(x[:40, None], Y[:40, 0])
+    far = [[8.0]]
+    std = model.predict(far, return_std=True)[1][0, 0]
+    alone = single.predict(far, return_std=True)[1][0]
+    assert std > 0.7 * alone
+
+
+def test_weights_are_those_of_akaike():
+    scores = [-10.0, -11.0, -9.5, -30.0]
+    expected = np.exp([-10.0, -11.0, -9.5])
+    weights = structure_weights(scores)
+    np.testing.assert_allclose(weights[:3], expected / expected.sum(), rtol=1e-6)
+    assert weights[3] == 0.0
+
+
+def test_posterior_of_independent_outputs_is_the_posterior_of_each():
+    rng = np.random.default_rng(5)
+    X = rng.uniform(-2, 2, (60, 2))
+    Y = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1]), X[:, 0] * X[:, 1]])
+    Y[5:20, 1] = np.nan
+    widths = np.broadcast_to([0.8, 1.3], (3, 3, 2))
+    settings = {"trend": None, "structure": "joint", "optimizer": None, "noise_variance": 0.01}
+    joint = DependentGPRegressor(
+        ConvolvedGaussian(0, amplitude=np.diag([1.0, 2.0, 0.5]), length_scale=widths), **settings
+    ).fit(X, Y)
+    mean, std = joint.predict(X, return_std=True)
+    _, cov = joint.predict(X[:7], return_cov=True)
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(3, 7).T, std[:7], rtol=1e-8)
+    assert not cov[:7, 7:].any()
+    for i, amplitude in enumerate((1.0, 2.0, 0.5)):
+        seen = np.isfinite(Y[:, i])
+        kernel = ConstantKernel(amplitude**2) * RBF([0.8, 1.3])
+        reference = GaussianProcessRegressor(kernel, alpha=0.01, optimizer=None)
+        expected = reference.fit(X[seen], Y[seen, i]).predict(X, return_std=True)
+        np.testing.assert_allclose(mean[:, i], expected[0], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(std[:, i], expected[1], rtol=1e-6)

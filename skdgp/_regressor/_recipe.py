@@ -221,7 +221,7 @@ class Recipe:
         shifts = len(kernels) > 1
         requested = SearchOptions(shifts=shifts, **options)
         found = search(kernels, X, Z, requested, exact=exact, known=known)
-        weights = structure_weights([learned.score for learned in found])
+        weights = structure_weights([learned.score() for learned in found])
         order = np.argsort(-weights, kind="stable")
         fits = []
         for k in order[: np.count_nonzero(weights)]:

@@ -29,7 +29,12 @@ from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
 from skdgp.inference._starts import coarse, from_coarse, narrowed, single_output, starting_kernel
-from skdgp.inference._structures import has_shared_latents, n_mattering, with_shifts
+from skdgp.inference._structures import (
+    has_shared_latents,
+    n_mattering,
+    structure_weights,
+    with_shifts,
+)
 from skdgp.kernels import MultiOutputKernel
 
 
@@ -39,6 +44,11 @@ class SearchSettings:
 
     #: Fewest and most values that a joint search learns from; its time grows with their third power
     values: tuple[int, int] = (1000, 1800)
+    #: Most values that shared widths are learned from
+    coarse_values: int = 900
+    #: Most values, and iterations, of a trial of several structures
+    structure_values: int = 600
+    structure_iterations: int = 50
     #: Values of each output, between these
     output_values: int = 300
     #: Most values of an output alone
@@ -98,8 +108,8 @@ class Hyperparameters(NamedTuple):
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
     noise, None for exact regressors. ``remaining`` is the expected rise of the likelihood by
     further iterations. ``is_unbiased``: variances are multiplied by ``unbiased_factor``.
-    ``score`` is the log likelihood of the values of the search, less one for each
-    hyperparameter that matters.
+    ``log_likelihood`` is of the values of the search. ``price`` is one for each
+    hyperparameter that matters, and the price of shifts.
     """
 
     kernel: MultiOutputKernel
@@ -110,7 +120,12 @@ class Hyperparameters(NamedTuple):
     remaining: float = 0.0
     converged: bool = True
     is_unbiased: bool = False
-    score: float = -np.inf
+    log_likelihood: float = -np.inf
+    price: float = 0.0
+
+    def score(self, times: float = 1.0) -> float:
+        """Return the logarithm of the weight among structures, for a likelihood of so many times the values."""
+        return times * self.log_likelihood - self.price
 
     def noisy(self, data: Data, passes: int = 2) -> Data:
         """Return observed values of exact regressors with the noise of the regressors.
@@ -239,24 +254,38 @@ def search(
         column_scale(X),
         random_state,
     )
-    found = [joint.learned(kernel) for kernel in kernels]
+    if len(kernels) == 1:
+        return [joint.learned(kernel)]
+    return _compared(joint, kernels, shift)
+
+
+class _Structure(NamedTuple):
+    """A kernel without values, and what its likelihood pays for the choice of its shifts [nats]."""
+
+    kernel: MultiOutputKernel
+    price: float = 0.0
+
+
+def _compared(joint, kernels, shift) -> list[Hyperparameters]:
+    """Return hyperparameters of the kernels that a trial on few values leaves, and of those with shifts (P, d).
+
+    The likelihood of all values is taken as proportional to that of few.
+    """
+    few = joint.trial()
+    structures = [_Structure(kernel) for kernel in kernels]
+    found = [few.compared(structure) for structure in structures]
     if shift is not None:
-        found += _with_shifts(joint, kernels, found, shift, X)
-    return found
-
-
-def _with_shifts(joint, kernels, found, shift, X):
-    """Return hyperparameters of the kernels with shifts (P, d), as long as these raise the score."""
-    with_shift = []
-    for kernel, without in zip(kernels, found, strict=True):
-        if not has_shared_latents(kernel):
-            continue
-        learned = joint.learned(with_shifts(kernel, shift, X))
-        learned = learned._replace(score=learned.score - price_of_shifts(shift))
-        with_shift.append(learned)
-        if learned.score < without.score:
-            break
-    return with_shift
+        for kernel, without in zip(kernels, list(found), strict=True):
+            if has_shared_latents(kernel):
+                moved = with_shifts(kernel, shift, few.X)
+                structures.append(_Structure(moved, price_of_shifts(shift)))
+                found.append(few.compared(structures[-1]))
+                if found[-1].score() < without.score():
+                    break
+    if few is joint:
+        return found
+    weights = structure_weights([each.score(joint.n_values / few.n_values) for each in found])
+    return [joint.compared(structures[k]) for k in np.flatnonzero(weights)]
 
 
 class _JointSearch(NamedTuple):
@@ -274,24 +303,50 @@ class _JointSearch(NamedTuple):
     scale: Vector
     random_state: Any
 
+    @property
+    def n_values(self) -> int:
+        """Number of observed values."""
+        return int(np.isfinite(self.Y).sum())
+
+    def trial(self) -> _JointSearch:
+        """Return a short search on few values, or itself if there are few."""
+        settings = self.options.settings
+        step = -(-self.n_values // settings.structure_values)
+        if step == 1:
+            return self
+        rows = np.arange(0, len(self.X), step)
+        few = min(self.options.max_iter, settings.structure_iterations)
+        return self._replace(
+            X=self.X[rows],
+            Y=self.Y[rows],
+            known=self.known.of_rows(rows),
+            options=replace(self.options, max_iter=few),
+        )
+
+    def compared(self, structure: _Structure) -> Hyperparameters:
+        """Return the hyperparameters of a structure, with its price."""
+        learned = self.learned(structure.kernel)
+        return learned._replace(price=n_mattering(learned.kernel, self.X) + structure.price)
+
     def learned(self, kernel: MultiOutputKernel) -> Hyperparameters:
         """Return the hyperparameters of a kernel."""
         options = self.options
         data = Data.from_table(self.X, self.Y, self.known.loading)
         noise = self.noise
 
-        # Stage 2. From shared widths, stage 3 needs few iterations, and ends at optima that predict
-        # better than those reached from arbitrary widths.
+        # Stage 2. From shared widths, learned from few values, stage 3 needs few iterations, and ends
+        # at optima that predict better than those reached from arbitrary widths.
         start = self._start(kernel)
         shared = self._start(coarse(kernel))
         n_iter = 0
-        if shared.n_dims < start.n_dims or options.input_noise:
+        step = -(-data.n_values // options.settings.coarse_values)
+        if shared.n_dims < start.n_dims or options.input_noise or step > 1:
             half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
-            shared, noise, end = self._climb(shared, noise, self.bounds, data, half)
+            few = data.every(step)
+            shared, noise, end = self._climb(shared, noise, self.bounds, few, half)
             n_iter = end.n_iter
             start = from_coarse(kernel, start, shared)
 
-        # Stage 3.
         bounds = self.bounds
         if options.input_noise:
             # slopes of the kernel of stage 2 propagate noise of the regressors
@@ -320,7 +375,7 @@ class _JointSearch(NamedTuple):
             interrupted=self.stop.is_set(),
             remaining=end.remaining,
             converged=bool(end.converged or end.remaining <= irrelevant),
-            score=end.value - n_mattering(best, self.X),
+            log_likelihood=end.value,
         )
 
     def _start(self, kernel):

@@ -27,9 +27,9 @@ class ShiftSettings:
     #: Largest shift, over the range of a regressor
     largest: float = 0.5
     #: Shifts from the largest negative to the largest positive one
-    n_lags: int = 81
+    n_lags: int = 61
     #: Most samples at which functions are compared
-    rows: int = 100
+    rows: int = 60
     #: Most values of each separate fit
     values: int = 200
     #: Least part of the samples where both functions are known

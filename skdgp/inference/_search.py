@@ -334,12 +334,13 @@ class _JointSearch(NamedTuple):
         data = Data.from_table(self.X, self.Y, self.known.loading)
         noise = self.noise
 
-        # Stage 2. From shared widths, learned from few values, stage 3 needs few iterations, and ends
-        # at optima that predict better than those reached from arbitrary widths.
+        # Stage 2. From shared widths, stage 3 needs few iterations, and ends at optima that predict
+        # better than those reached from arbitrary widths. Few values show them, unless slopes of this
+        # fit propagate noise of the regressors.
         start = self._start(kernel)
         shared = self._start(coarse(kernel))
         n_iter = 0
-        step = -(-data.n_values // options.settings.coarse_values)
+        step = 1 if options.input_noise else -(-data.n_values // options.settings.coarse_values)
         if shared.n_dims < start.n_dims or options.input_noise or step > 1:
             half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
             few = data.every(step)

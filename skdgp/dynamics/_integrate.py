@@ -17,7 +17,7 @@ from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._air import AirAt, LocalAir
 from skdgp.dynamics._inputs import Clock
-from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._motion import Instant, Motion, by_name
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._servos import Servos
 
@@ -42,11 +42,6 @@ class FlightLimits:
 
 
 FLIGHT_LIMITS = FlightLimits()
-
-
-def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:
-    """Return the last axis of ``values`` (..., n) by name."""
-    return {name: values[..., k] for k, name in enumerate(names)}
 
 
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:

@@ -23,8 +23,8 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._integrate import REASONS, Record, by_name, channels
-from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._integrate import REASONS, Record, channels
+from skdgp.dynamics._motion import Motion, by_name
 
 # Largest excess of a regressor over its training range without a warning, as a fraction of the
 # range

@@ -22,9 +22,6 @@ from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
 
-# Of central differences, where a model has no slopes: a fraction of the range of a regressor, or
-# absolute
-DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
@@ -196,9 +193,10 @@ class Aerodynamics:
         paths = () if self.n_paths is None else (self.n_paths,)
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
-    def _differences(self, X: Array) -> Array:
+    def _differences(self, X: Array, step: float = 1e-4) -> Array:
+        """Return central differences, of steps over the range of a regressor, or absolute without one."""
         ranges = np.zeros(X.shape[-1]) if self.limits is None else np.ptp(self.limits, axis=0)
-        return central_difference(self, X, DIFFERENCE * np.where(ranges > 0, ranges, 1.0))
+        return central_difference(self, X, step * np.where(ranges > 0, ranges, 1.0))
 
 
 @runtime_checkable
@@ -326,25 +324,31 @@ class _PipelineInFlight:
             n_before = len(roles) - roles[::-1].index("regressors")
         self.behind = steps[n_before:]
         by_role = dict(zip(roles[:n_before], steps, strict=False))
-        chosen = by_role.get("regressors")
-        learned = vars(steps[0] if chosen is None else chosen)
-        names = learned.get("feature_names_in_" if chosen is None else "regressors_")
-        if names is None:
-            raise ValueError(
-                f"Got a {type(model).__name__} whose regressors have no names: put "
-                "RegressorSelector([...]) into the pipeline, fit on a DataFrame, or give "
-                "Aerodynamics(model.predict, regressors=[...])."
-            )
+        self.regressors, self.limits, self.flown = _chosen_regressors(
+            by_role.get("regressors"), steps[0], type(model).__name__
+        )
         _check_unscaled(steps[:n_before])
-        self.regressors = list(names)
-        low = learned.get("data_min_")
-        self.limits = None if low is None else np.array([low, learned["data_max_"]])
-        self.flown = dict(learned.get("ranges_", {}))
         rates = by_role.get("rates")
         self.span = None if rates is None else rates.span
         self.chord = None if rates is None else rates.chord
         self.mixing = _mixing_of(by_role.get("controls"))
         self.servo_lag = sum(step.servo_lag_ for step in steps if isinstance(step, LateSurfaces))
+
+
+def _chosen_regressors(
+    selector: Any, first: Any, model: str
+) -> tuple[list[str], Array | None, dict[str, tuple[float, float]]]:
+    """Return names, limits and flown ranges of the regressors of a selector, or of the table of the ``first`` step."""
+    learned = vars(first if selector is None else selector)
+    names = learned.get("feature_names_in_" if selector is None else "regressors_")
+    if names is None:
+        raise ValueError(
+            f"Got a {model} whose regressors have no names: put RegressorSelector([...]) into the "
+            "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
+        )
+    low = learned.get("data_min_")
+    limits = None if low is None else np.array([low, learned["data_max_"]])
+    return list(names), limits, dict(learned.get("ranges_", {}))
 
 
 def _check_unscaled(steps: list) -> None:

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
+from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -23,7 +24,6 @@ from skdgp.dynamics._unsteady import ROTATION_OF, std_by_method, unsteady_terms
 ROWS = (*COEFFICIENTS, "CL", "CD")
 LIFT = ROWS.index("CL")
 DRAG = ROWS.index("CD")
-NORMAL_95 = 1.959963984540054
 
 
 def stability_derivatives(
@@ -138,13 +138,13 @@ def stability_derivatives(
         columns |= _errors_of_aircraft(motion, now, frame)
     tables = []
     for k, value in enumerate(values):
-        tables.append(frame.table(value, {name: column[k] for name, column in columns.items()}))
-    if is_single:
-        return tables[0]
-    for k, table in enumerate(tables):
+        table = frame.table(value, {name: column[k] for name, column in columns.items()})
+        if is_single:
+            return table
         table.insert(0, "airspeed", float(now.airspeed[k]))
         table.insert(1, "alpha", float(now.alpha[k]))
         table.insert(2, "beta", float(now.beta[k]))
+        tables.append(table)
     return pd.concat(tables, keys=range(len(tables)), names=["point", None])
 
 
@@ -189,14 +189,14 @@ def _deviations(
         std_random = frame.std(slopes, values)
         std_method = frame.std(slopes_by_method, values_by_method)
     # the part that the errors of the function do not explain
-    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
+    explained = std_random**2 + std_method**2
+    std_posterior = np.sqrt(np.maximum(std**2 - explained, 0.0))
     if added is not None and model.narrowing is not None:
         factor = _narrowing(frame, model.narrowing(added), now)
         std_posterior = std_posterior * factor
         std_random = std_random * factor
         std = np.sqrt(std_posterior**2 + (std_random**2 + std_method**2))
-    scatter = std_by_method(errors)
-    unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), scatter)
+    unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), std_by_method(errors))
     merged = frame.sizes(unsteady.errors)
     return {
         "std": std,
@@ -232,7 +232,7 @@ def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str
     slopes = motion.aerodynamics.gradient(now.regressors)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
     errors = errors_of_sizes(deviations, aircraft.inertia, motion.regressors, values)
-    sizes = np.abs([frame(error[..., 0], error[..., 1:]) for error in errors])
+    sizes = np.abs(frame(errors[..., 0], errors[..., 1:]))
     names = np.array(list(deviations), dtype=object)
     return {
         "std_aircraft": np.sqrt(np.sum(sizes**2, axis=0)),
@@ -290,21 +290,22 @@ class _Frame:
 
     def merged_names(self) -> np.ndarray:
         """Return the derivative by alpha_dot or beta_dot that each merges with, (2, rows, 1 + columns)."""
-        names = np.empty((len(ROTATION_OF), len(ROWS), len(self.names)), dtype=object)
-        for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
-            for k, name in enumerate(self.names):
-                partner = rotation if name == angle_rate else angle_rate
-                names[j, :, k] = [f"{row}_{partner}" for row in ROWS]
-        return names
+        rows = np.array(ROWS, dtype=object)[:, None]
+        merged = []
+        for angle_rate, rotation in ROTATION_OF.items():
+            partners = [rotation if name == angle_rate else angle_rate for name in self.names]
+            merged.append(rows + "_" + np.array(partners, dtype=object))
+        return np.stack(merged)
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
         """Return the table of one point, of values and standard deviations by name (rows, 1 + columns)."""
         table = pd.DataFrame({"value": values.ravel()})
         columns = {name: column.ravel() for name, column in columns.items()}
         if "std" in columns:
+            half = half_width(0.95) * columns["std"]
             table["std"] = columns.pop("std")
-            table["lower"] = table["value"] - NORMAL_95 * table["std"]
-            table["upper"] = table["value"] + NORMAL_95 * table["std"]
+            table["lower"] = table["value"] - half
+            table["upper"] = table["value"] + half
         table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
         table["regressor"] = self.names * len(ROWS)
         table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
@@ -331,14 +332,13 @@ def _points(
     """Return states (n, 13), controls by name (n,), and whether it is a single point."""
     is_single = isinstance(point, Trim) or (np.ndim(point) == 1 and not isinstance(point[0], Trim))
     points = [point] if is_single else list(point)
+    given = {name: np.broadcast_to(x, len(points)) for name, x in (controls or {}).items()}
     states = []
     settings = []
     for k, item in enumerate(points):
-        inputs = None
-        if controls:
-            inputs = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
-        state, setting = flight_point(motion, item, inputs)
+        inputs = {name: values[k] for name, values in given.items()}
+        state, setting = flight_point(motion, item, inputs or None)
         states.append(state)
         settings.append(setting)
-    by_name = {name: np.array([setting[name] for setting in settings]) for name in settings[0]}
+    by_name = {name: column.to_numpy() for name, column in pd.DataFrame(settings).items()}
     return np.stack(states), by_name, is_single

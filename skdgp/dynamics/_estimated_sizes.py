@@ -14,8 +14,6 @@ from skdgp.dynamics._size_errors import MOMENTS, PRODUCT, ScaleFactor
 QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
 # Errors of the moments of inertia
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
-# Step of a complex derivative, which has no error of cancellation
-COMPLEX_STEP = 1e-20
 
 
 class Kind(NamedTuple):
@@ -140,12 +138,17 @@ def _factors(
     return factors | measured
 
 
-def _powers(values: Mapping[str, Any], name: str, is_length_given: bool) -> dict[str, float]:
-    """Return the powers of a factor in each size, d log(size) / d log(factor), by a complex step."""
-    stepped = {**values, name: values[name] * (1.0 + COMPLEX_STEP * 1j)}
+def _powers(
+    values: Mapping[str, Any], name: str, is_length_given: bool, step: float = 1e-20
+) -> dict[str, float]:
+    """Return the powers of a factor in each size, d log(size) / d log(factor), by a complex step.
+
+    A complex step has no error of cancellation, so it can be tiny.
+    """
+    stepped = {**values, name: values[name] * (1.0 + step * 1j)}
     powers = {}
     for size, value in _sizes(stepped, is_length_given).items():
-        power = float(np.imag(value) / np.real(value)) / COMPLEX_STEP
+        power = float(np.imag(value) / np.real(value)) / step
         if power:
             powers[size] = round(power, 12)
     return powers

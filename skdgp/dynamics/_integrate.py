@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -219,32 +219,31 @@ def fly_record(
 
 def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end: Array) -> Record:
     """Return the record of the steps ``flown``."""
-    steps = np.arange(clock.n_steps + 1)
-    is_over = np.expand_dims(steps, tuple(range(1, 1 + ended.ndim))) >= end
+    time = clock.dt * np.arange(clock.n_steps + 1)
+    is_over = np.moveaxis(np.less_equal.outer(end, np.arange(clock.n_steps + 1)), -1, 0)
 
-    def over_time(values: Sequence, *size: int) -> Array:
+    def over_time(values: Iterable, *size: int) -> Array:
         array = np.full((*is_over.shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
         array[is_over] = np.nan
         return array
 
-    instants = [moment.now for moment in flown]
-    has_wind = flown[0].wind is not None
-    force = over_time([now.force for now in instants], 3)
+    states, instants, _, controls, winds = zip(*flown, strict=True)
+    force = over_time((now.force for now in instants), 3)
+    deflected = {}
+    for name in controls[0]:
+        deflected[name] = over_time(moment[name] for moment in controls)
     return Record(
-        time=clock.dt * steps,
-        states=over_time([moment.state for moment in flown], 13),
-        regressors=over_time([now.regressors for now in instants], len(motion.regressors)),
-        coefficients=over_time([now.coefficients for now in instants], 6),
+        time=time,
+        states=over_time(states, 13),
+        regressors=over_time((now.regressors for now in instants), len(motion.regressors)),
+        coefficients=over_time((now.coefficients for now in instants), 6),
         specific_force=force / motion.aircraft.mass,
-        derivative=over_time([now.derivative for now in instants], 13),
-        density=over_time([now.density for now in instants]),
-        wind=over_time([moment.wind for moment in flown], 3) if has_wind else None,
-        controls={
-            name: over_time([moment.controls[name] for moment in flown])
-            for name in flown[0].controls
-        },
+        derivative=over_time((now.derivative for now in instants), 13),
+        density=over_time(now.density for now in instants),
+        wind=None if winds[0] is None else over_time(winds, 3),
+        controls=deflected,
         ended=ended,
         end=end,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -25,13 +25,12 @@ def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     for family in (LONGITUDINAL, LATERAL):
         if set(family) <= set(states):
             core += family
-    rows = [states.index(name) for name in core or states]
-    block = np.ix_(rows, rows)
-    eigenvalues, left, right = eig(A.to_numpy()[block], left=True)
-    participation = pd.DataFrame(_participation(left, right), core or states)
+    names = core or states
+    rows = [states.index(name) for name in names]
+    eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
+    participation = pd.DataFrame(_participation(left, right), names)
     units = _named(_units(eigenvalues), participation, eigenvalues)
-    roots = [eigenvalues[list(unit)] for unit in units.values()]
-    table = pd.DataFrame(list(map(_row, roots)), index=list(units))
+    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in units.values()], list(units))
     if paths is not None:
         _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(units.values()))
     return table
@@ -106,7 +105,7 @@ def _split(
     largest = -np.inf
     for number in range(1, size + 1):
         for subset in combinations(units, number):
-            members = [k for unit in subset for k in unit]
+            members = list(chain(*subset))
             if len(members) == size and share[members].sum() > largest:
                 best = subset
                 largest = share[members].sum()

@@ -21,6 +21,7 @@ from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp.dynamics._aircraft import Aircraft
 
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
@@ -161,6 +162,10 @@ class Aerodynamics:
     def is_uncertain(self) -> bool:
         """Whether functions can be drawn from a posterior."""
         return self.sampler is not None
+
+    def lengths(self, aircraft: Aircraft) -> dict[str, float]:
+        """Return span and chord of the non-dimensional rates [m], by default of the aircraft that flies."""
+        return {"span": self.span or aircraft.span, "chord": self.chord or aircraft.chord}
 
     def __call__(self, X: ArrayLike) -> Array:
         """Return the coefficients (..., 6) at regressors (..., d)."""
@@ -317,22 +322,19 @@ class _PipelineInFlight:
     """The steps of a fitted pipeline by their roles in a simulation (``in_simulation``)."""
 
     def __init__(self, model: BaseEstimator):
-        steps = _steps_of(model)
-        roles = [getattr(step, "in_simulation", "measurements") for step in steps]
-        n_before = 0
-        if "regressors" in roles:
-            n_before = len(roles) - roles[::-1].index("regressors")
-        self.behind = steps[n_before:]
-        by_role = dict(zip(roles[:n_before], steps, strict=False))
+        before, self.behind = steps_by_choice(model)
+        steps = [*before, *self.behind]
+        by_role = {_role(step): step for step in before}
         self.regressors, self.limits, self.flown = _chosen_regressors(
             by_role.get("regressors"), steps[0], type(model).__name__
         )
-        _check_unscaled(steps[:n_before])
+        _check_unscaled(before)
         rates = by_role.get("rates")
         self.span = None if rates is None else rates.span
         self.chord = None if rates is None else rates.chord
         self.mixing = _mixing_of(by_role.get("controls"))
-        self.servo_lag = sum(step.servo_lag_ for step in steps if isinstance(step, LateSurfaces))
+        late = [step for step in steps if isinstance(step, LateSurfaces)]
+        self.servo_lag = sum(step.servo_lag_ for step in late)
 
 
 def _chosen_regressors(
@@ -508,6 +510,21 @@ def _steps_of(model: BaseEstimator) -> list:
         steps = [step for _, step in model.steps if step not in (None, "passthrough")]
         return [*steps[:-1], *_steps_of(steps[-1])]
     return [model]
+
+
+def _role(step: Any) -> str:
+    """Return the role that a step of a pipeline declares for simulations, of any package."""
+    return getattr(step, "in_simulation", "measurements")
+
+
+def steps_by_choice(model: BaseEstimator) -> tuple[list, list]:
+    """Return the fitted steps up to the choice of regressors, and behind it; without a choice all are behind."""
+    steps = _steps_of(model)
+    n_before = 0
+    for number, step in enumerate(steps, start=1):
+        if _role(step) == "regressors":
+            n_before = number
+    return steps[:n_before], steps[n_before:]
 
 
 def _for_arrays(transform: Any) -> Any:

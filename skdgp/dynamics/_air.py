@@ -61,12 +61,9 @@ class Air:
 
     def __post_init__(self) -> None:
         if isinstance(self.gusts, Turbulence):
-            intensity = as_floats(self.gusts.intensity)
-            length = as_floats(self.gusts.length)
-            is_whole = (
-                intensity.shape == length.shape == (3,) and np.isfinite([intensity, length]).all()
-            )
-            if not (is_whole and (intensity >= 0).all() and (length > 0).all()):
+            sizes = [as_floats(self.gusts.intensity), as_floats(self.gusts.length)]
+            is_whole = all(size.shape == (3,) and np.isfinite(size).all() for size in sizes)
+            if not (is_whole and (sizes[0] >= 0).all() and (sizes[1] > 0).all()):
                 raise ValueError(
                     f"Got {self.gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], "
                     "of u, v, w."

@@ -189,23 +189,30 @@ def _deviations(
         std_random = frame.std(slopes, values)
         std_method = frame.std(slopes_by_method, values_by_method)
     # the part that the errors of the function do not explain
-    explained = std_random**2 + std_method**2
-    std_posterior = np.sqrt(np.maximum(std**2 - explained, 0.0))
+    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
     if added is not None and model.narrowing is not None:
         factor = _narrowing(frame, model.narrowing(added), now)
         std_posterior = std_posterior * factor
         std_random = std_random * factor
         std = np.sqrt(std_posterior**2 + (std_random**2 + std_method**2))
-    unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), std_by_method(errors))
-    merged = frame.sizes(unsteady.errors)
+    std_merged, merged = _merged(motion, now, frame, std_by_method(errors))
     return {
         "std": std,
         "std_posterior": std_posterior,
-        "std_merged": np.hypot(*merged),
+        "std_merged": std_merged,
         "std_random": std_random,
         "std_method": std_method,
-        "merged": _largest(merged, frame.merged_names()[:, None]),
+        "merged": merged,
     }
+
+
+def _merged(
+    motion: Motion, now: Instant, frame: _Frame, scatter: ArrayLike
+) -> tuple[Array, np.ndarray]:
+    """Return the possible effects of alpha_dot and beta_dot on each entry, and the name of the larger."""
+    slopes = motion.aerodynamics.gradient(now.regressors)
+    sizes = frame.sizes(unsteady_terms(motion, now, slopes, scatter).errors)
+    return np.hypot(*sizes), _largest(sizes, frame.merged_names()[:, None])
 
 
 def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
@@ -300,17 +307,15 @@ class _Frame:
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
         """Return the table of one point, of values and standard deviations by name (rows, 1 + columns)."""
         table = pd.DataFrame({"value": values.ravel()})
-        columns = {name: column.ravel() for name, column in columns.items()}
         if "std" in columns:
-            half = half_width(0.95) * columns["std"]
-            table["std"] = columns.pop("std")
-            table["lower"] = table["value"] - half
-            table["upper"] = table["value"] + half
+            std = columns.pop("std").ravel()
+            half = half_width(0.95) * std
+            table = table.assign(std=std, lower=table["value"] - half, upper=table["value"] + half)
         table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
         table["regressor"] = self.names * len(ROWS)
         table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
         table.index = pd.Index((table["coefficient"] + "_" + table["regressor"]).str.rstrip("_"))
-        return table.assign(**columns)
+        return table.assign(**{name: column.ravel() for name, column in columns.items()})
 
 
 def _turn(alpha: Array) -> Array:
@@ -340,5 +345,7 @@ def _points(
         state, setting = flight_point(motion, item, inputs or None)
         states.append(state)
         settings.append(setting)
-    by_name = {name: column.to_numpy() for name, column in pd.DataFrame(settings).items()}
+    by_name = {}
+    for name in settings[0]:
+        by_name[name] = np.array([setting[name] for setting in settings])
     return np.stack(states), by_name, is_single

@@ -103,12 +103,12 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
         if factor.std > 0:
             powers = _powers(values, name, is_length_given)
             deviations[name] = ScaleFactor(factor.std, powers, factor.source)
+    result = {name: derived[name] for name in QUANTITIES}
     if inertia is None:
         inertia = np.diag([derived[moment] for moment in MOMENTS])
         source = f"none, usual of {kind} aircraft"
         deviations["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, source)
-    estimates = {name: derived[name] for name in QUANTITIES}
-    return {**estimates, "inertia": inertia, "deviations": deviations}
+    return result | {"inertia": inertia, "deviations": deviations}
 
 
 def _factors(
@@ -119,22 +119,21 @@ def _factors(
     for name, value in sizes.items():
         if value is not None:
             measured[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
+    length = measured.pop("length", None)
     factors = {}
-    if "wing area" not in measured and "chord" not in measured:
-        ratio, std = rule.aspect_ratio
-        factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
     if "chord" not in measured:
+        if "wing area" not in measured:
+            ratio, std = rule.aspect_ratio
+            factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
         ratio, std = rule.chord
         factors["mean aerodynamic chord"] = Factor(ratio, std, f"{ratio:g} S / b, {usual}")
-    length = measured.pop("length", None)
     if not is_inertia_given:
         if length is None:
             ratio, std = rule.length
             length = Factor(ratio, std, f"{measured['span'].value * ratio:.3g} m, {usual}")
         factors["length"] = length
         for name, radius, std in zip(INERTIAS, rule.radii, rule.inertia_std, strict=True):
-            source = f"radius of gyration {radius:g}, {rule.source}"
-            factors[name] = Factor(radius**2, std, source)
+            factors[name] = Factor(radius**2, std, f"radius of gyration {radius:g}, {rule.source}")
     return factors | measured
 
 

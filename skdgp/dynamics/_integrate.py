@@ -204,16 +204,16 @@ def fly_record(
                 ended[just] = reason
                 end[just] = k
             is_flying = ended == FLYING
-            if over and is_flying.any():
+            flies_on = is_flying.any()
+            if over and flies_on:
                 # flights that ended continue from their start, without being shown
                 state = np.where(is_flying[..., None], state, start)
                 moment = integrator.begin(k, state, reached, None)
             flown.append(moment)
-            if not is_flying.any():
+            if k == clock.n_steps or not flies_on:
                 break
-            if k < clock.n_steps:
-                state, reached = integrator.step(k, moment)
-                guess = moment.now.implicit
+            state, reached = integrator.step(k, moment)
+            guess = moment.now.implicit
     return _record(motion, clock, flown, ended, end)
 
 
@@ -254,11 +254,10 @@ def end_reasons(state: Array, now: Instant, limits: FlightLimits) -> dict[str, A
     is_finite = np.isfinite(now.derivative).all(axis=-1)
     is_slow = (np.abs(state[..., VELOCITY]) < limits.velocity).all(axis=-1)
     is_turning_slowly = (np.abs(state[..., RATES]) < limits.rate).all(axis=-1)
-    is_settled = np.broadcast_to(now.settled, state.shape[:-1])
     reasons: dict[str, Any] = {
         "airspeed": now.airspeed < limits.airspeed,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~(is_finite & is_slow & is_turning_slowly),
-        "fixed point": ~is_settled,
+        "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),
     }
     return {reason: where for reason, where in reasons.items() if np.any(where)}

@@ -1,4 +1,9 @@
-"""Linear models of the motion: slopes of mechanics, aerodynamics and servos at a flight, with standard deviations."""
+"""Linear models of the motion: slopes of mechanics, aerodynamics and servos at a flight, with standard deviations.
+
+`jacobian` holds the equations. `_mechanics` are the equations of motion as one function of state,
+inputs and coefficients, whose slopes are differences; the aerodynamic model has slopes of its own.
+`_with_servos` puts the servos before the controls, and names A, B, C and D.
+"""
 
 from __future__ import annotations
 
@@ -299,26 +304,30 @@ def jacobian(
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls)
-    z = _vector(state, [controls[name] for name in inputs])
-    zC = np.concatenate([z, instant.coefficients], axis=-1)
-    # Slopes of the mechanics F, G, H by z and C
-    mechanics = _mechanics(motion, controls, inputs)
-    slopes = central_difference(mechanics, zC, _steps(zC, instant.airspeed))
-    n_z = z.shape[-1]
-    n_F = len(STATES)
-    n_FG = n_F + len(motion.regressors)
-    F_z, G_z, H_z = np.split(slopes[..., :n_z], [n_F, n_FG], axis=-2)
-    F_C, G_C, H_C = np.split(slopes[..., n_z:], [n_F, n_FG], axis=-2)
+    F_z, G_z, H_z, F_C, G_C, H_C = _mechanics_slopes(motion, state, controls, inputs, instant)
     # Coefficients by z, with the regressors that follow from them
     c_X = motion.aerodynamics.gradient(instant.regressors)
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
-        angle_rates = H_z[..., ANGLES, :n_F] @ (F_z + F_C @ C_z)
+        angle_rates = H_z[..., ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
         C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
     state_dot_z = F_z + F_C @ C_z
     output_z = H_z + H_C @ C_z
     return state_dot_z, output_z, instant
+
+
+def _mechanics_slopes(
+    motion: Motion, state: Array, controls: Mapping, inputs: Sequence[str], instant: Instant
+) -> list[Array]:
+    """Return the slopes of F, G and H by z, and by C: differences at an instant."""
+    z = _vector(state, [controls[name] for name in inputs])
+    zC = np.concatenate([z, instant.coefficients], axis=-1)
+    steps = _steps(zC, instant.airspeed)
+    slopes = central_difference(_mechanics(motion, controls, inputs), zC, steps)
+    by_z, by_C = np.split(slopes, [z.shape[-1]], axis=-1)
+    ends = [len(STATES), len(STATES) + len(motion.regressors)]
+    return [*np.split(by_z, ends, axis=-2), *np.split(by_C, ends, axis=-2)]
 
 
 def _vector(state: Array, inputs: Sequence[float]) -> Array:

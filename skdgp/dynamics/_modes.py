@@ -21,18 +21,18 @@ LATERAL = ("v", "p", "r", "phi")
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
     states = list(map(str, A))
-    core: list[str] = []
+    names: list[str] = []
     for family in (LONGITUDINAL, LATERAL):
         if set(family) <= set(states):
-            core += family
-    names = core or states
+            names += family
+    names = names or states
     rows = [states.index(name) for name in names]
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
-    units = _named(_units(eigenvalues), participation, eigenvalues)
-    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in units.values()], list(units))
+    modes = _named(_units(eigenvalues), participation, eigenvalues)
+    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in modes.values()], list(modes))
     if paths is not None:
-        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(units.values()))
+        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(modes.values()))
     return table
 
 
@@ -53,8 +53,7 @@ def _add_spread(
         roots = np.linalg.eigvals(path)
         # in the order of the eigenvalues that they lie nearest to
         _, order = linear_sum_assignment(np.abs(eigenvalues[:, None] - roots))
-        roots = roots[order]
-        values.append([_values(roots[list(unit)]) for unit in units])
+        values.append([_values(roots[order[list(unit)]]) for unit in units])
     frequency, damping, decay = np.moveaxis(np.array(values), -1, 0)  # (n_paths, modes) each
     table["frequency_std"] = frequency.std(axis=0, ddof=1)
     table["damping_std"] = damping.std(axis=0, ddof=1)
@@ -81,12 +80,12 @@ def _named(
     """Return the units by name, of the participation of the states in each eigenvalue."""
     named: dict[str, tuple[int, ...]] = {}
     states = set(participation.index)
-    if set(LONGITUDINAL) <= states:
-        along, units = _split(units, participation.loc[list(LONGITUDINAL)], 4)
+    if states.issuperset(LONGITUDINAL):
+        along, units = _split(units, participation.loc[[*LONGITUDINAL]], 4)
         short, long = _split(along, participation.loc[["w", "q"]], 2)
         named |= _numbered("short period", short, eigenvalues)
         named |= _numbered("phugoid", long, eigenvalues)
-    if set(LATERAL) <= states:
+    if states.issuperset(LATERAL):
         dutch, slow = _split(units, participation.loc[["v", "r"]], 2)
         rolling = participation.loc["p"].to_numpy()
         slow.sort(key=lambda unit: -rolling[list(unit)].sum())

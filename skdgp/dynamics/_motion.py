@@ -170,9 +170,8 @@ class Motion:
 
     def _check_lengths(self) -> dict[str, float]:
         """Return span and chord of the non-dimensional rates; warn if the aircraft has others."""
-        model = self.aerodynamics
+        lengths = self.aerodynamics.lengths(self.aircraft)
         own = self.aircraft.lengths
-        lengths = {"span": model.span or own["span"], "chord": model.chord or own["chord"]}
         if not np.isclose(list(lengths.values()), list(own.values()), rtol=0.01).any():
             warn(
                 f"The model's rates were made non-dimensional by span {lengths['span']:g} m and chord "
@@ -354,6 +353,7 @@ def _anderson(
     transposed = np.swapaxes(D, -1, -2)
     normal = transposed @ D
     ridge = settings.ridge * np.trace(normal, axis1=-2, axis2=-1) + np.finfo(float).tiny
-    normal = normal + ridge[..., None, None] * np.eye(len(tried) - 1)
+    identity = np.eye(normal.shape[-1])
+    normal = normal + ridge[..., None, None] * identity
     mixture = np.linalg.solve(normal, transposed @ off[..., None])
     return result - (F @ mixture)[..., 0]

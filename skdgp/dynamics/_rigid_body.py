@@ -20,7 +20,7 @@ from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import STANDARD_GRAVITY, body_to_ned, cross, ned_to_body
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._propeller import Propeller, ThrustLine
+from skdgp.dynamics._propeller import Propeller
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION = slice(0, 3)
@@ -28,7 +28,6 @@ VELOCITY = slice(3, 6)
 ATTITUDE = slice(6, 10)
 RATES = slice(10, 13)
 DOWN = np.array([0.0, 0.0, 1.0])
-CENTRED = ThrustLine()
 
 
 def rigid_body_derivative(
@@ -214,8 +213,7 @@ def propeller_loads(
         )
     thrust = propeller.thrust(propeller_speed, airspeed, density)
     torque = propeller.torque(propeller_speed, airspeed, density)
-    line = aircraft.thrust_line or CENTRED
-    return line.loads(thrust, torque)
+    return aircraft.engine_line.loads(thrust, torque)
 
 
 def propulsive_loads(
@@ -231,16 +229,16 @@ def propulsive_loads(
     thrust as part of the coefficients. Raises ValueError if nothing gives the thrust.
     """
     airspeed = np.asarray(values["airspeed"], dtype=float)
-    density = np.asarray(values["density"], dtype=float)
-    line = aircraft.thrust_line or CENTRED
+    shape = airspeed.shape
     if thrust is None:
-        return np.zeros((*airspeed.shape, 3)), np.zeros((*airspeed.shape, 3))
+        return np.zeros((*shape, 3)), np.zeros((*shape, 3))
     if thrust != "auto":
         raise ValueError(f"Got thrust={thrust!r}, but expected 'auto' or None.")
+    line = aircraft.engine_line
     if any(name in values for name in THRUST_FORCES):
-        force = stacked(values, THRUST_FORCES, airspeed.shape)
+        force = stacked(values, THRUST_FORCES, shape)
         if any(name in values for name in THRUST_MOMENTS):
-            return force, stacked(values, THRUST_MOMENTS, airspeed.shape)
+            return force, stacked(values, THRUST_MOMENTS, shape)
         return force, cross(line.position, force)
     if "thrust" in values:
         return line.loads(values["thrust"])
@@ -255,7 +253,7 @@ def propulsive_loads(
         )
     if isinstance(values, pd.DataFrame):
         _warn_beyond_bench(aircraft.propeller, speed, airspeed)
-    return propeller_loads(aircraft, speed, airspeed, density)
+    return propeller_loads(aircraft, speed, airspeed, values["density"])
 
 
 def _warn_beyond_bench(propeller: Any, speed: Array, airspeed: Array) -> None:

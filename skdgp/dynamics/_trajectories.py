@@ -23,7 +23,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._integrate import FLYING, REASONS, Record, channels
+from skdgp.dynamics._integrate import REASONS, Record, channels
 from skdgp.dynamics._motion import Motion, by_name
 
 BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
@@ -109,13 +109,14 @@ def warn_of(record: Record, motion: Motion) -> None:
 
 def _ended_message(record: Record) -> str:
     """Return a sentence on trajectories that ended early, "" without any."""
-    counts = pd.Series(record.ended.ravel()).value_counts(sort=False).drop(FLYING, errors="ignore")
-    if counts.empty:
+    counts = {text: np.count_nonzero(record.ended == name) for name, text in REASONS.items()}
+    n_ended = sum(counts.values())
+    if not n_ended:
         return ""
-    reasons = [f"{REASONS[reason]}: {count}" for reason, count in counts.items()]
+    reasons = [f"{text}: {count}" for text, count in counts.items() if count]
     first = record.time[record.end.min()]
     return (
-        f"{counts.sum()} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
+        f"{n_ended} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
         f"its start ({', '.join(reasons)}). Their rows are NaN from there on, and the column ended "
         "says why. Look at start, controls, wind and thrust; try a smaller dt."
     )

@@ -29,7 +29,6 @@ from skdgp.dynamics._motion import (
 )
 from skdgp.dynamics._rigid_body import (
     ATTITUDE,
-    CENTRED,
     RATES,
     VELOCITY,
     aerodynamic_loads,
@@ -210,7 +209,7 @@ def trim(
         "beta": values.pop("beta", None),
     }
     steady = SteadyFlight(motion, conditions, values)
-    trims: list[Trim] = []
+    trims = []
     near = None
     for speed in np.atleast_1d(airspeeds).tolist():
         near = steady.solve(speed, near)
@@ -224,7 +223,6 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     check_settled(now)
     aircraft = steady.motion.aircraft
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
-    line = aircraft.thrust_line or CENTRED
     return Trim(
         state=state,
         controls={name: float(flight[name]) for name in steady.controls},
@@ -232,7 +230,7 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         **{name: float(flight[name]) for name in FLIGHT},
         rates=state[RATES].copy(),
         coefficients=now.coefficients,
-        thrust=float((now.force - aerodynamic) @ line.direction),
+        thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
         solved=steady.unknowns,
         residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),
         beyond=_beyond(steady.motion.aerodynamics, now.regressors),
@@ -343,7 +341,7 @@ class SteadyFlight:
 
     def solve(self, airspeed: float, near: Array | None = None) -> Array:
         """Return the values of the unknowns, searched first ``near`` another flight."""
-        low, high = np.array([self.limits[name] for name in self.unknowns]).T
+        low, high = np.array(list(self.limits.values())).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
         starts = [self._start(airspeed, fraction) for fraction in self.settings.starts]
         if near is not None:

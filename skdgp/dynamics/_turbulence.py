@@ -386,12 +386,15 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSet
     density = level / min(part.step for part in spectra)
     loudest = (10 if spectra[0].is_along else 2e-6) * density
     shortest = min(part.shortest for part in spectra)
-    n_axes = len(axes)
-    least = np.log([1e-6 * power, shortest, *[1e-6 * density] * n_axes])
-    most = np.log([100 * power, settings.longest, *[loudest] * n_axes])
+
+    def logarithms(variance: float, length: float, noise: float) -> Array:
+        return np.log([variance, length, *[noise] * len(axes)])
+
+    least = logarithms(1e-6 * power, shortest, 1e-6 * density)
+    most = logarithms(100 * power, settings.longest, loudest)
     solutions = []
     for length in (2 * shortest, 10 * shortest):
-        start = np.log([0.5 * power, length, *[0.05 * loudest] * n_axes])
+        start = logarithms(0.5 * power, length, 0.05 * loudest)
         solutions.append(minimize(loss, start, bounds=Bounds(least, most)))
     best = min(solutions, key=attrgetter("fun"))
     variance, length, *_ = np.exp(best.x)

@@ -16,10 +16,6 @@ from skdgp.export._model import PortableModel
 FORMAT = "skdgp portable model"
 VERSION = 6
 HEAD = "model.json"
-# Time of all members: equal models are equal files
-EPOCH = (1980, 1, 1, 0, 0, 0)
-# Bytes of an array in the file, besides its numbers
-MEMBER_BYTES = 300
 
 
 class PortableFileError(ValueError):
@@ -42,11 +38,12 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
 
     def write(temporary: Path) -> None:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr(zipfile.ZipInfo(HEAD, EPOCH), text)
+            # Members have the same time always, so that equal models are equal files
+            archive.writestr(zipfile.ZipInfo(HEAD), text)
             for name, array in model.arrays().items():
                 data = io.BytesIO()
                 np.save(data, np.ascontiguousarray(array), allow_pickle=False)
-                archive.writestr(zipfile.ZipInfo(f"{name}.npy", EPOCH), data.getbuffer())
+                archive.writestr(zipfile.ZipInfo(f"{name}.npy"), data.getbuffer())
 
     return write_atomically(path, write)
 
@@ -79,9 +76,9 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     return model
 
 
-def file_bytes(model: PortableModel) -> int:
-    """Return the size of the file of a model."""
-    size = MEMBER_BYTES + len(json.dumps(model.head(), indent=1))
+def file_bytes(model: PortableModel, per_member: int = 300) -> int:
+    """Return the size of the file of a model; a member has some bytes besides its numbers."""
+    size = per_member + len(json.dumps(model.head(), indent=1))
     for array in model.arrays().values():
-        size += MEMBER_BYTES + array.nbytes
+        size += per_member + array.nbytes
     return size

@@ -19,7 +19,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_number
-from skdgp.dynamics import Aircraft, Propeller, ThrustLine
+from skdgp.dynamics import Aircraft, Propeller
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
 
@@ -179,7 +179,7 @@ def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Ele
     """
     aircraft = model.aircraft
     inertia = inertia_entries(aircraft)
-    line = aircraft.thrust_line or ThrustLine()
+    line = aircraft.engine_line
     x, y, z = map(float, line.position)
     along_x, along_y, along_z = map(float, line.direction)
     values = aircraft.to_dict() | inertia

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import chain, groupby
@@ -18,8 +18,6 @@ from sklearn.utils import gen_batches
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 
-# Rows that are predicted at once
-ROWS = 512
 ROUNDING = float(np.finfo(float).eps)
 
 
@@ -262,6 +260,11 @@ class Part:
         return np.asarray(epsilon * np.hypot(self.prior(p), explained))
 
 
+def _batches(Z: Matrix, rows: int = 512) -> Iterator[slice]:
+    """Yield the rows that are predicted at once."""
+    yield from gen_batches(len(Z), rows)
+
+
 def _row_sum(values: Any) -> Any:
     """Return the sum of each row, of arrays and symbols."""
     return values @ np.ones(values.shape[1])
@@ -444,7 +447,7 @@ class PortableModel:
     def _predicted(self, Z: Matrix, return_variance: bool) -> tuple[Matrix, Matrix]:
         """Return normalised means and variances of all outputs, (n, P) each."""
         moments = np.empty((2, len(Z), len(self.outputs)))
-        for rows in gen_batches(len(Z), ROWS):
+        for rows in _batches(Z):
             p = self.trend(Z[rows])
             for i in range(len(self.outputs)):
                 moments[0, rows, i], moments[1, rows, i] = self.moments(
@@ -458,7 +461,7 @@ class PortableModel:
 
     def _slopes(self, Z: Matrix) -> Array:
         slopes = np.zeros((len(Z), len(self.outputs), Z.shape[1]))
-        for rows in gen_batches(len(Z), ROWS):
+        for rows in _batches(Z):
             for i in range(len(self.outputs)):
                 for weight, part in self.components(i):
                     slopes[rows, i] += weight * part.slopes(Z[rows])

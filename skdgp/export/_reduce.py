@@ -8,7 +8,6 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.linalg import qr, rq, solve_triangular
 
 from skdgp._compute.parallel import one_blas_thread
@@ -91,7 +90,7 @@ def _points(model: PortableModel, settings: ReductionSettings) -> tuple[Matrix, 
 
     def around(Z: Matrix, moved: Sequence[float]) -> Matrix:
         copies = max(len(moved), settings.points // len(Z))
-        steps = spread * np.resize(moved, copies)[:, None]
+        steps = np.multiply.outer(np.resize(moved, copies), spread)
         noise = rng.standard_normal((copies, *Z.shape)) * steps[:, None]
         return np.concatenate([Z, *(Z + noise)])
 
@@ -110,9 +109,11 @@ def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, di
         changed, reduced_std = small.predict(X, return_std=True, include_input_noise=False)
         changes = np.stack([(changed - mean) / std, reduced_std / std - 1.0])
         losses.append(np.sqrt(np.mean(changes**2, axis=1)))
-    largest = np.max(losses, axis=0)
-    table = pd.DataFrame(largest, ["mean", "std"], list(model.outputs))
-    return {str(name): column.to_dict() for name, column in table.items()}
+    of_mean, of_std = np.max(losses, axis=0).tolist()
+    loss = {}
+    for i, name in enumerate(model.outputs):
+        loss[name] = {"mean": of_mean[i], "std": of_std[i]}
+    return loss
 
 
 class _PartReduction:
@@ -131,16 +132,24 @@ class _PartReduction:
         settings: ReductionSettings,
     ) -> None:
         component, i = divmod(j, len(model.outputs))
-        self.part = part = model.parts[j]
+        self.part = model.parts[j]
         self.weight = model.mixture[component, i]
+        self._factorise(Z, model.trend(Z), settings)
         self.trend = model.trend(check)
         _, self.spread = model.moments(i, check, self.trend, True)
-        g = part.basis(check)
-        self.mean = part.functions_mean(g)
-        self.variance = part.variance(self.trend, part.explained(g))
+        g = self.part.basis(check)
+        self.mean = self.part.functions_mean(g)
+        self.variance = self.part.variance(self.trend, self.part.explained(g))
+        self.checked = np.hstack([self.trend, self._functions(check, self.chosen)])
+        self.step = 0
+        self.reduced, self.loss = self._fit(self.sizes[0])
 
-        # Rows are weighted by the standard deviation of the part
-        p = model.trend(Z)
+    def _factorise(self, Z: Matrix, p: Matrix, settings: ReductionSettings) -> None:
+        """Choose functions at Z, and factorise trend and functions for the fit of mean and explained root.
+
+        Rows are weighted by the standard deviation of the part.
+        """
+        part = self.part
         g = part.basis(Z)
         explained = part.explained(g)
         weight = 1.0 / np.sqrt(part.variance(p, explained))[:, None]
@@ -153,9 +162,6 @@ class _PartReduction:
         self.chosen = candidates[used]
         Q, self.R = qr(np.hstack([trend, functions[:, used]]), mode="economic")
         self.targets = Q.T @ (weight * np.column_stack([part.functions_mean(g), explained]))
-        self.checked = np.hstack([self.trend, self._functions(check, self.chosen)])
-        self.step = 0
-        self.reduced, self.loss = self._fit(self.sizes[0])
 
     @property
     def can_grow(self) -> bool:

@@ -306,16 +306,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):
         return aerodynamics
     learned = _LearnedCoefficients(coefficients, coefficients.regressor)
-    return replace(
-        aerodynamics,
-        slopes=learned.slopes,
-        sampler=learned.sample,
-        drift=learned.drift(),
-        function_errors=learned.function_errors,
-        narrowing=learned.narrowing,
-        training_rows=learned.training_rows,
-        training_seconds=facts.get("seconds_"),
-    )
+    return learned.added_to(aerodynamics, facts.get("seconds_"))
 
 
 class _PipelineInFlight:
@@ -425,6 +416,19 @@ class _LearnedCoefficients:
         self.scale = coefficients.scale
         self.scaled = coefficients.scaled
         self.order = coefficients.order
+
+    def added_to(self, mean: Aerodynamics, seconds: float | None) -> Aerodynamics:
+        """Return the aerodynamics with slopes, posterior and training rows, flown in some ``seconds``."""
+        return replace(
+            mean,
+            slopes=self.slopes,
+            sampler=self.sample,
+            drift=self.drift(),
+            function_errors=self.function_errors,
+            narrowing=self.narrowing,
+            training_rows=self.training_rows,
+            training_seconds=seconds,
+        )
 
     def slopes(self, X: Array) -> Array:
         """Return the slopes (n, 6, d) of the mean."""

@@ -138,13 +138,17 @@ def stability_derivatives(
         columns |= _errors_of_aircraft(motion, now, frame)
     tables = []
     for k, value in enumerate(values):
-        table = frame.table(value, {name: column[k] for name, column in columns.items()})
-        if is_single:
-            return table
+        of_point = {name: column[k].ravel() for name, column in columns.items()}
+        tables.append(frame.table(value.ravel(), of_point))
+    return tables[0] if is_single else _with_points(tables, now)
+
+
+def _with_points(tables: list[pd.DataFrame], now: Instant) -> pd.DataFrame:
+    """Return the tables of several points below each other, with airspeed, alpha and beta."""
+    for k, table in enumerate(tables):
         table.insert(0, "airspeed", float(now.airspeed[k]))
         table.insert(1, "alpha", float(now.alpha[k]))
         table.insert(2, "beta", float(now.beta[k]))
-        tables.append(table)
     return pd.concat(tables, keys=range(len(tables)), names=["point", None])
 
 
@@ -305,17 +309,17 @@ class _Frame:
         return np.stack(merged)
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
-        """Return the table of one point, of values and standard deviations by name (rows, 1 + columns)."""
-        table = pd.DataFrame({"value": values.ravel()})
+        """Return the table of one point, of values and standard deviations by name (rows * (1 + columns),)."""
+        table = pd.DataFrame({"value": values})
         if "std" in columns:
-            std = columns.pop("std").ravel()
+            std = columns.pop("std")
             half = half_width(0.95) * std
-            table = table.assign(std=std, lower=table["value"] - half, upper=table["value"] + half)
+            table = table.assign(std=std, lower=values - half, upper=values + half)
         table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
         table["regressor"] = self.names * len(ROWS)
         table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
         table.index = pd.Index((table["coefficient"] + "_" + table["regressor"]).str.rstrip("_"))
-        return table.assign(**{name: column.ravel() for name, column in columns.items()})
+        return table.assign(**columns)
 
 
 def _turn(alpha: Array) -> Array:

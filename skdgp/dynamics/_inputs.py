@@ -109,14 +109,7 @@ def control_schedule(
     if callable(controls):
         return lambda step, stage, observe: controls(clock.stages[stage], observe())
     if isinstance(controls, Mapping):
-        constants = {str(name): as_floats(value) for name, value in controls.items()}
-        for name, value in constants.items():
-            if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
-                raise ValueError(
-                    f"Got control {name} of shape {value.shape}, not all finite, or not one for each of "
-                    f"{n_starts} starts, but expected a finite number, or one for each start; what "
-                    "varies is a table with time."
-                )
+        constants = _constants(controls, n_starts)
         return lambda step, stage, observe: constants
     tables = as_tables(controls, "controls", n_starts)
     chosen = [name for name in map(str, tables[0]) if name in names]
@@ -126,6 +119,19 @@ def control_schedule(
         )
     values = interpolated(tables, chosen, clock, "controls")
     return lambda step, stage, observe: dict(zip(chosen, values[:, stage], strict=True))
+
+
+def _constants(controls: Mapping, n_starts: int) -> dict[str, Array]:
+    """Return controls by name that are constant, each () or (n_starts,)."""
+    constants = {str(name): as_floats(value) for name, value in controls.items()}
+    for name, value in constants.items():
+        if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
+            raise ValueError(
+                f"Got control {name} of shape {value.shape}, not all finite, or not one for each of "
+                f"{n_starts} starts, but expected a finite number, or one for each start; what "
+                "varies is a table with time."
+            )
+    return constants
 
 
 class _HeldLaw:

@@ -29,7 +29,7 @@ from skdgp._flight.frames import (
 from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._motion import Instant, Motion, by_name, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim
@@ -39,6 +39,7 @@ from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_term
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 OUTPUTS = (*AIR_DATA, *SPECIFIC_FORCE)
 ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
+ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `STATES`
 
 
 @dataclass(frozen=True)
@@ -341,23 +342,32 @@ def _mechanics(
     motion: Motion, controls: Mapping, inputs: Sequence[str]
 ) -> Callable[[Array], Array]:
     """Return the function of (x, u, C) (..., 12 + k + 6) to F, G and H: state_dot, regressors and outputs."""
-    n_x = len(STATES)
-    ends = [6, 9, n_x, n_x + len(inputs)]
+    ends = [len(STATES), len(STATES) + len(inputs)]
 
     def mechanics(zC: Array) -> Array:
-        position_velocity, angles, rates, u, C = np.split(zC, ends, axis=-1)
-        phi, theta, psi = np.moveaxis(angles, -1, 0)
-        attitude = euler_to_quaternion(phi, theta, psi)
-        state = np.concatenate([position_velocity, attitude, rates], axis=-1)
-        moved = dict(zip(inputs, np.moveaxis(u, -1, 0), strict=True))
-        now = motion.at(state, {**controls, **moved}, coefficients=C)
-        angles_dot = (euler_per_rotation(phi, theta) @ rates[..., None])[..., 0]
-        F = [now.derivative[..., :6], angles_dot, now.derivative[..., RATES]]
+        x, u, C = np.split(zC, ends, axis=-1)
+        moved = {**controls, **by_name(inputs, u)}
+        now = motion.at(_state_of(x), moved, coefficients=C)
+        F = _rates_of(x, now)
         air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
         H = [air, now.force / motion.aircraft.mass]
-        return np.concatenate([*F, now.regressors, *H], axis=-1)
+        return np.concatenate([F, now.regressors, *H], axis=-1)
 
     return mechanics
+
+
+def _state_of(x: Array) -> Array:
+    """Return the state (..., 13) of `STATES` (..., 12): a quaternion for the angles."""
+    angles = np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0)
+    return np.concatenate([x[..., :6], euler_to_quaternion(*angles), x[..., 9:]], axis=-1)
+
+
+def _rates_of(x: Array, now: Instant) -> Array:
+    """Return the rates of change of `STATES` (..., 12): the rates of the angles for those of the quaternion."""
+    phi, theta, _ = np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0)
+    angles_dot = (euler_per_rotation(phi, theta) @ x[..., 9:, None])[..., 0]
+    derivative = now.derivative
+    return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
 
 
 def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:

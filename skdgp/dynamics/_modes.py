@@ -21,11 +21,8 @@ LATERAL = ("v", "p", "r", "phi")
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
     states = list(map(str, A))
-    names: list[str] = []
-    for family in (LONGITUDINAL, LATERAL):
-        if set(family) <= set(states):
-            names += family
-    names = names or states
+    families = [names for names in (LONGITUDINAL, LATERAL) if set(names) <= set(states)]
+    names = list(chain(*families)) or states
     rows = [states.index(name) for name in names]
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
@@ -87,12 +84,16 @@ def _named(
         named |= _numbered("phugoid", long, eigenvalues)
     if states.issuperset(LATERAL):
         dutch, slow = _split(units, participation.loc[["v", "r"]], 2)
-        rolling = participation.loc["p"].to_numpy()
-        slow.sort(key=lambda unit: -rolling[list(unit)].sum())
-        names = ("roll", "spiral") if len(slow) == 2 else ("roll-spiral",)
         named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= dict(zip(names, slow, strict=True))
+        named |= _named_by_rolling(slow, participation.loc["p"].to_numpy())
     return named or _numbered("mode", units, eigenvalues)
+
+
+def _named_by_rolling(units: list[tuple[int, ...]], rolling: Array) -> dict[str, tuple[int, ...]]:
+    """Return roll and spiral by the participation of the roll rate, or the oscillation that they have become."""
+    units.sort(key=lambda unit: -rolling[list(unit)].sum())
+    names = ("roll", "spiral") if len(units) == 2 else ("roll-spiral",)
+    return dict(zip(names, units, strict=True))
 
 
 def _split(

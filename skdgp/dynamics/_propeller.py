@@ -249,17 +249,8 @@ class Propeller:
         (array([7.8, 5.1]), 0.23)
         """
         ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
-        ranges = {
-            "diameter": (diameter, USUAL.diameters),
-            "pitch / diameter": (ratio, USUAL.pitch_ratios),
-        }
-        for name, (value, (low, high)) in ranges.items():
-            if not low <= value <= high:
-                warn(
-                    f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from "
-                    f"others with {low:g} to {high:g}: its error may be larger than stated.",
-                    stacklevel=2,
-                )
+        _warn_beyond("diameter", diameter, USUAL.diameters)
+        _warn_beyond("pitch / diameter", ratio, USUAL.pitch_ratios)
         speed_range = None
         std = USUAL.std
         if motor_constant is not None or voltage is not None:
@@ -287,6 +278,17 @@ class Propeller:
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
         load = c0 * n**2 + c1 * n * advance + c2 * advance**2
         return np.asarray(density, dtype=float) * self.diameter**power * load
+
+
+def _warn_beyond(name: str, value: float, measured: tuple[float, float]) -> None:
+    """Warn of a size outside the range of the propellers that were measured."""
+    low, high = measured
+    if not low <= value <= high:
+        warn(
+            f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from others with "
+            f"{low:g} to {high:g}: its error may be larger than stated.",
+            stacklevel=3,
+        )
 
 
 def _bench_values(table: pd.DataFrame) -> pd.DataFrame:

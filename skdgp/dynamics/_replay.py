@@ -79,11 +79,10 @@ def replay(
     time = flight["time"].to_numpy(float)
     measured = table_states(flight)
     _check_coefficients(coefficients, len(flight))
-    loads = (
-        np.hstack(aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft))
-        + np.hstack(propulsive_loads(flight, aircraft, thrust))
-        + np.hstack(external_loads(flight, external_forces))
-    )
+    aerodynamic = aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft)
+    propulsive = propulsive_loads(flight, aircraft, thrust)
+    external = external_loads(flight, external_forces)
+    loads = np.hstack(aerodynamic) + np.hstack(propulsive) + np.hstack(external)
     has_loads: Any = np.isfinite(loads).all(axis=1)
     is_complete: Any = np.isfinite(measured).all(axis=1)
     windows: list[Indices] = []

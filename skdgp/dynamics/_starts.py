@@ -75,9 +75,11 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
         _check_start_names([str(name) for name in x0])
     if isinstance(x0, Mapping | pd.Series):
         return pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
-    names = column_names(x0)
-    if names and len(x0):
-        # a table, perhaps of another library
+    if isinstance(x0, pd.DataFrame) and len(x0):
+        return x0
+    names = [] if isinstance(x0, pd.DataFrame) else column_names(x0)
+    if names:
+        # a table of another library
         return pd.DataFrame({name: np.asarray(x0[name]) for name in names})
     points = [x0] if isinstance(x0, Trim) else x0
     if isinstance(points, list | tuple) and any(isinstance(point, Trim) for point in points):

@@ -200,10 +200,6 @@ def _test(model: PortableModel) -> dict[str, Any]:
     expected = own if losses else pipeline
     slopes = model.predict_gradient(X)
     size = np.abs(slopes * model.scale).max(axis=(0, 2))[:, None] / model.scale
-    allowed = np.zeros((2, len(model.outputs)))
-    if losses:
-        stated = pd.DataFrame(losses)[list(model.outputs)]
-        allowed = stated.loc[["mean", "std"]].to_numpy() + SETTINGS.loss_tolerance
     tables = {
         "at": X,
         "expected_mean": expected.mean,
@@ -214,7 +210,7 @@ def _test(model: PortableModel) -> dict[str, Any]:
         "slope_size": np.where(size > 0, size, 1.0),
         "pipeline_mean": pipeline.mean,
         "pipeline_std": pipeline.std,
-        "allowed": allowed,
+        "allowed": _allowed(model, losses),
     }
     source = "the pipeline" if model.reference else "the portable model"
     return {
@@ -224,6 +220,14 @@ def _test(model: PortableModel) -> dict[str, Any]:
         "source": "the reduced model" if losses else source,
         "tables": "\n".join(_array(name, values) for name, values in tables.items()),
     }
+
+
+def _allowed(model: PortableModel, losses: dict[str, dict[str, float]]) -> Array:
+    """Return the changes of mean and deviation that the stated loss allows, (2, P) in standard deviations."""
+    if not losses:
+        return np.zeros((2, len(model.outputs)))
+    stated = pd.DataFrame(losses)[list(model.outputs)]
+    return stated.loc[["mean", "std"]].to_numpy() + SETTINGS.loss_tolerance
 
 
 def _formulas(model: PortableModel) -> list[str]:

@@ -58,14 +58,7 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            head = json.loads(file[HEAD])
-            if (head["format"], head["version"]) != (FORMAT, VERSION):
-                raise ValueError(f"its format is {head['format']} {head['version']}")
-            arrays = {name: file[name] for name in file.files if name != HEAD}
-        model = PortableModel.from_arrays(head, arrays)
-        if model.content_hash != head["content_hash"]:
-            raise ValueError("its content is not what its hash says")
+        model = _read(path)
         model.predict(model.shift[None], return_std=True)
     except Exception as error:  # a damaged archive may raise anything
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -73,6 +66,19 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
             f"Got {path}, which is not a portable model of this version ({reason}): copy it again, "
             "or export the model again."
         ) from error
+    return model
+
+
+def _read(path: Path) -> PortableModel:
+    """Return the model of a file; raise ValueError if it is of another version or was changed."""
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        head = json.loads(file[HEAD])
+        if (head["format"], head["version"]) != (FORMAT, VERSION):
+            raise ValueError(f"its format is {head['format']} {head['version']}")
+        arrays = {name: file[name] for name in file.files if name != HEAD}
+    model = PortableModel.from_arrays(head, arrays)
+    if model.content_hash != head["content_hash"]:
+        raise ValueError("its content is not what its hash says")
     return model
 
 

@@ -250,28 +250,27 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
     control = _part(root, "flight_control")
     channel = _part(control, "channel")
     lag = float(model.servo_lag[0])
-    for surface, (command, trim, position) in SURFACES.items():
-        if surface not in model.regressor_names:
-            continue
-        values = {
-            "surface": surface,
-            "command": command,
-            "trim": trim,
-            "position": position,
-            "full": full[surface],
-            "lag": 1.0 / lag if lag > 0 else 0.0,
-        }
-        parts = _filled("surface.xml", values)
-        if not lag > 0:
-            servo = _part(parts, "actuator")
-            servo.remove(_part(servo, "lag"))
-        channel.extend(parts)
+    for name in SURFACES:
+        if name in model.regressor_names:
+            channel.extend(_surface(name, full[name], lag))
     settable = [] if _has_engine(model.aircraft) else [THROTTLE]
     for regressor in model.regressors:
         if not regressor.power and regressor.name not in SOURCES:
             settable.append(f"fcs/{regressor.name}")
     for place, name in enumerate(settable):
         control.insert(place, _named("property", name, value="0"))
+
+
+def _surface(name: str, full: float, lag: float) -> Element:
+    """Return the command of a surface and its servo, without a lag if that is zero."""
+    command, trim, position = SURFACES[name]
+    values = {"surface": name, "command": command, "trim": trim, "position": position, "full": full}
+    values["lag"] = 1.0 / lag if lag > 0 else 0.0
+    parts = _filled("surface.xml", values)
+    if not lag > 0:
+        servo = _part(parts, "actuator")
+        servo.remove(_part(servo, "lag"))
+    return parts
 
 
 def _add_aerodynamics(root: Element, model: PortableModel) -> None:
@@ -329,12 +328,8 @@ def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
     total = _plane(constant, slopes, names)
     functions = []
     for number, (term, weights) in enumerate(gaussians):
-        A = term.root @ term.root.T
-        squares = []
-        for k, n in np.argwhere(A):
-            squares.append(_apply("product", -0.5 * A[k, n], names[k], names[n]))
         square = f"aero/square/{coefficient}-{number}"
-        functions.append(_function(square, _apply("sum", *squares)))
+        functions.append(_function(square, _half_square(term, names)))
         constants = -0.5 * np.square(term.centres).sum(axis=1)
         inner = term.centres @ term.root.T
         for weight, at_zero, slope in zip(weights, constants, inner, strict=True):
@@ -342,6 +337,15 @@ def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
             total.append(_apply("product", weight, _apply("exp", exponent)))
     functions.append(_function(f"aero/coefficient/{coefficient}", _apply("sum", *total)))
     return functions
+
+
+def _half_square(term: Term, names: Sequence[str]) -> Element:
+    """Return -z^T F F^T z / 2."""
+    A = term.root @ term.root.T
+    products = []
+    for k, n in np.argwhere(A):
+        products.append(_apply("product", -0.5 * A[k, n], names[k], names[n]))
+    return _apply("sum", *products)
 
 
 def _plane(constant: float, slopes: Vector, names: Sequence[str]) -> list[Any]:

@@ -322,13 +322,17 @@ def _exact(
         for kernel in kernels:
             for j, first in enumerate(places[:-1]):
                 terms += _terms(kernel, i, j, first, X[j], kernel)
-        columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
-        root = (inverse[:, a:b] @ columns).T
-        if not kernels:
-            root = _square_root(root)
-        weights = posterior.alpha[a:b] @ columns
-        prior = _trend_prior(tau[i])
-        parts.append(Part(tuple(terms), readout, weights, prior, root, float(variance[i])))
+        trend = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
+        root = (inverse[:, a:b] @ trend).T
+        part = Part(
+            terms=tuple(terms),
+            readout=readout,
+            trend_weights=posterior.alpha[a:b] @ trend,
+            trend_prior=_trend_prior(tau[i]),
+            trend_root=root if kernels else _square_root(root),
+            prior_variance=float(variance[i]),
+        )
+        parts.append(part)
     return parts
 
 
@@ -341,14 +345,19 @@ def _sparse(posterior: SparsePosterior, tau: Matrix, variance: Vector) -> list[P
         order = [*of_trend, *of_terms]
         w = posterior.weights[posterior.features.columns(i)][order]
         root = np.array(rq(posterior.roots[i][order], mode="r"))
-        readout = Readout(w[n:], np.ascontiguousarray(root[n:, n:]))
         trend_weights = np.zeros(tau.shape[1])
         trend_root = np.zeros((tau.shape[1], len(order)))
         if n:  # weights of the trend are in units of its prior
             trend_weights = tau[i] * w[:n]
             trend_root = tau[i][:, None] * root[:n]
-        prior = _trend_prior(tau[i])
-        part = Part(tuple(terms), readout, trend_weights, prior, trend_root, float(variance[i]))
+        part = Part(
+            terms=tuple(terms),
+            readout=Readout(w[n:], np.ascontiguousarray(root[n:, n:])),
+            trend_weights=trend_weights,
+            trend_prior=_trend_prior(tau[i]),
+            trend_root=trend_root,
+            prior_variance=float(variance[i]),
+        )
         parts.append(part)
     return parts
 

@@ -71,22 +71,10 @@ class Display(ABC):
 
     def html(self, caption: str, *beneath: Display) -> str:
         """Return the figure of a page: all panels, and under each the panels of ``beneath`` of its key."""
-        keys: list[str] = []
-
-        def image(display: Display, key: Any) -> str:
-            def draw(figure: Any) -> None:
-                ax = figure.subplots()
-                tidy(ax)
-                display.draw(ax, key)
-                inches = ax.get_position().width * figure.get_figwidth()
-                ax.yaxis.set_label_coords((self.label_place - MARGINS[0]) / inches, 0.5)
-                keys.append(_legend(ax))
-
-            return picture(draw, label=display.words(key), size=display.size)
-
+        legends: list[str] = []
         panels = ""
         for key in self.keys:
-            images = [image(display, key) for display in (self, *beneath)]
+            images = [display._image(key, legends) for display in (self, *beneath)]
             panels += f"<div>{''.join(images)}</div>"
         layout = ""
         if len(self.keys) == 1:
@@ -94,7 +82,20 @@ class Display(ABC):
         elif self.size[0] < WIDTH:
             layout = "trio"
         grid = f'<div class="panels {layout}">{panels}</div>'
-        return f"<figure>{keys[0]}{grid}<figcaption>{caption}</figcaption></figure>"
+        return f"<figure>{legends[0]}{grid}<figcaption>{caption}</figcaption></figure>"
+
+    def _image(self, key: Any, legends: list[str]) -> str:
+        """Return the picture of a panel, and add its legend."""
+
+        def draw(figure: Any) -> None:
+            ax = figure.subplots()
+            tidy(ax)
+            self.draw(ax, key)
+            inches = ax.get_position().width * figure.get_figwidth()
+            ax.yaxis.set_label_coords((self.label_place - MARGINS[0]) / inches, 0.5)
+            legends.append(_legend(ax))
+
+        return picture(draw, label=self.words(key), size=self.size)
 
 
 def _legend(ax: Any) -> str:

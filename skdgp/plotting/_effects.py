@@ -326,14 +326,19 @@ def _split_model(model: Any) -> _Parts:
     names = regressor._regressor_names()
     d = len(names)
     before = [step for step in steps if step not in (None, "passthrough")]
-    n_others = len(before)
-    while n_others and not scaling_of(before[n_others - 1 : n_others], d)[2]:
-        n_others -= 1
-    scalers = before[n_others:]
+    scalers = _scalers_at_end(before, d)
     if scalers:
         names = list(map(str, getattr(scalers[0], "feature_names_in_", names)))
     shift, factor, _ = scaling_of(scalers, d)
     return _Parts(regressor, before, names, shift, factor)
+
+
+def _scalers_at_end(steps: list[Any], d: int) -> list[Any]:
+    """Return the scalers behind all other steps."""
+    n_others = len(steps)
+    while n_others and not scaling_of(steps[n_others - 1 : n_others], d)[2]:
+        n_others -= 1
+    return steps[n_others:]
 
 
 def _name(columns: tuple[int, ...], names: list[str]) -> str:

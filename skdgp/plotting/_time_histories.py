@@ -228,16 +228,12 @@ class TimeHistoryDisplay(Display):
         if n_paths == 1:
             line = unwrapped(trajectories, names)
         else:
-            bands = trajectory_bands(trajectories, columns=names)
-            lower = bands[[f"{name}_low" for name in names]].to_numpy()
-            upper = bands[[f"{name}_high" for name in names]].to_numpy()
-            line = bands[names].to_numpy()
+            lower, line, upper = _band(trajectories, names)
             if mean is None:
                 estimate = "median of the paths"
             else:
-                median = line
-                line = unwrapped(mean, names)
-                line += _turns(names, median[0], line[0])
+                of_mean = unwrapped(mean, names)
+                line = of_mean + _turns(names, line[0], of_mean[0])
         beyond = None
         if "beyond" in trajectories:
             is_beyond = (trajectories["beyond"] != "").to_numpy()
@@ -265,6 +261,14 @@ class TimeHistoryDisplay(Display):
             names=tuple(names),
             measured=flight[names].to_numpy(float),
         ).plot(ax)
+
+
+def _band(trajectories: pd.DataFrame, names: list[str]) -> tuple[Matrix, Matrix, Matrix]:
+    """Return lower edge, median and upper edge (n, k) of the paths."""
+    bands = trajectory_bands(trajectories, columns=names)
+    low = bands[[f"{name}_low" for name in names]]
+    high = bands[[f"{name}_high" for name in names]]
+    return low.to_numpy(), bands[names].to_numpy(), high.to_numpy()
 
 
 def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:

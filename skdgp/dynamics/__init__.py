@@ -20,6 +20,7 @@ from skdgp._flight.frames import (
 )
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aerodynamics import scaling_of as scaling_of
+from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
 from skdgp.dynamics._air import Air
 from skdgp.dynamics._air import GustyAir as GustyAir
 from skdgp.dynamics._air import LocalAir as LocalAir

@@ -21,10 +21,8 @@ from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp.dynamics._aircraft import Aircraft
 
-# Of central differences, where a model has no slopes: a fraction of the range of a regressor, or
-# absolute
-DIFFERENCE = 1e-4
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
@@ -165,6 +163,10 @@ class Aerodynamics:
         """Whether functions can be drawn from a posterior."""
         return self.sampler is not None
 
+    def lengths(self, aircraft: Aircraft) -> dict[str, float]:
+        """Return span and chord of the non-dimensional rates [m], by default of the aircraft that flies."""
+        return {"span": self.span or aircraft.span, "chord": self.chord or aircraft.chord}
+
     def __call__(self, X: ArrayLike) -> Array:
         """Return the coefficients (..., 6) at regressors (..., d)."""
         return self._evaluated(self.function, np.asarray(X, dtype=float), 6)
@@ -196,9 +198,10 @@ class Aerodynamics:
         paths = () if self.n_paths is None else (self.n_paths,)
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
 
-    def _differences(self, X: Array) -> Array:
+    def _differences(self, X: Array, step: float = 1e-4) -> Array:
+        """Return central differences, of steps over the range of a regressor, or absolute without one."""
         ranges = np.zeros(X.shape[-1]) if self.limits is None else np.ptp(self.limits, axis=0)
-        return central_difference(self, X, DIFFERENCE * np.where(ranges > 0, ranges, 1.0))
+        return central_difference(self, X, step * np.where(ranges > 0, ranges, 1.0))
 
 
 @runtime_checkable
@@ -303,48 +306,42 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):
         return aerodynamics
     learned = _LearnedCoefficients(coefficients, coefficients.regressor)
-    return replace(
-        aerodynamics,
-        slopes=learned.slopes,
-        sampler=learned.sample,
-        drift=learned.drift(),
-        function_errors=learned.function_errors,
-        narrowing=learned.narrowing,
-        training_rows=learned.training_rows,
-        training_seconds=facts.get("seconds_"),
-    )
+    return learned.added_to(aerodynamics, facts.get("seconds_"))
 
 
 class _PipelineInFlight:
     """The steps of a fitted pipeline by their roles in a simulation (``in_simulation``)."""
 
     def __init__(self, model: BaseEstimator):
-        steps = _steps_of(model)
-        roles = [getattr(step, "in_simulation", "measurements") for step in steps]
-        n_before = 0
-        if "regressors" in roles:
-            n_before = len(roles) - roles[::-1].index("regressors")
-        self.behind = steps[n_before:]
-        by_role = dict(zip(roles[:n_before], steps, strict=False))
-        chosen = by_role.get("regressors")
-        learned = vars(steps[0] if chosen is None else chosen)
-        names = learned.get("feature_names_in_" if chosen is None else "regressors_")
-        if names is None:
-            raise ValueError(
-                f"Got a {type(model).__name__} whose regressors have no names: put "
-                "RegressorSelector([...]) into the pipeline, fit on a DataFrame, or give "
-                "Aerodynamics(model.predict, regressors=[...])."
-            )
-        _check_unscaled(steps[:n_before])
-        self.regressors = list(names)
-        low = learned.get("data_min_")
-        self.limits = None if low is None else np.array([low, learned["data_max_"]])
-        self.flown = dict(learned.get("ranges_", {}))
+        before, self.behind = steps_by_choice(model)
+        steps = [*before, *self.behind]
+        by_role = {_role(step): step for step in before}
+        self.regressors, self.limits, self.flown = _chosen_regressors(
+            by_role.get("regressors"), steps[0], type(model).__name__
+        )
+        _check_unscaled(before)
         rates = by_role.get("rates")
         self.span = None if rates is None else rates.span
         self.chord = None if rates is None else rates.chord
         self.mixing = _mixing_of(by_role.get("controls"))
-        self.servo_lag = sum(step.servo_lag_ for step in steps if isinstance(step, LateSurfaces))
+        late = [step for step in steps if isinstance(step, LateSurfaces)]
+        self.servo_lag = sum(step.servo_lag_ for step in late)
+
+
+def _chosen_regressors(
+    selector: Any, first: Any, model: str
+) -> tuple[list[str], Array | None, dict[str, tuple[float, float]]]:
+    """Return names, limits and flown ranges of the regressors of a selector, or of the table of the ``first`` step."""
+    learned = vars(first if selector is None else selector)
+    names = learned.get("feature_names_in_" if selector is None else "regressors_")
+    if names is None:
+        raise ValueError(
+            f"Got a {model} whose regressors have no names: put RegressorSelector([...]) into the "
+            "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
+        )
+    low = learned.get("data_min_")
+    limits = None if low is None else np.array([low, learned["data_max_"]])
+    return list(names), limits, dict(learned.get("ranges_", {}))
 
 
 def _check_unscaled(steps: list) -> None:
@@ -419,6 +416,19 @@ class _LearnedCoefficients:
         self.scale = coefficients.scale
         self.scaled = coefficients.scaled
         self.order = coefficients.order
+
+    def added_to(self, mean: Aerodynamics, seconds: float | None) -> Aerodynamics:
+        """Return the aerodynamics with slopes, posterior and training rows, flown in some ``seconds``."""
+        return replace(
+            mean,
+            slopes=self.slopes,
+            sampler=self.sample,
+            drift=self.drift(),
+            function_errors=self.function_errors,
+            narrowing=self.narrowing,
+            training_rows=self.training_rows,
+            training_seconds=seconds,
+        )
 
     def slopes(self, X: Array) -> Array:
         """Return the slopes (n, 6, d) of the mean."""
@@ -504,6 +514,21 @@ def _steps_of(model: BaseEstimator) -> list:
         steps = [step for _, step in model.steps if step not in (None, "passthrough")]
         return [*steps[:-1], *_steps_of(steps[-1])]
     return [model]
+
+
+def _role(step: Any) -> str:
+    """Return the role that a step of a pipeline declares for simulations, of any package."""
+    return getattr(step, "in_simulation", "measurements")
+
+
+def steps_by_choice(model: BaseEstimator) -> tuple[list, list]:
+    """Return the fitted steps up to the choice of regressors, and behind it; without a choice all are behind."""
+    steps = _steps_of(model)
+    n_before = 0
+    for number, step in enumerate(steps, start=1):
+        if _role(step) == "regressors":
+            n_before = number
+    return steps[:n_before], steps[n_before:]
 
 
 def _for_arrays(transform: Any) -> Any:

@@ -60,25 +60,26 @@ class Air:
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
-        if isinstance(self.gusts, Turbulence):
-            intensity = as_floats(self.gusts.intensity)
-            length = as_floats(self.gusts.length)
-            is_whole = (
-                intensity.shape == length.shape == (3,) and np.isfinite([intensity, length]).all()
-            )
-            if not (is_whole and (intensity >= 0).all() and (length > 0).all()):
-                raise ValueError(
-                    f"Got {self.gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], "
-                    "of u, v, w."
-                )
-        elif not (self.gusts is None or (isinstance(self.gusts, str) and self.gusts == "auto")):
-            raise ValueError(
-                f"Got gusts={self.gusts!r}, but expected 'auto', a Turbulence, or None: calm air."
-            )
+        _check_gusts(self.gusts)
         check_choice("drift", self.drift, (True, False))
         if not (self.density is None or callable(self.density)):
             check_number("density", self.density, is_open=False, unit="kg/m^3")
         check_number("gravity", self.gravity, -np.inf, unit="m/s^2")
+
+
+def _check_gusts(gusts: Any) -> None:
+    """Raise ValueError if gusts are neither "auto" nor None nor a valid Turbulence."""
+    if isinstance(gusts, Turbulence):
+        sizes = [as_floats(gusts.intensity), as_floats(gusts.length)]
+        is_whole = all(size.shape == (3,) and np.isfinite(size).all() for size in sizes)
+        if not (is_whole and (sizes[0] >= 0).all() and (sizes[1] > 0).all()):
+            raise ValueError(
+                f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w."
+            )
+    elif not (gusts is None or (isinstance(gusts, str) and gusts == "auto")):
+        raise ValueError(
+            f"Got gusts={gusts!r}, but expected 'auto', a Turbulence, or None: calm air."
+        )
 
 
 def as_air(air: Any) -> Air:

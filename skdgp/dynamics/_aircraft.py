@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from inspect import Parameter, signature
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skdgp._compute.files import read_json, read_toml
+from skdgp._compute.files import plain, read_json, read_toml
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
@@ -23,6 +23,8 @@ from skdgp._flight.checks import as_floats, check_number
 from skdgp.dynamics._estimated_sizes import INERTIAS, KINDS, QUANTITIES, estimated, value_and_std
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._size_errors import ScaleFactor
+
+CENTRED = ThrustLine()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,10 +92,11 @@ class Aircraft:
                 deviations[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "given")
         inertia, of_inertia = _inertia_and_deviations(self.inertia)
         deviations |= of_inertia
+        checked = {}
         for name, factor in deviations.items():
-            deviations[name] = _part(ScaleFactor, factor, f"deviations of {name}")
+            checked[name] = _part(ScaleFactor, factor, f"deviations of {name}")
         self._set("inertia", _inertia(inertia))
-        self._set("deviations", deviations or None)
+        self._set("deviations", checked or None)
         self._set("propeller", _part(Propeller, _sized(self.propeller), "propeller"))
         self._set("thrust_line", _part(ThrustLine, self.thrust_line, "thrust_line"))
         self._set("full_deflections", _full_deflections(self.full_deflections))
@@ -116,6 +119,11 @@ class Aircraft:
     def moment_lengths(self) -> Array:
         """Lengths (b, c, b) [m] that go with Cl, Cm, Cn."""
         return np.array([self.span, self.chord, self.span])
+
+    @property
+    def engine_line(self) -> ThrustLine:
+        """The thrust line, by default through the centre of gravity and forward."""
+        return self.thrust_line or CENTRED
 
     @classmethod
     def estimate(
@@ -171,8 +179,7 @@ class Aircraft:
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
         """Read the aircraft from a JSON or TOML file whose keys are the parameters of this class."""
         readers = {".json": read_json, ".toml": read_toml}
-        path = Path(path)
-        read = readers.get(path.suffix.lower())
+        read = readers.get(Path(path).suffix.lower())
         if read is None:
             raise ValueError(
                 f"Got {path} as the aircraft, but expected a file that ends in .json or .toml."
@@ -195,7 +202,7 @@ class Aircraft:
 
     def to_dict(self) -> dict:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
-        return _plain(self)
+        return plain(asdict(self, dict_factory=_without_nones))
 
     def to_json(self) -> str:
         """Return the aircraft as JSON text, the content of a file for `from_file`."""
@@ -317,17 +324,8 @@ def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], w
         raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.{remedy}")
 
 
-def _plain(value: Any) -> Any:
-    """Return dataclasses as dictionaries without their Nones, arrays and tuples as lists."""
-    if is_dataclass(value):
-        stored = vars(value)
-        value = {field.name: stored[field.name] for field in fields(value)}
-        value = {name: item for name, item in value.items() if item is not None}
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | tuple):
-        return np.asarray(value).tolist()
-    return value
+def _without_nones(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in items if value is not None}
 
 
 def check_aircraft(aircraft: Any) -> Aircraft:

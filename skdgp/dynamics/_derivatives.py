@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 
+from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -23,7 +24,6 @@ from skdgp.dynamics._unsteady import ROTATION_OF, std_by_method, unsteady_terms
 ROWS = (*COEFFICIENTS, "CL", "CD")
 LIFT = ROWS.index("CL")
 DRAG = ROWS.index("CD")
-NORMAL_95 = 1.959963984540054
 
 
 def stability_derivatives(
@@ -138,9 +138,13 @@ def stability_derivatives(
         columns |= _errors_of_aircraft(motion, now, frame)
     tables = []
     for k, value in enumerate(values):
-        tables.append(frame.table(value, {name: column[k] for name, column in columns.items()}))
-    if is_single:
-        return tables[0]
+        of_point = {name: column[k].ravel() for name, column in columns.items()}
+        tables.append(frame.table(value.ravel(), of_point))
+    return tables[0] if is_single else _with_points(tables, now)
+
+
+def _with_points(tables: list[pd.DataFrame], now: Instant) -> pd.DataFrame:
+    """Return the tables of several points below each other, with airspeed, alpha and beta."""
     for k, table in enumerate(tables):
         table.insert(0, "airspeed", float(now.airspeed[k]))
         table.insert(1, "alpha", float(now.alpha[k]))
@@ -195,17 +199,24 @@ def _deviations(
         std_posterior = std_posterior * factor
         std_random = std_random * factor
         std = np.sqrt(std_posterior**2 + (std_random**2 + std_method**2))
-    scatter = std_by_method(errors)
-    unsteady = unsteady_terms(motion, now, model.gradient(now.regressors), scatter)
-    merged = frame.sizes(unsteady.errors)
+    std_merged, merged = _merged(motion, now, frame, std_by_method(errors))
     return {
         "std": std,
         "std_posterior": std_posterior,
-        "std_merged": np.hypot(*merged),
+        "std_merged": std_merged,
         "std_random": std_random,
         "std_method": std_method,
-        "merged": _largest(merged, frame.merged_names()[:, None]),
+        "merged": merged,
     }
+
+
+def _merged(
+    motion: Motion, now: Instant, frame: _Frame, scatter: ArrayLike
+) -> tuple[Array, np.ndarray]:
+    """Return the possible effects of alpha_dot and beta_dot on each entry, and the name of the larger."""
+    slopes = motion.aerodynamics.gradient(now.regressors)
+    sizes = frame.sizes(unsteady_terms(motion, now, slopes, scatter).errors)
+    return np.hypot(*sizes), _largest(sizes, frame.merged_names()[:, None])
 
 
 def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
@@ -232,7 +243,7 @@ def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str
     slopes = motion.aerodynamics.gradient(now.regressors)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
     errors = errors_of_sizes(deviations, aircraft.inertia, motion.regressors, values)
-    sizes = np.abs([frame(error[..., 0], error[..., 1:]) for error in errors])
+    sizes = np.abs(frame(errors[..., 0], errors[..., 1:]))
     names = np.array(list(deviations), dtype=object)
     return {
         "std_aircraft": np.sqrt(np.sum(sizes**2, axis=0)),
@@ -290,21 +301,20 @@ class _Frame:
 
     def merged_names(self) -> np.ndarray:
         """Return the derivative by alpha_dot or beta_dot that each merges with, (2, rows, 1 + columns)."""
-        names = np.empty((len(ROTATION_OF), len(ROWS), len(self.names)), dtype=object)
-        for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
-            for k, name in enumerate(self.names):
-                partner = rotation if name == angle_rate else angle_rate
-                names[j, :, k] = [f"{row}_{partner}" for row in ROWS]
-        return names
+        rows = np.array(ROWS, dtype=object)[:, None]
+        merged = []
+        for angle_rate, rotation in ROTATION_OF.items():
+            partners = [rotation if name == angle_rate else angle_rate for name in self.names]
+            merged.append(rows + "_" + np.array(partners, dtype=object))
+        return np.stack(merged)
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
-        """Return the table of one point, of values and standard deviations by name (rows, 1 + columns)."""
-        table = pd.DataFrame({"value": values.ravel()})
-        columns = {name: column.ravel() for name, column in columns.items()}
+        """Return the table of one point, of values and standard deviations by name (rows * (1 + columns),)."""
+        table = pd.DataFrame({"value": values})
         if "std" in columns:
-            table["std"] = columns.pop("std")
-            table["lower"] = table["value"] - NORMAL_95 * table["std"]
-            table["upper"] = table["value"] + NORMAL_95 * table["std"]
+            std = columns.pop("std")
+            half = half_width(0.95) * std
+            table = table.assign(std=std, lower=values - half, upper=values + half)
         table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
         table["regressor"] = self.names * len(ROWS)
         table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
@@ -331,14 +341,15 @@ def _points(
     """Return states (n, 13), controls by name (n,), and whether it is a single point."""
     is_single = isinstance(point, Trim) or (np.ndim(point) == 1 and not isinstance(point[0], Trim))
     points = [point] if is_single else list(point)
+    given = {name: np.broadcast_to(x, len(points)) for name, x in (controls or {}).items()}
     states = []
     settings = []
     for k, item in enumerate(points):
-        inputs = None
-        if controls:
-            inputs = {name: np.broadcast_to(x, len(points))[k] for name, x in controls.items()}
-        state, setting = flight_point(motion, item, inputs)
+        inputs = {name: values[k] for name, values in given.items()}
+        state, setting = flight_point(motion, item, inputs or None)
         states.append(state)
         settings.append(setting)
-    by_name = {name: np.array([setting[name] for setting in settings]) for name in settings[0]}
+    by_name = {}
+    for name in settings[0]:
+        by_name[name] = np.array([setting[name] for setting in settings])
     return np.stack(states), by_name, is_single

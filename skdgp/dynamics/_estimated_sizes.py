@@ -14,8 +14,6 @@ from skdgp.dynamics._size_errors import MOMENTS, PRODUCT, ScaleFactor
 QUANTITIES = {"mass": "kg", "wing_area": "m^2", "span": "m", "chord": "m"}
 # Errors of the moments of inertia
 INERTIAS = dict(zip(("roll inertia", "pitch inertia", "yaw inertia"), MOMENTS, strict=True))
-# Step of a complex derivative, which has no error of cancellation
-COMPLEX_STEP = 1e-20
 
 
 class Kind(NamedTuple):
@@ -105,12 +103,12 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
         if factor.std > 0:
             powers = _powers(values, name, is_length_given)
             deviations[name] = ScaleFactor(factor.std, powers, factor.source)
+    result = {name: derived[name] for name in QUANTITIES}
     if inertia is None:
         inertia = np.diag([derived[moment] for moment in MOMENTS])
         source = f"none, usual of {kind} aircraft"
         deviations["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, source)
-    estimates = {name: derived[name] for name in QUANTITIES}
-    return {**estimates, "inertia": inertia, "deviations": deviations}
+    return result | {"inertia": inertia, "deviations": deviations}
 
 
 def _factors(
@@ -121,31 +119,35 @@ def _factors(
     for name, value in sizes.items():
         if value is not None:
             measured[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
+    length = measured.pop("length", None)
     factors = {}
-    if "wing area" not in measured and "chord" not in measured:
-        ratio, std = rule.aspect_ratio
-        factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
     if "chord" not in measured:
+        if "wing area" not in measured:
+            ratio, std = rule.aspect_ratio
+            factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
         ratio, std = rule.chord
         factors["mean aerodynamic chord"] = Factor(ratio, std, f"{ratio:g} S / b, {usual}")
-    length = measured.pop("length", None)
     if not is_inertia_given:
         if length is None:
             ratio, std = rule.length
             length = Factor(ratio, std, f"{measured['span'].value * ratio:.3g} m, {usual}")
         factors["length"] = length
         for name, radius, std in zip(INERTIAS, rule.radii, rule.inertia_std, strict=True):
-            source = f"radius of gyration {radius:g}, {rule.source}"
-            factors[name] = Factor(radius**2, std, source)
+            factors[name] = Factor(radius**2, std, f"radius of gyration {radius:g}, {rule.source}")
     return factors | measured
 
 
-def _powers(values: Mapping[str, Any], name: str, is_length_given: bool) -> dict[str, float]:
-    """Return the powers of a factor in each size, d log(size) / d log(factor), by a complex step."""
-    stepped = {**values, name: values[name] * (1.0 + COMPLEX_STEP * 1j)}
+def _powers(
+    values: Mapping[str, Any], name: str, is_length_given: bool, step: float = 1e-20
+) -> dict[str, float]:
+    """Return the powers of a factor in each size, d log(size) / d log(factor), by a complex step.
+
+    A complex step has no error of cancellation, so it can be tiny.
+    """
+    stepped = {**values, name: values[name] * (1.0 + step * 1j)}
     powers = {}
     for size, value in _sizes(stepped, is_length_given).items():
-        power = float(np.imag(value) / np.real(value)) / COMPLEX_STEP
+        power = float(np.imag(value) / np.real(value)) / step
         if power:
             powers[size] = round(power, 12)
     return powers

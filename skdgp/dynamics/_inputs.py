@@ -91,7 +91,7 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
             )
         return lambda stage, state: LocalAir(constant)
     columns = interpolated(as_tables(wind, "wind", n_starts), WIND, clock, "wind")
-    velocity = np.stack([columns[name] for name in WIND], axis=-1)
+    velocity = np.moveaxis(columns, 0, -1)
     rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
     return lambda stage, state: LocalAir(velocity[stage], rate[stage])
 
@@ -109,14 +109,7 @@ def control_schedule(
     if callable(controls):
         return lambda step, stage, observe: controls(clock.stages[stage], observe())
     if isinstance(controls, Mapping):
-        constants = {str(name): as_floats(value) for name, value in controls.items()}
-        for name, value in constants.items():
-            if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
-                raise ValueError(
-                    f"Got control {name} of shape {value.shape}, not all finite, or not one for each of "
-                    f"{n_starts} starts, but expected a finite number, or one for each start; what "
-                    "varies is a table with time."
-                )
+        constants = _constants(controls, n_starts)
         return lambda step, stage, observe: constants
     tables = as_tables(controls, "controls", n_starts)
     chosen = [name for name in map(str, tables[0]) if name in names]
@@ -125,7 +118,20 @@ def control_schedule(
             f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft."
         )
     values = interpolated(tables, chosen, clock, "controls")
-    return lambda step, stage, observe: {name: values[name][stage] for name in chosen}
+    return lambda step, stage, observe: dict(zip(chosen, values[:, stage], strict=True))
+
+
+def _constants(controls: Mapping, n_starts: int) -> dict[str, Array]:
+    """Return controls by name that are constant, each () or (n_starts,)."""
+    constants = {str(name): as_floats(value) for name, value in controls.items()}
+    for name, value in constants.items():
+        if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
+            raise ValueError(
+                f"Got control {name} of shape {value.shape}, not all finite, or not one for each of "
+                f"{n_starts} starts, but expected a finite number, or one for each start; what "
+                "varies is a table with time."
+            )
+    return constants
 
 
 class _HeldLaw:
@@ -162,11 +168,10 @@ def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
 
 def interpolated(
     tables: list[pd.DataFrame], names: Sequence[str], clock: Clock, what: str
-) -> dict[str, Array]:
-    """Return columns at every stage, linear between rows: (n_stages,), or (n_stages, n_starts) of several tables."""
+) -> Array:
+    """Return columns at every stage, linear between rows: (columns, n_stages), of several tables (..., n_starts)."""
     parts = [_at_stages(table, names, clock, what) for table in tables]
-    values = parts[0] if len(tables) == 1 else np.stack(parts, axis=-1)
-    return dict(zip(names, values, strict=True))
+    return parts[0] if len(tables) == 1 else np.stack(parts, axis=-1)
 
 
 def _at_stages(table: pd.DataFrame, names: Sequence[str], clock: Clock, what: str) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._air import AirAt, LocalAir
 from skdgp.dynamics._inputs import Clock
-from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._motion import Instant, Motion, by_name
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._servos import Servos
 
@@ -42,11 +42,6 @@ class FlightLimits:
 
 
 FLIGHT_LIMITS = FlightLimits()
-
-
-def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:
-    """Return the last axis of ``values`` (..., n) by name."""
-    return {name: values[..., k] for k, name in enumerate(names)}
 
 
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
@@ -209,47 +204,46 @@ def fly_record(
                 ended[just] = reason
                 end[just] = k
             is_flying = ended == FLYING
-            if over and is_flying.any():
+            flies_on = is_flying.any()
+            if over and flies_on:
                 # flights that ended continue from their start, without being shown
                 state = np.where(is_flying[..., None], state, start)
                 moment = integrator.begin(k, state, reached, None)
             flown.append(moment)
-            if not is_flying.any():
+            if k == clock.n_steps or not flies_on:
                 break
-            if k < clock.n_steps:
-                state, reached = integrator.step(k, moment)
-                guess = moment.now.implicit
+            state, reached = integrator.step(k, moment)
+            guess = moment.now.implicit
     return _record(motion, clock, flown, ended, end)
 
 
 def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end: Array) -> Record:
     """Return the record of the steps ``flown``."""
-    steps = np.arange(clock.n_steps + 1)
-    is_over = np.expand_dims(steps, tuple(range(1, 1 + ended.ndim))) >= end
+    time = clock.dt * np.arange(clock.n_steps + 1)
+    is_over = np.moveaxis(np.less_equal.outer(end, np.arange(clock.n_steps + 1)), -1, 0)
 
-    def over_time(values: Sequence, *size: int) -> Array:
+    def over_time(values: Iterable, *size: int) -> Array:
         array = np.full((*is_over.shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
         array[is_over] = np.nan
         return array
 
-    instants = [moment.now for moment in flown]
-    has_wind = flown[0].wind is not None
-    force = over_time([now.force for now in instants], 3)
+    states, instants, _, controls, winds = zip(*flown, strict=True)
+    force = over_time((now.force for now in instants), 3)
+    deflected = {}
+    for name in controls[0]:
+        deflected[name] = over_time(moment[name] for moment in controls)
     return Record(
-        time=clock.dt * steps,
-        states=over_time([moment.state for moment in flown], 13),
-        regressors=over_time([now.regressors for now in instants], len(motion.regressors)),
-        coefficients=over_time([now.coefficients for now in instants], 6),
+        time=time,
+        states=over_time(states, 13),
+        regressors=over_time((now.regressors for now in instants), len(motion.regressors)),
+        coefficients=over_time((now.coefficients for now in instants), 6),
         specific_force=force / motion.aircraft.mass,
-        derivative=over_time([now.derivative for now in instants], 13),
-        density=over_time([now.density for now in instants]),
-        wind=over_time([moment.wind for moment in flown], 3) if has_wind else None,
-        controls={
-            name: over_time([moment.controls[name] for moment in flown])
-            for name in flown[0].controls
-        },
+        derivative=over_time((now.derivative for now in instants), 13),
+        density=over_time(now.density for now in instants),
+        wind=None if winds[0] is None else over_time(winds, 3),
+        controls=deflected,
         ended=ended,
         end=end,
     )
@@ -260,11 +254,10 @@ def end_reasons(state: Array, now: Instant, limits: FlightLimits) -> dict[str, A
     is_finite = np.isfinite(now.derivative).all(axis=-1)
     is_slow = (np.abs(state[..., VELOCITY]) < limits.velocity).all(axis=-1)
     is_turning_slowly = (np.abs(state[..., RATES]) < limits.rate).all(axis=-1)
-    is_settled = np.broadcast_to(now.settled, state.shape[:-1])
     reasons: dict[str, Any] = {
         "airspeed": now.airspeed < limits.airspeed,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~(is_finite & is_slow & is_turning_slowly),
-        "fixed point": ~is_settled,
+        "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),
     }
     return {reason: where for reason, where in reasons.items() if np.any(where)}

@@ -1,4 +1,9 @@
-"""Linear models of the motion: slopes of mechanics, aerodynamics and servos at a flight, with standard deviations."""
+"""Linear models of the motion: slopes of mechanics, aerodynamics and servos at a flight, with standard deviations.
+
+`jacobian` holds the equations. `_mechanics` are the equations of motion as one function of state,
+inputs and coefficients, whose slopes are differences; the aerodynamic model has slopes of its own.
+`_with_servos` puts the servos before the controls, and names A, B, C and D.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import block_diag
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.differences import central_difference
@@ -23,7 +29,7 @@ from skdgp._flight.frames import (
 from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._motion import Instant, Motion, by_name, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim
@@ -33,6 +39,7 @@ from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_term
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 OUTPUTS = (*AIR_DATA, *SPECIFIC_FORCE)
 ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
+ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `STATES`
 
 
 @dataclass(frozen=True)
@@ -152,12 +159,13 @@ def linearize(
     inputs = list(motion.controls)
     engine = thrust_control(aircraft, thrust)
     if engine in controls and engine not in inputs:
-        inputs.append(str(engine))
+        inputs.append(engine)
+    mean = _matrices(motion, state, controls, inputs)
     paths = None
     if check_paths(n_paths):
         drawn, unsteady = _drawn(motion, state, controls, n_paths, random_state)
-        paths = _matrices(drawn, np.tile(state, (n_paths, 1)), controls, inputs, unsteady)
-    mean = _matrices(motion, state, controls, inputs)
+        points = np.tile(state, (n_paths, 1))
+        paths = _matrices(drawn, points, controls, inputs, unsteady)
     surfaces = Servos.of(motion).surfaces
     states = [*STATES, *(f"{name}_position" for name in inputs if name in surfaces)]
     outputs = [*states, *OUTPUTS]
@@ -218,12 +226,11 @@ def _drawn(
     if model.function_errors is None:
         return drawn, None
     now = motion.at(state, controls)
-    unsteady = unsteady_terms(
-        motion, now, model.gradient(now.regressors), std_by_method(model.function_errors())
-    )
+    slopes = model.gradient(now.regressors)
+    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.function_errors()))
     # slopes by alpha_dot and beta_dot of each path
-    sizes = separate_generator(random_state).standard_normal((n_paths, 1, 2))
-    return drawn, unsteady._replace(slopes=sizes * unsteady.slopes)
+    draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
+    return drawn, unsteady._replace(slopes=draws * unsteady.slopes)
 
 
 def _matrices(
@@ -234,47 +241,44 @@ def _matrices(
     unsteady: UnsteadyTerms | None = None,
 ) -> LinearModel:
     """Return A, B, C, D as arrays (..., :, :) at states (..., 13)."""
-    rate, output, instant = jacobian(motion, state, controls, inputs, unsteady)
+    state_dot_z, output_z, instant = jacobian(motion, state, controls, inputs, unsteady)
     check_settled(instant)
-    if not np.isfinite(rate).all():
+    if not np.isfinite(state_dot_z).all():
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
-    A, B = np.split(rate, [len(STATES)], axis=-1)
-    C, D = np.split(output, [len(STATES)], axis=-1)
-    return _with_servos(A, B, C, D, inputs, Servos.of(motion))
+    return _with_servos(state_dot_z, output_z, inputs, Servos.of(motion))
 
 
 def _with_servos(
-    A: Array, B: Array, C: Array, D: Array, inputs: Sequence[str], servos: Servos
+    state_dot_z: Array, output_z: Array, inputs: Sequence[str], servos: Servos
 ) -> LinearModel:
-    r"""Return the linear model whose inputs of surfaces are commands.
+    r"""Return the linear model of commands, of slopes (..., m, 12 + k) by rigid body and controls.
 
-    The deflections :math:`\delta = E u` of the surfaces are further states, with
-    :math:`T \dot\delta = E u - \delta`. Outputs are the states, and then the outputs of C and D.
-
-    .. math:: \begin{pmatrix} A & B E^T \\ 0 & -I / T \end{pmatrix}, \quad
-        \begin{pmatrix} B (I - E^T E) \\ E / T \end{pmatrix}, \quad
-        \begin{pmatrix} I & 0 \\ 0 & I \\ C & D E^T \end{pmatrix}, \quad
-        \begin{pmatrix} 0 \\ 0 \\ D (I - E^T E) \end{pmatrix}
+    The surfaces have the deflections :math:`\delta` and the commands :math:`E u`. The states are
+    :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
+    :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
     """
-    identity = np.eye(len(inputs))
-    E = identity[[name in servos.surfaces for name in inputs]]
-    at_once = identity - E.T @ E
-    n = A.shape[-1]
-    s = len(E)
-    rate = 1.0 / servos.lag if s else 0.0
-    zero = np.zeros((*A.shape[:-2], n + s, max(n + s, len(inputs))))
-    # each path has the same servos
-    servo = zero[..., :s, :n], zero[..., :s, :s] - rate * np.eye(s)
-    command = zero[..., :s, : len(inputs)] + rate * E
-    states = zero[..., : n + s] + np.eye(n + s)
-    return LinearModel(
-        A=np.block([[A, B @ E.T], [*servo]]),
-        B=np.block([[B @ at_once], [command]]),
-        C=np.block([[states], [C, D @ E.T]]),
-        D=np.block([[zero[..., : len(inputs)]], [D @ at_once]]),
-    )
+    n_body = len(STATES)
+    n_inputs = len(inputs)
+    E = np.eye(n_inputs)[[name in servos.surfaces for name in inputs]]
+    n_states = n_body + len(E)
+    # The columns of all matrices are those of (x, delta, u).
+    states = np.eye(n_states, n_states + n_inputs)
+    to_controls = np.hstack([E.T, np.eye(n_inputs) - E.T @ E])
+    to_aircraft = block_diag(np.eye(n_body), to_controls)
+    commands = np.hstack([np.zeros((len(E), n_states)), E])
+    # Each path has the same servos.
+    n_paths = state_dot_z.shape[:-2]
+    rates = np.zeros((*n_paths, *states.shape))
+    rates[..., :n_body, :] = state_dot_z @ to_aircraft
+    rates[..., n_body:, :] = (commands - states[n_body:]) / servos.lag
+    outputs = np.zeros((*n_paths, n_states + len(OUTPUTS), n_states + n_inputs))
+    outputs[..., :n_states, :] = states
+    outputs[..., n_states:, :] = output_z @ to_aircraft
+    A, B = np.split(rates, [n_states], axis=-1)
+    C, D = np.split(outputs, [n_states], axis=-1)
+    return LinearModel(A, B, C, D)
 
 
 def jacobian(
@@ -286,37 +290,45 @@ def jacobian(
 ) -> tuple[Array, Array, Instant]:
     r"""Return d state_dot (..., 12, 12 + k), d outputs (..., 6, 12 + k) by `STATES` and inputs, and the instant.
 
-    The states are (..., 13), as of `Motion.at`, the inputs k of the controls. With
-    :math:`z = (x, u)`, the motion is mechanics :math:`\dot x = F(z, C), y = H(z, C)` around a model
-    :math:`C = c(X)` of regressors :math:`X = G(z, C)`, which depend on C where they follow from the
-    loads (alpha_dot, ax, ...). So
+    The states are (..., 13), as of `Motion.at`, the inputs k of the controls, which are numbers.
+    Where the aerodynamics are paths, these are the first axis of ``state``.
 
-    .. math:: C_z = (I - c_X G_C)^{-1} c_X G_z, \quad d\dot x = (F_z + F_C C_z) dz, \quad
-        dy = (H_z + H_C C_z) dz
+    With :math:`z = (x, u)`, the motion is mechanics :math:`\dot x = F(z, C), y = H(z, C)` around a
+    model :math:`C = c(X)` of regressors :math:`X = G(z, C)`. These depend on C where they follow
+    from the loads (alpha_dot, ax, ...). So
 
-    with the slopes of the model :math:`c_X`, and differences of F, G and H, exact to some 1e-10.
-    ``controls`` are numbers. Where the aerodynamics are paths, these are the first axis of
-    ``state``. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
+    .. math:: C_z = (I - c_X G_C)^{-1} c_X G_z, \quad \dot x_z = F_z + F_C C_z, \quad
+        y_z = H_z + H_C C_z
+
+    with the slopes of the model :math:`c_X`. The slopes of F, G and H are differences, exact to
+    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls)
-    z = _vector(state, [controls[name] for name in inputs])
-    slopes = central_difference(
-        _rates(motion, controls, inputs),
-        np.concatenate([z, instant.coefficients], axis=-1),
-        _steps(z, instant.airspeed),
-    )
-    by_z, by_C = np.split(slopes, [z.shape[-1]], axis=-1)
-    ends = [len(STATES), len(STATES) + len(motion.regressors)]
-    F_z, G_z, H_z = np.split(by_z, ends, axis=-2)
-    F_C, G_C, H_C = np.split(by_C, ends, axis=-2)
+    F_z, G_z, H_z, F_C, G_C, H_C = _mechanics_slopes(motion, state, controls, inputs, instant)
+    # Coefficients by z, with the regressors that follow from them
     c_X = motion.aerodynamics.gradient(instant.regressors)
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
         angle_rates = H_z[..., ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
         C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
-    return F_z + F_C @ C_z, H_z + H_C @ C_z, instant
+    state_dot_z = F_z + F_C @ C_z
+    output_z = H_z + H_C @ C_z
+    return state_dot_z, output_z, instant
+
+
+def _mechanics_slopes(
+    motion: Motion, state: Array, controls: Mapping, inputs: Sequence[str], instant: Instant
+) -> list[Array]:
+    """Return the slopes of F, G and H by z, and by C: differences at an instant."""
+    z = _vector(state, [controls[name] for name in inputs])
+    zC = np.concatenate([z, instant.coefficients], axis=-1)
+    steps = _steps(zC, instant.airspeed)
+    slopes = central_difference(_mechanics(motion, controls, inputs), zC, steps)
+    by_z, by_C = np.split(slopes, [z.shape[-1]], axis=-1)
+    ends = [len(STATES), len(STATES) + len(motion.regressors)]
+    return [*np.split(by_z, ends, axis=-2), *np.split(by_C, ends, axis=-2)]
 
 
 def _vector(state: Array, inputs: Sequence[float]) -> Array:
@@ -326,34 +338,43 @@ def _vector(state: Array, inputs: Sequence[float]) -> Array:
     return np.concatenate([state[..., :6], angles, state[..., RATES], u], axis=-1)
 
 
-def _rates(motion: Motion, controls: Mapping, inputs: Sequence[str]) -> Callable[[Array], Array]:
-    """Return the function of states, inputs and coefficients (..., 12 + k + 6) to (state_dot, regressors, outputs)."""
+def _mechanics(
+    motion: Motion, controls: Mapping, inputs: Sequence[str]
+) -> Callable[[Array], Array]:
+    """Return the function of (x, u, C) (..., 12 + k + 6) to F, G and H: state_dot, regressors and outputs."""
     ends = [len(STATES), len(STATES) + len(inputs)]
 
-    def rates(z: Array) -> Array:
-        x, u, C = np.split(z, ends, axis=-1)
-        position_velocity, angles, rotation = np.split(x, [6, 9], axis=-1)
-        phi, theta, psi = np.moveaxis(angles, -1, 0)
-        attitude = euler_to_quaternion(phi, theta, psi)
-        state = np.concatenate([position_velocity, attitude, rotation], axis=-1)
-        moved = dict(zip(inputs, np.moveaxis(u, -1, 0), strict=True))
-        now = motion.at(state, {**controls, **moved}, coefficients=C)
-        euler_rate = (euler_per_rotation(phi, theta) @ rotation[..., None])[..., 0]
-        state_dot = [now.derivative[..., :6], euler_rate, now.derivative[..., RATES]]
+    def mechanics(zC: Array) -> Array:
+        x, u, C = np.split(zC, ends, axis=-1)
+        moved = {**controls, **by_name(inputs, u)}
+        now = motion.at(_state_of(x), moved, coefficients=C)
+        F = _rates_of(x, now)
         air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
-        specific_force = now.force / motion.aircraft.mass
-        return np.concatenate([*state_dot, now.regressors, air, specific_force], axis=-1)
+        H = [air, now.force / motion.aircraft.mass]
+        return np.concatenate([F, now.regressors, *H], axis=-1)
 
-    return rates
+    return mechanics
 
 
-def _steps(z: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:
-    """Return the steps of states and inputs z (..., 12 + k), and of the coefficients."""
-    n = len(STATES)
-    n_inputs = z.shape[-1] - n
-    steps = np.full((*z.shape[:-1], n + n_inputs + 6), sizes.fraction)
+def _state_of(x: Array) -> Array:
+    """Return the state (..., 13) of `STATES` (..., 12): a quaternion for the angles."""
+    angles = np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0)
+    return np.concatenate([x[..., :6], euler_to_quaternion(*angles), x[..., 9:]], axis=-1)
+
+
+def _rates_of(x: Array, now: Instant) -> Array:
+    """Return the rates of change of `STATES` (..., 12): the rates of the angles for those of the quaternion."""
+    phi, theta, _ = np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0)
+    angles_dot = (euler_per_rotation(phi, theta) @ x[..., 9:, None])[..., 0]
+    derivative = now.derivative
+    return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
+
+
+def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:
+    """Return the steps of states, inputs and coefficients (..., 12 + k + 6)."""
+    steps = np.full(zC.shape, sizes.fraction)
     steps[..., :3] = sizes.position
     steps[..., 3:6] *= airspeed[..., None]
-    steps[..., 6:n] = sizes.angle
-    steps[..., n : n + n_inputs] *= 1.0 + np.abs(z[..., n:])
+    steps[..., 6:12] = sizes.angle
+    steps[..., 12:-6] *= 1.0 + np.abs(zC[..., 12:-6])
     return steps

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -21,19 +21,15 @@ LATERAL = ("v", "p", "r", "phi")
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
     states = list(map(str, A))
-    core: list[str] = []
-    for family in (LONGITUDINAL, LATERAL):
-        if set(family) <= set(states):
-            core += family
-    rows = [states.index(name) for name in core or states]
-    block = np.ix_(rows, rows)
-    eigenvalues, left, right = eig(A.to_numpy()[block], left=True)
-    participation = pd.DataFrame(_participation(left, right), core or states)
-    units = _named(_units(eigenvalues), participation, eigenvalues)
-    roots = [eigenvalues[list(unit)] for unit in units.values()]
-    table = pd.DataFrame(list(map(_row, roots)), index=list(units))
+    families = [names for names in (LONGITUDINAL, LATERAL) if set(names) <= set(states)]
+    names = list(chain(*families)) or states
+    rows = [states.index(name) for name in names]
+    eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
+    participation = pd.DataFrame(_participation(left, right), names)
+    modes = _named(_units(eigenvalues), participation, eigenvalues)
+    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in modes.values()], list(modes))
     if paths is not None:
-        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(units.values()))
+        _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(modes.values()))
     return table
 
 
@@ -54,8 +50,7 @@ def _add_spread(
         roots = np.linalg.eigvals(path)
         # in the order of the eigenvalues that they lie nearest to
         _, order = linear_sum_assignment(np.abs(eigenvalues[:, None] - roots))
-        roots = roots[order]
-        values.append([_values(roots[list(unit)]) for unit in units])
+        values.append([_values(roots[order[list(unit)]]) for unit in units])
     frequency, damping, decay = np.moveaxis(np.array(values), -1, 0)  # (n_paths, modes) each
     table["frequency_std"] = frequency.std(axis=0, ddof=1)
     table["damping_std"] = damping.std(axis=0, ddof=1)
@@ -82,19 +77,23 @@ def _named(
     """Return the units by name, of the participation of the states in each eigenvalue."""
     named: dict[str, tuple[int, ...]] = {}
     states = set(participation.index)
-    if set(LONGITUDINAL) <= states:
-        along, units = _split(units, participation.loc[list(LONGITUDINAL)], 4)
+    if states.issuperset(LONGITUDINAL):
+        along, units = _split(units, participation.loc[[*LONGITUDINAL]], 4)
         short, long = _split(along, participation.loc[["w", "q"]], 2)
         named |= _numbered("short period", short, eigenvalues)
         named |= _numbered("phugoid", long, eigenvalues)
-    if set(LATERAL) <= states:
+    if states.issuperset(LATERAL):
         dutch, slow = _split(units, participation.loc[["v", "r"]], 2)
-        rolling = participation.loc["p"].to_numpy()
-        slow.sort(key=lambda unit: -rolling[list(unit)].sum())
-        names = ("roll", "spiral") if len(slow) == 2 else ("roll-spiral",)
         named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= dict(zip(names, slow, strict=True))
+        named |= _named_by_rolling(slow, participation.loc["p"].to_numpy())
     return named or _numbered("mode", units, eigenvalues)
+
+
+def _named_by_rolling(units: list[tuple[int, ...]], rolling: Array) -> dict[str, tuple[int, ...]]:
+    """Return roll and spiral by the participation of the roll rate, or the oscillation that they have become."""
+    units.sort(key=lambda unit: -rolling[list(unit)].sum())
+    names = ("roll", "spiral") if len(units) == 2 else ("roll-spiral",)
+    return dict(zip(names, units, strict=True))
 
 
 def _split(
@@ -106,7 +105,7 @@ def _split(
     largest = -np.inf
     for number in range(1, size + 1):
         for subset in combinations(units, number):
-            members = [k for unit in subset for k in unit]
+            members = list(chain(*subset))
             if len(members) == size and share[members].sum() > largest:
                 best = subset
                 largest = share[members].sum()

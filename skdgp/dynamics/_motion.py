@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +60,7 @@ REBUILT = (
     *("airspeed", "alpha", "beta", "density", "altitude"),
     *("u", "v", "w", "p", "q", "r", "phi", "theta", "psi"),
 )
+FOLLOWING = (*REBUILT, *IMPLICIT)
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,11 @@ class Flow(NamedTuple):
     density: Array
 
 
+def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:
+    """Return the last axis of ``values`` (..., n) by name."""
+    return {name: values[..., k] for k, name in enumerate(names)}
+
+
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
@@ -151,31 +156,27 @@ class Motion:
         self._lengths = self._check_lengths()
         self._sources = [self._source(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, _ in self._sources)
-        rebuilt = (*REBUILT, *IMPLICIT)
-        self.controls = tuple(name for name in self.regressors if name not in rebuilt)
+        self.controls = tuple(name for name in self.regressors if name not in FOLLOWING)
         unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
         if unknown:
             raise ValueError(
-                f"Got a model with the regressors {unknown}, which are neither controls nor rebuilt "
-                f"along a flight: learn one without them. What is rebuilt: {', '.join(rebuilt)}."
+                f"Got a model with the regressors {unknown}, which are neither controls nor "
+                f"rebuilt along a flight: learn one without them. What is rebuilt: {', '.join(FOLLOWING)}."
             )
         self._needs_angles = not set(EULER).isdisjoint(self.regressors)
-        # places of regressors that follow from the coefficients
+        # Of regressors that follow from the coefficients: their places, and those in `IMPLICIT`
         self.implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
         self._follows = [IMPLICIT.index(self.regressors[k]) for k in self.implicit]
 
     def _check_lengths(self) -> dict[str, float]:
         """Return span and chord of the non-dimensional rates; warn if the aircraft has others."""
-        model = self.aerodynamics
-        aircraft = self.aircraft
-        lengths = {"span": model.span or aircraft.span, "chord": model.chord or aircraft.chord}
-        if not any(
-            np.isclose(lengths[name], aircraft.lengths[name], rtol=0.01) for name in lengths
-        ):
+        lengths = self.aerodynamics.lengths(self.aircraft)
+        own = self.aircraft.lengths
+        if not np.isclose(list(lengths.values()), list(own.values()), rtol=0.01).any():
             warn(
                 f"The model's rates were made non-dimensional by span {lengths['span']:g} m and chord "
-                f"{lengths['chord']:g} m, but {aircraft!r} has others: is this the aircraft that the "
-                "model was learned from?",
+                f"{lengths['chord']:g} m, but {self.aircraft!r} has others: is this the aircraft that "
+                "the model was learned from?",
                 stacklevel=4,
             )
         return lengths
@@ -214,10 +215,10 @@ class Motion:
         mixing = self.aerodynamics.mixing
         lacking = [name for name in self.controls if name not in controls]
         if lacking and mixing is not None and controls.keys() >= set(mixing.surfaces):
+            surfaces = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
             for name, row in zip(mixing.controls, mixing.matrix, strict=True):
                 if name in lacking:
-                    parts = zip(mixing.surfaces, row, strict=True)
-                    controls[name] = sum(a * np.asarray(controls[n], float) for n, a in parts)
+                    controls[name] = sum(map(np.multiply, row, surfaces))
         check_names(self.controls, controls, "controls")
         return controls
 
@@ -245,16 +246,15 @@ class Motion:
             C = self._coefficients(X) + drift if coefficients is None else coefficients
             return self._loaded(state, X, C, flow, engine)
 
-        if not self.implicit:
-            return loaded()
-        guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
-
         def follow(guess: Array) -> Instant:
             for k, place in zip(self.implicit, self._follows, strict=True):
                 X[..., k] = guess[..., place] * self.factor(k, flow.airspeed)
             now = loaded()
             return now._replace(implicit=self._follow(state, now, flow, air))
 
+        if not self.implicit:
+            return loaded()
+        guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
         return follow(guess) if self.lagged else self._fixed_point(follow, guess)
 
     def _fixed_point(self, follow: Callable[[Array], Instant], guess: Array) -> Instant:
@@ -294,15 +294,11 @@ class Motion:
         if air is not None and air.rotation is not None:
             rates = rates - air.rotation
         values = dict(controls)
-        values |= dict(
-            zip(("airspeed", "alpha", "beta", "altitude", "density"), flow[2:], strict=True)
-        )
-        for names, columns in ((BODY_VELOCITY, state[..., VELOCITY]), (RATE_NAMES, rates)):
-            for k, name in enumerate(names):
-                values[name] = columns[..., k]
+        values |= by_name(BODY_VELOCITY, state[..., VELOCITY])
+        values |= by_name(RATE_NAMES, rates)
+        values |= zip(Flow._fields[2:], flow[2:], strict=True)
         if self._needs_angles:
-            angles = np.moveaxis(quaternion_to_euler(state[..., ATTITUDE]), -1, 0)
-            values |= dict(zip(EULER, angles, strict=True))
+            values |= by_name(EULER, quaternion_to_euler(state[..., ATTITUDE]))
         X = np.empty((*state.shape[:-1], len(self.regressors)))
         for k, name in enumerate(self.regressors):
             if name not in IMPLICIT:
@@ -351,11 +347,13 @@ def _anderson(
     del tried[: -settings.memory - 1]
     if len(tried) == 1:
         return result
-    F = np.stack([after[0] - before[0] for before, after in pairwise(tried)], axis=-1)
-    D = np.stack([after[1] - before[1] for before, after in pairwise(tried)], axis=-1)
+    results, offs = zip(*tried, strict=True)
+    F = np.diff(np.stack(results, axis=-1))
+    D = np.diff(np.stack(offs, axis=-1))
     transposed = np.swapaxes(D, -1, -2)
     normal = transposed @ D
     ridge = settings.ridge * np.trace(normal, axis1=-2, axis2=-1) + np.finfo(float).tiny
-    normal = normal + ridge[..., None, None] * np.eye(len(tried) - 1)
+    identity = np.eye(normal.shape[-1])
+    normal = normal + ridge[..., None, None] * identity
     mixture = np.linalg.solve(normal, transposed @ off[..., None])
     return result - (F @ mixture)[..., 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,12 +21,21 @@ from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._turbulence import SPECTRA, TooShort, Turbulence
 
 STILL = Turbulence(np.zeros(3), np.full(3, SPECTRA.length))
-# Largest factor of a drift's variance, in rougher air than in the training flights; a guess
-ROUGHEST = 2.0
-# Time [s] over which the effects of rotation and drift are compared
-HORIZON = 1.0
-# Points of the integral over this time
-POINTS = 101
+
+
+@dataclass(frozen=True)
+class DriftSettings:
+    """Settings of the drift in other air than in the training flights."""
+
+    # Largest factor of a drift's variance, in rougher air than in the training flights; a guess
+    roughest: float = 2.0
+    # Time [s] over which the effects of rotation and drift are compared
+    horizon: float = 1.0
+    # Points of the integral over this time
+    points: int = 101
+
+
+DRIFT = DriftSettings()
 
 
 class PathsAir(NamedTuple):
@@ -140,7 +150,7 @@ def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drif
     flown_power = np.sum(np.square(flown.intensity)) + SENSOR_GUST**2
     # fraction of the flown air's measured power that is gusts, zero in calm air
     in_gusts = 1.0 - SENSOR_GUST**2 / flown_power
-    largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
+    largest = 1.0 + (DRIFT.roughest - 1.0) * in_gusts
     return drift._replace(variance=min(met_power / flown_power, largest) * besides)
 
 
@@ -159,7 +169,12 @@ def _rate_slopes(motion: Motion, airspeed: float) -> Array:
 
 
 def without_rotation(
-    drift: Drift, flown: Turbulence, slopes: Array, airspeed: float, span: float
+    drift: Drift,
+    flown: Turbulence,
+    slopes: Array,
+    airspeed: float,
+    span: float,
+    settings: DriftSettings = DRIFT,
 ) -> Vector:
     """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
 
@@ -168,14 +183,16 @@ def without_rotation(
     [m/s].
     """
     A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)
+    rates = C[6:]
     covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    step = expm(A * HORIZON / (POINTS - 1))
-    lags = np.linspace(0.0, HORIZON, POINTS)
-    autocovariance = np.empty((POINTS, 3))
-    for k in range(POINTS):
-        autocovariance[k] = np.einsum("ij,jk,ik->i", C[6:], covariance, C[6:])
+    lags = np.linspace(0.0, settings.horizon, settings.points)
+    step = expm(A * settings.horizon / (settings.points - 1))
+    autocovariance = np.empty((settings.points, 3))
+    for k in range(settings.points):
+        autocovariance[k] = np.einsum("ij,jk,ik->i", rates, covariance, rates)
         covariance = step @ covariance
-    weight = 2 * np.gradient(lags) * (HORIZON - lags)
+    # The variance of an integral over T is 2 int (T - t) R(t) dt
+    weight = 2 * np.gradient(lags) * (settings.horizon - lags)
     weight[[0, -1]] *= 0.5
     rotation = slopes**2 @ (weight @ autocovariance)
     total = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))

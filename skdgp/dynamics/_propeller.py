@@ -184,10 +184,8 @@ class Propeller:
         >>> [round(c, 3) for c in propeller.thrust_coefficients]
         [0.1, -0.125]
         """
-        loads = ["thrust", "torque"] if "torque" in table else ["thrust"]
-        values = _bench_values(table, loads)
-        speed, airspeed, density = values[:, :3].T
-        is_static = not airspeed.any()
+        values = _bench_values(table)
+        is_static = not values["airspeed"].any()
         if is_static and pitch is None:
             warn(
                 "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows "
@@ -196,25 +194,19 @@ class Propeller:
                 stacklevel=2,
             )
         # T / D^4 and Q / D^5 are c_0 rho n^2 + c_1 rho n (V / D) + c_2 rho (V / D)^2
-        n = speed / (2.0 * np.pi)
-        advance = airspeed / diameter
-        terms = [density * n**2, density * n * advance, density * advance**2]
-        basis = np.stack(terms[:1] if is_static else terms, axis=-1)
-        targets = values[:, 3:] / [diameter**4, diameter**5][: len(loads)]
-        solution, _, rank, _ = np.linalg.lstsq(basis, targets, rcond=None)
-        if rank < basis.shape[1]:
-            raise ValueError(
-                f"The bench table's {len(table)} rows do not determine c_0, c_1 and c_2: measure at 3 "
-                "or more advance ratios."
-            )
-        coefficients = dict(zip(loads, solution.T.tolist(), strict=True))
-        thrust = coefficients["thrust"]
+        n = values["propeller_speed"] / (2.0 * np.pi)
+        advance = values["airspeed"] / diameter
+        terms = [n**2] if is_static else [n**2, n * advance, advance**2]
+        basis = values[["density"]].to_numpy() * np.stack(terms, axis=-1)
+        thrust = _least_squares(basis, values["thrust"] / diameter**4)
+        torque = []
+        if "torque" in values:
+            torque = _least_squares(basis, values["torque"] / diameter**5)
         largest = None
         if not is_static:
             largest = float(np.max(advance / n))
         elif pitch is not None:
             thrust.append(-thrust[0] * diameter / pitch)
-        torque = coefficients.get("torque", ())
         return cls(diameter, thrust, torque, rotation, max_advance_ratio=largest)
 
     @classmethod
@@ -257,17 +249,8 @@ class Propeller:
         (array([7.8, 5.1]), 0.23)
         """
         ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
-        ranges = {
-            "diameter": (diameter, USUAL.diameters),
-            "pitch / diameter": (ratio, USUAL.pitch_ratios),
-        }
-        for name, (value, (low, high)) in ranges.items():
-            if not low <= value <= high:
-                warn(
-                    f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from "
-                    f"others with {low:g} to {high:g}: its error may be larger than stated.",
-                    stacklevel=2,
-                )
+        _warn_beyond("diameter", diameter, USUAL.diameters)
+        _warn_beyond("pitch / diameter", ratio, USUAL.pitch_ratios)
         speed_range = None
         std = USUAL.std
         if motor_constant is not None or voltage is not None:
@@ -297,20 +280,42 @@ class Propeller:
         return np.asarray(density, dtype=float) * self.diameter**power * load
 
 
-def _bench_values(table: pd.DataFrame, loads: list[str]) -> Array:
-    """Return propeller speed, airspeed, density and the loads of a bench table, (n, 3 + loads)."""
+def _warn_beyond(name: str, value: float, measured: tuple[float, float]) -> None:
+    """Warn of a size outside the range of the propellers that were measured."""
+    low, high = measured
+    if not low <= value <= high:
+        warn(
+            f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from others with "
+            f"{low:g} to {high:g}: its error may be larger than stated.",
+            stacklevel=3,
+        )
+
+
+def _bench_values(table: pd.DataFrame) -> pd.DataFrame:
+    """Return propeller speed, airspeed, density and the loads of a bench table as floats."""
+    loads = ["thrust", "torque"] if "torque" in table else ["thrust"]
     check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
     defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
-    table = pd.DataFrame({**defaults, **table}, index=table.index)
-    values = table[["propeller_speed", "airspeed", "density", *loads]].to_numpy(float)
-    speed, airspeed, density = values[:, :3].T
-    is_physical = (speed > 0) & (airspeed >= 0) & (density > 0)
-    if not (is_physical.all() and np.isfinite(values).all()):
+    filled = pd.DataFrame({**defaults, **table}, index=table.index)
+    values = filled[["propeller_speed", "airspeed", "density", *loads]].astype(float)
+    is_positive = (values[["propeller_speed", "density"]] > 0).all(axis=None)
+    if not (is_positive and (values["airspeed"] >= 0).all() and np.isfinite(values).all(axis=None)):
         raise ValueError(
             "Got a bench table with NaN, or with propeller_speed <= 0, airspeed < 0 or density <= 0: "
             "drop those rows or fix the units [rad/s, m/s, kg/m^3]."
         )
     return values
+
+
+def _least_squares(basis: Array, target: ArrayLike) -> list[float]:
+    """Return the coefficients of a basis (rows, k); raise ValueError if the rows do not determine them."""
+    solution, _, rank, _ = np.linalg.lstsq(basis, np.asarray(target), rcond=None)
+    if rank < basis.shape[1]:
+        raise ValueError(
+            f"The bench table's {len(basis)} rows do not determine c_0, c_1 and c_2: measure at 3 "
+            "or more advance ratios."
+        )
+    return solution.tolist()
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,11 +79,10 @@ def replay(
     time = flight["time"].to_numpy(float)
     measured = table_states(flight)
     _check_coefficients(coefficients, len(flight))
-    loads = (
-        np.hstack(aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft))
-        + np.hstack(propulsive_loads(flight, aircraft, thrust))
-        + np.hstack(external_loads(flight, external_forces))
-    )
+    aerodynamic = aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft)
+    propulsive = propulsive_loads(flight, aircraft, thrust)
+    external = external_loads(flight, external_forces)
+    loads = np.hstack(aerodynamic) + np.hstack(propulsive) + np.hstack(external)
     has_loads: Any = np.isfinite(loads).all(axis=1)
     is_complete: Any = np.isfinite(measured).all(axis=1)
     windows: list[Indices] = []
@@ -91,12 +90,19 @@ def replay(
         for run in true_runs(has_loads[segment]):
             rows = np.arange(segment.start, segment.stop)[run]
             windows += _windows(rows, time[rows], is_complete[rows], float(horizon))
-    # (n_samples, n_windows), shorter windows padded with their last row
-    longest = max(map(len, windows), default=1)
-    padded = [np.pad(rows, (0, longest - len(rows)), mode="edge") for rows in windows]
-    rows = np.array(padded, dtype=int).reshape(-1, longest).T
+    rows = _padded(windows)
     states = _integrated(measured, loads, time, rows, aircraft, float(gravity))
     return _table(flight, rows, states, float(horizon))
+
+
+def _padded(windows: list[Indices]) -> Indices:
+    """Return the rows (n_samples, n_windows) of windows, shorter ones padded with their last row."""
+    longest = max(map(len, windows), default=1)
+    padded = np.empty((longest, len(windows)), dtype=int)
+    for k, rows in enumerate(windows):
+        padded[: len(rows), k] = rows
+        padded[len(rows) :, k] = rows[-1]
+    return padded
 
 
 def _check_coefficients(coefficients: ArrayLike, n: int) -> None:
@@ -110,13 +116,14 @@ def _check_coefficients(coefficients: ArrayLike, n: int) -> None:
 
 def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -> pd.DataFrame:
     """Return the states of all windows (n_samples, n_windows, 13) in the order of the flight."""
-    time = flight["time"].to_numpy(float)
     columns = channels(states)
     columns["window"] = np.broadcast_to(np.arange(rows.shape[1]), rows.shape)
+    time = flight["time"].to_numpy(float)
     columns["elapsed"] = time[rows] - time[rows[0]]
     table = flight[[name for name in ("time", "flight") if name in flight]].astype({"time": float})
     table["horizon"] = horizon
-    for name in ("window", "elapsed", *(name for name in POSITION if name in flight), *STATES):
+    measured = [name for name in POSITION if name in flight]
+    for name in ("window", "elapsed", *measured, *STATES):
         values = np.full(len(flight), -1 if name == "window" else np.nan)
         # a row that two windows share shows the end of the first
         values[rows[0]] = columns[name][0]

@@ -237,6 +237,8 @@ class Simulator:
         self.beyond = ""
         self._state: Any = None
         self._specific_force = UNKNOWN_FORCE
+        # deflections at the end of the last step
+        self._reached: dict[str, Array] = {}
 
     @property
     def time(self) -> float:
@@ -269,20 +271,21 @@ class Simulator:
             raise ValueError(
                 f"Got {len(states)} starts, but expected one: simulate() flies several at once."
             )
-        self.motion.aerodynamics = self._mean
+        motion = self.motion
+        motion.aerodynamics = self._mean
         if random_state is not None:
-            self.motion.aerodynamics = self._mean.sample(1, random_state)
+            motion.aerodynamics = self._mean.sample(1, random_state)
         self._state = states
         self._steps = 0
-        self._reached: dict[str, Array] = {}  # deflections at the end of the last step
+        self._reached = {}
         self.ended = FLYING
         self.beyond = ""
+        self._specific_force = UNKNOWN_FORCE
         if controls is None and isinstance(x0, Trim):
             controls = x0.controls
-        self._specific_force = UNKNOWN_FORCE
         if controls is not None:
-            now = self.motion.at(states, self.motion.mixed(controls), self._air(0, states))
-            self._specific_force = now.force[0] / self.motion.aircraft.mass
+            now = motion.at(states, motion.mixed(controls), self._air(0, states))
+            self._specific_force = now.force[0] / motion.aircraft.mass
         return self._seen()
 
     def step(self, controls: Mapping) -> dict[str, float]:

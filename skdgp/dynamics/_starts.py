@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any, NamedTuple
 
@@ -38,9 +39,19 @@ from skdgp.dynamics._trim import Trim
 START_NAMES = (*AIR_DATA, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 # States of a start that may have standard deviations
 DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
-# Relative difference of a start's airspeed and the airspeed of its ground speed and wind, at most
-AIRSPEED_TOLERANCE = 0.15
-LOWEST_LAND = -450.0  # Altitude of the lowest land there is [m]
+
+
+@dataclass(frozen=True)
+class StartChecks:
+    """Limits beyond which a start gets a warning."""
+
+    # Relative difference of the airspeed, and the airspeed of ground speed and wind
+    airspeed: float = 0.15
+    # Altitude of the lowest land there is [m]
+    lowest: float = -450.0
+
+
+CHECKS = StartChecks()
 
 
 class UncertainStart(NamedTuple):
@@ -66,14 +77,14 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
         return pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
     if isinstance(x0, pd.DataFrame) and len(x0):
         return x0
-    if not isinstance(x0, pd.DataFrame) and column_names(x0):
+    names = [] if isinstance(x0, pd.DataFrame) else column_names(x0)
+    if names:
         # a table of another library
-        return pd.DataFrame({name: np.asarray(x0[name]) for name in column_names(x0)})
-    if isinstance(x0, Trim):
-        x0 = x0.state
-    elif isinstance(x0, list | tuple) and any(isinstance(point, Trim) for point in x0):
-        x0 = [point.state for point in x0]
-    states = np.atleast_2d(np.array(x0, dtype=float))
+        return pd.DataFrame({name: np.asarray(x0[name]) for name in names})
+    points = [x0] if isinstance(x0, Trim) else x0
+    if isinstance(points, list | tuple) and any(isinstance(point, Trim) for point in points):
+        points = [point.state for point in points]
+    states = np.atleast_2d(np.array(points, dtype=float))
     if states.ndim != 2 or states.shape[1] != len(STATE_NAMES) or not len(states):
         raise ValueError(
             f"Got x0 of shape {np.shape(x0)}, but expected names and values, or (13,) or (n, 13): "
@@ -120,12 +131,10 @@ def initial_states(
 def table_states(table: pd.DataFrame) -> Array:
     """Return the states (n, 13) of a flight table, zero where a column is absent."""
     n = (len(table),)
-    states = np.zeros((*n, len(STATE_NAMES)))
-    states[:, ATTITUDE] = euler_to_quaternion(*stacked(table, EULER, n).T)
-    states[:, rigid_body.RATES] = stacked(table, RATES, n)
-    states[:, rigid_body.POSITION] = stacked(table, POSITION, n)
-    states[:, VELOCITY] = ned_to_body(states[:, ATTITUDE], stacked(table, EARTH_VELOCITY, n))
-    return states
+    attitude = euler_to_quaternion(*stacked(table, EULER, n).T)
+    velocity = ned_to_body(attitude, stacked(table, EARTH_VELOCITY, n))
+    position = stacked(table, POSITION, n)
+    return np.hstack([position, velocity, attitude, stacked(table, RATES, n)])
 
 
 def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
@@ -135,7 +144,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     lowest = -states[:, 2].max()
-    if lowest < LOWEST_LAND:
+    if lowest < CHECKS.lowest:
         warn(
             f"Got a start at an altitude of {lowest:g} m, below any land: down is positive downwards, "
             "altitude = -down.",
@@ -152,8 +161,8 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
     check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
     for speed in table["airspeed"]:
         check_number("airspeed of x0", speed, unit="m/s")
-    air_data = stacked(table, AIR_DATA, (len(table),))
-    states[:, VELOCITY] = air_velocity(*air_data.T) + wind
+    through_air = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T)
+    states[:, VELOCITY] = through_air + wind
     return states
 
 
@@ -162,7 +171,7 @@ def _warn_of_wind(stated: Array, velocity: Array) -> None:
     airspeed = np.linalg.norm(velocity, axis=1)
     off = np.nan_to_num(np.abs(airspeed / stated - 1.0))
     worst = int(np.argmax(off))
-    if off[worst] > AIRSPEED_TOLERANCE:
+    if off[worst] > CHECKS.airspeed:
         warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, "
             f"but x0 says {stated[worst]:.1f} m/s: give the wind of that flight (air=wind).",
@@ -176,26 +185,25 @@ def perturbed(
     """Return a start for each path, (n_paths, n, 13), drawn around the states (n, 13) with deviations by name."""
     std = std or {}
     check_names(std, DRAWN, "names of standard deviations of a start")
-    drawn = np.tile(states, (n_paths, 1, 1))
-    draw = check_random_state(random_state).standard_normal
-    errors = dict.fromkeys(DRAWN, np.zeros(drawn.shape[:2]))
+    shape = (n_paths, len(states))
+    rng = check_random_state(random_state)
+    errors = {}
     for name, size in std.items():
         check_number(f"standard deviation of {name}", size, is_open=False)
-        errors[name] = float(size) * draw(drawn.shape[:2])
-
-    def errors_of(names: Sequence[str]) -> Array:
-        return np.stack([errors[name] for name in names], axis=-1)
-
+        errors[name] = float(size) * rng.standard_normal(shape)
+    drawn = np.tile(states, (n_paths, 1, 1))
     attitude = drawn[..., ATTITUDE]
-    drawn[..., rigid_body.POSITION] += errors_of(POSITION)
-    drawn[..., rigid_body.RATES] += errors_of(RATES)
-    drawn[..., VELOCITY] += errors_of(BODY_VELOCITY)
-    drawn[..., VELOCITY] += ned_to_body(attitude, errors_of(EARTH_VELOCITY))
-    if std.keys() & set(EULER):
-        ground = body_to_ned(attitude, drawn[..., VELOCITY])
-        angles = quaternion_to_euler(attitude) + errors_of(EULER)
-        drawn[..., ATTITUDE] = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
-        if not std.keys() & set(BODY_VELOCITY):
-            # the velocity over the ground was measured
-            drawn[..., VELOCITY] = ned_to_body(drawn[..., ATTITUDE], ground)
+    ground_error = ned_to_body(attitude, stacked(errors, EARTH_VELOCITY, shape))
+    drawn[..., rigid_body.POSITION] += stacked(errors, POSITION, shape)
+    drawn[..., rigid_body.RATES] += stacked(errors, RATES, shape)
+    drawn[..., VELOCITY] += stacked(errors, BODY_VELOCITY, shape) + ground_error
+    if errors.keys().isdisjoint(EULER):
+        return drawn
+    ground = body_to_ned(attitude, drawn[..., VELOCITY])
+    angles = quaternion_to_euler(attitude) + stacked(errors, EULER, shape)
+    turned = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
+    drawn[..., ATTITUDE] = turned
+    if errors.keys().isdisjoint(BODY_VELOCITY):
+        # the velocity over the ground was measured
+        drawn[..., VELOCITY] = ned_to_body(turned, ground)
     return drawn

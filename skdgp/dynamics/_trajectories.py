@@ -23,12 +23,9 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._integrate import REASONS, Record, by_name, channels
-from skdgp.dynamics._motion import Motion
+from skdgp.dynamics._integrate import REASONS, Record, channels
+from skdgp.dynamics._motion import Motion, by_name
 
-# Largest excess of a regressor over its training range without a warning, as a fraction of the
-# range
-MARGIN = 0.02
 BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
 
 
@@ -49,15 +46,13 @@ def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.D
         """Return values (n_times, ...) of all trajectories, one after the other."""
         return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
 
-    # without a start of its own a single trajectory has shape ()
+    # a single trajectory has no axis of starts
     starts = first_times if shape else first_times[0]
-    clock = np.add.outer(record.time, starts)
-    if len(shape) == 2:
-        clock = clock[:, None]
-    table: dict[str, Any] = {"time": column(clock), **_identity(shape, n_times)}
+    times = np.expand_dims(record.time, tuple(range(1, 1 + len(shape)))) + starts
+    table: dict[str, Any] = {"time": column(times), **_identity(shape, n_times)}
     for name, values in _columns(record).items():
         table[name] = column(values)
-    is_over = np.expand_dims(np.arange(n_times), tuple(range(1, 1 + len(shape)))) >= record.end
+    is_over = np.isnan(record.states).any(axis=-1)
     farthest = column(beyond(motion, record.regressors))
     table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
     table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, "")))
@@ -80,26 +75,29 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
     """Return the columns that name the trajectories."""
     if not shape:
         return {"flight": pd.Categorical(["simulation"] * n_times)}
-    numbers = dict(zip(("path", "start")[-len(shape) :], np.indices(shape), strict=True))
-    parts = [[f"{label} {k}" for k in index.ravel()] for label, index in numbers.items()]
-    names = [", ".join(part) for part in zip(*parts, strict=True)]
-    columns: dict[str, Any] = {"flight": pd.Categorical(np.repeat(names, n_times), names)}
-    for label, index in numbers.items():
-        columns[label] = np.repeat(index.ravel(), n_times)
-    return columns
+    columns = {}
+    parts = []
+    for label, index in zip(("path", "start")[-len(shape) :], np.indices(shape), strict=True):
+        numbers = index.ravel()
+        columns[label] = np.repeat(numbers, n_times)
+        parts.append([f"{label} {k}" for k in numbers])
+    names = list(map(", ".join, zip(*parts, strict=True)))
+    return {"flight": pd.Categorical(np.repeat(names, n_times), names), **columns}
 
 
-def beyond(motion: Motion, regressors: Array) -> np.ndarray:
-    """Return the name of the regressor (..., d) farthest outside its training range, "" if none is outside."""
+def beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> np.ndarray:
+    """Return the name of the regressor (..., d) farthest outside its training range, "" if none is outside.
+
+    ``margin`` is the largest excess that counts as inside, as a fraction of the range.
+    """
     limits = motion.aerodynamics.limits
     if limits is None:
         return np.full(regressors.shape[:-1], "", dtype=object)
     low, high = limits
     width = np.maximum(high - low, np.finfo(float).tiny)
-    outside = np.maximum(low - regressors, regressors - high) / width
-    outside = np.where(np.isfinite(outside), outside, 0.0)
+    outside = np.nan_to_num(np.maximum(low - regressors, regressors - high) / width, posinf=0.0)
     farthest = np.array(motion.regressors, dtype=object)[outside.argmax(axis=-1)]
-    return np.where(outside.max(axis=-1) > MARGIN, farthest, "")
+    return np.where(outside.max(axis=-1) > margin, farthest, "")
 
 
 def warn_of(record: Record, motion: Motion) -> None:
@@ -111,20 +109,22 @@ def warn_of(record: Record, motion: Motion) -> None:
 
 def _ended_message(record: Record) -> str:
     """Return a sentence on trajectories that ended early, "" without any."""
-    ended = [reason for reason in record.ended.ravel().tolist() if reason]
-    if not ended:
+    counts = {text: np.count_nonzero(record.ended == name) for name, text in REASONS.items()}
+    n_ended = sum(counts.values())
+    if not n_ended:
         return ""
-    counts = [f"{REASONS[reason]}: {ended.count(reason)}" for reason in dict.fromkeys(ended)]
+    reasons = [f"{text}: {count}" for text, count in counts.items() if count]
     first = record.time[record.end.min()]
     return (
-        f"{len(ended)} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
-        f"its start ({', '.join(counts)}). Their rows are NaN from there on, and the column ended "
+        f"{n_ended} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
+        f"its start ({', '.join(reasons)}). Their rows are NaN from there on, and the column ended "
         "says why. Look at start, controls, wind and thrust; try a smaller dt."
     )
 
 
 def _beyond_message(record: Record, motion: Motion) -> str:
     """Return a sentence on trajectories that left the training ranges, "" without any."""
+    model = motion.aerodynamics
     farthest = beyond(motion, record.regressors).reshape(len(record.time), -1)
     outside = farthest != ""
     if not outside.any():
@@ -132,13 +132,13 @@ def _beyond_message(record: Record, motion: Motion) -> str:
     first = int(np.argmax(outside.any(axis=1)))
     name = farthest[first][outside[first]][0]
     k = motion.regressors.index(name)
-    low, high = motion.aerodynamics.limits[:, k]
+    low, high = model.limits[:, k]
     values = record.regressors[..., k]
     return (
-        f"{np.count_nonzero(outside.any(axis=0))} of {record.ended.size} trajectories left what the "
-        f"model was learned from, the first {record.time[first]:.2f} s after its start in "
-        f"{motion.aerodynamics.regressors[k]} (here {np.nanmin(values):.3g} to "
-        f"{np.nanmax(values):.3g}, learned from {low:.3g} to {high:.3g}): the column beyond says where."
+        f"{outside.any(axis=0).sum()} of {record.ended.size} trajectories left what the model was "
+        f"learned from, the first {record.time[first]:.2f} s after its start in {model.regressors[k]} "
+        f"(here {np.nanmin(values):.3g} to {np.nanmax(values):.3g}, learned from {low:.3g} to "
+        f"{high:.3g}): the column beyond says where."
     )
 
 

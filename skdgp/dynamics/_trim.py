@@ -29,7 +29,6 @@ from skdgp.dynamics._motion import (
 )
 from skdgp.dynamics._rigid_body import (
     ATTITUDE,
-    CENTRED,
     RATES,
     VELOCITY,
     aerodynamic_loads,
@@ -40,17 +39,31 @@ from skdgp.dynamics._rigid_body import (
 ENGINE = PROPULSION[:3]
 THRUSTS = PROPULSION[1:]
 FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
-ACCELERATIONS = ("u_dot", "v_dot", "w_dot", "p_dot", "q_dot", "r_dot")
-ACCELERATION_UNITS = ("m/s^2",) * 3 + ("rad/s^2",) * 3
-ANGLES = {
+ANGLES = ("alpha", "beta", "theta", "phi", "turn_rate", "climb")
+# Accelerations that vanish: places in the derivative of the state, and units
+ACCELERATIONS = [3, 4, 5, 10, 11, 12]
+ACCELERATION_UNITS = {
+    **dict.fromkeys(("u_dot", "v_dot", "w_dot"), "m/s^2"),
+    **dict.fromkeys(("p_dot", "q_dot", "r_dot"), "rad/s^2"),
+}
+CONDITION_UNITS = {
+    "airspeed": " m/s",
+    "altitude": " m",
+    "turn_rate": " rad/s",
+    **dict.fromkeys(("climb", "phi", "beta"), " rad"),
+}
+# Limits of unknowns, of alpha where its training range is not known
+LIMITS = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
     "theta": (-1.4, 1.4),
     "phi": (-1.5, 1.5),
     "climb": (-1.4, 1.4),
+    "turn_rate": (-np.inf, np.inf),
+    "thrust": (0.0, np.inf),
+    "throttle": (0.0, 1.0),
+    "propeller_speed": (0.0, np.inf),
 }
-# Limits of unknowns, of alpha where its training range is not known
-LIMITS = ANGLES | {"turn_rate": (-np.inf, np.inf), "thrust": (0.0, np.inf), "throttle": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -68,6 +81,14 @@ class TrimSettings:
     path_weight: float = 100.0
     # Least allowed excess of a control or alpha over its training range [rad]
     margin: float = 0.1
+    # Starts: alpha [rad] where its training range is not known, thrust over weight, throttle,
+    # advance ratio of the propeller
+    alpha: tuple[float, float] = (-0.1, 0.3)
+    thrust: float = 0.15
+    throttle: float = 0.5
+    advance_ratio: float = 0.5
+    # Remaining accelerations that an error shows, over the largest
+    shown: float = 0.01
 
 
 TRIM_SETTINGS = TrimSettings()
@@ -188,7 +209,7 @@ def trim(
         "beta": values.pop("beta", None),
     }
     steady = SteadyFlight(motion, conditions, values)
-    trims: list[Trim] = []
+    trims = []
     near = None
     for speed in np.atleast_1d(airspeeds).tolist():
         near = steady.solve(speed, near)
@@ -198,38 +219,50 @@ def trim(
 
 def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     """Return the trim at values of the unknowns."""
-    flight, state, controls = steady.flight(x, airspeed)
-    now = steady.instant(flight, state, controls)
+    flight, state, now = steady.at(x, airspeed)
     check_settled(now)
-    model = steady.motion.aerodynamics
     aircraft = steady.motion.aircraft
-    beyond = {}
-    if model.limits is not None:
-        values = np.stack([now.regressors, *model.limits], axis=1).tolist()
-        for name, (value, low, high) in zip(model.regressors, values, strict=True):
-            if not low <= value <= high:
-                beyond[name] = (value, low, high)
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
-    line = aircraft.thrust_line or CENTRED
     return Trim(
         state=state,
-        controls={name: float(value) for name, value in controls.items()},
+        controls={name: float(flight[name]) for name in steady.controls},
         airspeed=airspeed,
         **{name: float(flight[name]) for name in FLIGHT},
         rates=state[RATES].copy(),
         coefficients=now.coefficients,
-        thrust=float((now.force - aerodynamic) @ line.direction),
+        thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
         solved=steady.unknowns,
-        residual=float(np.abs(steady.residual(x, airspeed)[:6]).max()),
-        beyond=beyond,
+        residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),
+        beyond=_beyond(steady.motion.aerodynamics, now.regressors),
     )
+
+
+def _beyond(model: Aerodynamics, regressors: Array) -> dict[str, tuple[float, float, float]]:
+    """Return the regressors (d,) outside their training ranges: name to (value, smallest, largest)."""
+    if model.limits is None:
+        return {}
+    beyond = {}
+    rows = np.stack([regressors, *model.limits], axis=1).tolist()
+    for name, (value, low, high) in zip(model.regressors, rows, strict=True):
+        if not low <= value <= high:
+            beyond[name] = (value, low, high)
+    return beyond
 
 
 class SteadyFlight:
     """The equations of a steady flight in the unknowns of one aircraft.
 
-    ``given`` holds altitude, climb, turn_rate, phi, beta; None is an unknown. ``fixed`` is as of
+    ``conditions`` holds altitude, climb, turn_rate, phi, beta; None is an unknown. ``fixed`` is as of
     `trim`.
+
+    Attributes
+    ----------
+    given : dict
+        Known conditions and controls.
+    controls : tuple of str
+        All controls, given or unknown.
+    unknowns : tuple of str
+        What `solve` finds.
     """
 
     def __init__(
@@ -240,19 +273,19 @@ class SteadyFlight:
         settings: TrimSettings = TRIM_SETTINGS,
     ):
         self.motion = motion
-        self.fixed = fixed
         self.settings = settings
         _check_given(conditions, fixed)
         self.flown = _training_ranges(motion)
-        self.controls = self._controls()
-        self.given = {name: value for name, value in conditions.items() if value is not None}
+        fixed, free = self._controls(fixed)
+        self.controls = (*fixed, *free)
+        known = {name: value for name, value in conditions.items() if value is not None}
         # without a given climb one control less is needed to hold the sideslip
-        n_needed = 4 if "climb" in self.given else 3
-        has_turn = {"phi", "turn_rate"} <= self.given.keys()
-        if len(self.controls) >= n_needed and not has_turn:
-            self.given.setdefault("beta", 0.0)
-        angles = ("alpha", "beta", "theta", "phi", "turn_rate", "climb")
-        self.unknowns = (*(name for name in angles if name not in self.given), *self.controls)
+        n_needed = 4 if "climb" in known else 3
+        has_turn = {"phi", "turn_rate"} <= known.keys()
+        if len(free) >= n_needed and not has_turn:
+            known.setdefault("beta", 0.0)
+        self.given = known | fixed
+        self.unknowns = (*(name for name in ANGLES if name not in known), *free)
         if len(self.unknowns) > 7:
             raise ValueError(
                 f"Got {len(self.unknowns)} unknowns, {', '.join(self.unknowns)}, but a steady flight "
@@ -261,19 +294,20 @@ class SteadyFlight:
             )
         self.limits = {name: self._limits(name) for name in self.unknowns}
 
-    def _controls(self) -> tuple[str, ...]:
-        """Return the controls to solve for; fix a throttle without thrust, and surfaces of unknown effect."""
-        engine = self._engine()
+    def _controls(self, fixed: dict) -> tuple[dict, list[str]]:
+        """Return fixed controls, a throttle without thrust and surfaces of unknown effect too, and the others."""
+        engine = self._engine(fixed)
         names = list(self.motion.controls)
         if engine is not None and engine not in names:
             names.append(engine)
-        check_names(self.fixed, (*names, *THRUSTS), "controls of the model and the engine")
-        for name in self.flown.keys() & {*names} - {engine}:
-            limits = self.flown[name]
+        check_names(fixed, (*names, *THRUSTS), "controls of the model and the engine")
+        held = dict(fixed)
+        for name, limits in self.flown.items():
             has_moved = not constant_columns(np.array(limits)[:, None])[0]
-            if name in ENGINE or (name in ALL_SURFACES and not has_moved):
-                self.fixed.setdefault(name, float(np.mean(limits)))
-        free = [name for name in names if name not in self.fixed]
+            is_unmoved = name in ALL_SURFACES and not has_moved
+            if name in names and name != engine and (name in ENGINE or is_unmoved):
+                held.setdefault(name, float(np.mean(limits)))
+        free = [name for name in names if name not in held]
         settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, engine}
         lacking = [name for name in free if name in settings]
         if lacking:
@@ -281,36 +315,33 @@ class SteadyFlight:
                 f"The trim lacks values of {lacking}, which no steady flight determines: give "
                 f"fixed={{{lacking[0]!r}: value}}."
             )
-        return tuple(free)
+        return held, free
 
-    def _engine(self) -> str | None:
+    def _engine(self, fixed: dict) -> str | None:
         """Return the control of the thrust that is solved for, None without one."""
         motion = self.motion
-        if motion.thrust is None or any(name in self.fixed for name in THRUSTS):
+        if not fixed.keys().isdisjoint(THRUSTS):
             return None
-        if motion.aircraft.propeller is not None and "propeller_speed" in motion.controls:
+        engine = thrust_control(motion.aircraft, motion.thrust)
+        if engine == "throttle" and "propeller_speed" in motion.controls:
             return "propeller_speed"
-        return thrust_control(motion.aircraft, motion.thrust)
+        return engine
 
     def _limits(self, name: str) -> tuple[float, float]:
         """Return the limits of an unknown."""
         propeller = self.motion.aircraft.propeller
-        if name == "propeller_speed":
-            speeds = None if propeller is None else propeller.speed_range
-            low, high = speeds or (0.0, np.inf)
-        elif name in LIMITS and not (name == "alpha" and name in self.flown):
-            low, high = LIMITS[name]
-        elif name in self.flown:
+        if name == "propeller_speed" and propeller is not None and propeller.speed_range:
+            idle, full = propeller.speed_range
+            return idle, full
+        if name in self.flown and (name == "alpha" or name not in LIMITS):
             low, high = self.flown[name]
             margin = max(high - low, self.settings.margin)
-            low, high = low - margin, high + margin
-        else:
-            low, high = -DEFLECTION, DEFLECTION
-        return low, high
+            return low - margin, high + margin
+        return LIMITS.get(name, (-DEFLECTION, DEFLECTION))
 
     def solve(self, airspeed: float, near: Array | None = None) -> Array:
         """Return the values of the unknowns, searched first ``near`` another flight."""
-        low, high = np.array([self.limits[name] for name in self.unknowns]).T
+        low, high = np.array(list(self.limits.values())).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
         starts = [self._start(airspeed, fraction) for fraction in self.settings.starts]
         if near is not None:
@@ -337,45 +368,44 @@ class SteadyFlight:
 
     def _start(self, airspeed: float, fraction: float) -> Array:
         """Return a first guess, with alpha at a fraction of its training range."""
+        settings = self.settings
+        aircraft = self.motion.aircraft
         gravity = self.motion.gravity
-        climb = self.given.get("climb", 0.0)
-        turn_rate = self.given.get("turn_rate", 0.0)
-        low, high = self.flown.get("alpha", (-0.1, 0.3))
+        low, high = self.flown.get("alpha", settings.alpha)
+        alpha = low + fraction * (high - low)
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
-        start["alpha"] = low + fraction * (high - low)
-        start["theta"] = start["alpha"] + climb
-        start["phi"] = np.arctan(airspeed * turn_rate / gravity)
+        start["alpha"] = alpha
+        start["theta"] = alpha + self.given.get("climb", 0.0)
+        start["phi"] = np.arctan(airspeed * self.given.get("turn_rate", 0.0) / gravity)
         start["turn_rate"] = gravity * np.tan(self.given.get("phi", 0.0)) / airspeed
-        start["thrust"] = 0.15 * self.motion.aircraft.mass * gravity
-        start["throttle"] = 0.5
-        propeller = self.motion.aircraft.propeller
-        if propeller is not None:
-            # an advance ratio of 1/2
-            start["propeller_speed"] = 4.0 * np.pi * airspeed / propeller.diameter
+        start["thrust"] = settings.thrust * aircraft.mass * gravity
+        start["throttle"] = settings.throttle
+        if aircraft.propeller is not None:
+            advance = settings.advance_ratio * aircraft.propeller.diameter
+            start["propeller_speed"] = 2.0 * np.pi * airspeed / advance
         return np.array([start[name] for name in self.unknowns])
 
-    def flight(self, x: Array, airspeed: float) -> tuple[dict, Array, dict]:
-        """Return the flight by name, its state and its controls, at unknowns (..., k)."""
+    def at(self, x: Array, airspeed: float) -> tuple[dict, Array, Instant]:
+        """Return all quantities by name, the state and what happens, at unknowns (..., k)."""
         flight = self.given | dict(zip(self.unknowns, np.moveaxis(x, -1, 0), strict=True))
+        velocity = air_velocity(airspeed, flight["alpha"], flight["beta"])
+        vertical = gravity_in_body_axes(flight["phi"], flight["theta"], 1.0)
+        rates = np.asarray(flight["turn_rate"])[..., None] * vertical
         state = np.zeros((*x.shape[:-1], 13))
         state[..., 2] = -flight["altitude"]
-        state[..., VELOCITY] = air_velocity(airspeed, flight["alpha"], flight["beta"])
+        state[..., VELOCITY] = velocity
         state[..., ATTITUDE] = euler_to_quaternion(flight["phi"], flight["theta"], 0.0)
-        vertical = gravity_in_body_axes(flight["phi"], flight["theta"], 1.0)
-        state[..., RATES] = np.asarray(flight["turn_rate"])[..., None] * vertical
-        return flight, state, self.fixed | {name: flight[name] for name in self.controls}
-
-    def instant(self, flight: dict, state: Array, controls: dict) -> Instant:
-        """Return loads and accelerations; implicit regressors are searched from a steady flight."""
-        steady = np.zeros((*state.shape[:-1], len(IMPLICIT)))
-        weight = gravity_in_body_axes(flight["phi"], flight["theta"], self.motion.gravity)
-        steady[..., 5:] = cross(state[..., RATES], state[..., VELOCITY]) - weight
-        return self.motion.at(state, controls, implicit=steady)
+        state[..., RATES] = rates
+        # implicit regressors are searched from a steady flight
+        implicit = np.zeros((*x.shape[:-1], len(IMPLICIT)))
+        implicit[..., 5:] = cross(rates, velocity) - self.motion.gravity * vertical
+        controls = {name: flight[name] for name in self.controls}
+        return flight, state, self.motion.at(state, controls, implicit=implicit)
 
     def residual(self, x: Array, airspeed: float) -> Array:
         """Return the six accelerations, and the error of the path's slope, (..., 7)."""
-        flight, state, controls = self.flight(x, airspeed)
-        derivative = self.instant(flight, state, controls).derivative
+        flight, _, now = self.at(x, airspeed)
+        derivative = now.derivative
         if not np.isfinite(derivative).all():
             raise ValueError(
                 f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
@@ -383,9 +413,8 @@ class SteadyFlight:
                 "thrust or the air is not defined there."
             )
         path = -derivative[..., 2] / airspeed - np.sin(flight["climb"])
-        accelerations = [derivative[..., VELOCITY], derivative[..., RATES]]
         weighted = self.settings.path_weight * path
-        return np.concatenate([*accelerations, weighted[..., None]], axis=-1)
+        return np.concatenate([derivative[..., ACCELERATIONS], weighted[..., None]], axis=-1)
 
     def _slopes(self, x: Array, airspeed: float) -> Array:
         """Return d residual / d unknowns."""
@@ -394,18 +423,18 @@ class SteadyFlight:
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
+        largest = np.abs(best.fun[:6]).max()
         accelerations = []
-        for name, unit, value in zip(ACCELERATIONS, ACCELERATION_UNITS, best.fun[:6], strict=True):
-            if abs(value) > 0.01 * np.abs(best.fun[:6]).max():
+        for (name, unit), value in zip(ACCELERATION_UNITS.items(), best.fun, strict=False):
+            if abs(value) > self.settings.shown * largest:
                 accelerations.append(f"{name} = {value:.3g} {unit}")
-        units = {"airspeed": " m/s", "altitude": " m", "turn_rate": " rad/s"}
-        units = dict.fromkeys(self.given, " rad") | units
-        conditions = {"airspeed": airspeed} | self.given | self.fixed
-        requested = [f"{name} {value:g}{units.get(name, '')}" for name, value in conditions.items()]
+        conditions = []
+        for name, value in {"airspeed": airspeed, **self.given}.items():
+            conditions.append(f"{name} {value:g}{CONDITION_UNITS.get(name, '')}")
         return (
-            f"There is no trim of {self.motion.aircraft.name} at {', '.join(requested)}: nearest to it are "
-            f"left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask for "
-            "another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
+            f"There is no trim of {self.motion.aircraft.name} at {', '.join(conditions)}: nearest to it "
+            f"are left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask "
+            "for another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )
 
     def _ends(self, x: Array) -> str:

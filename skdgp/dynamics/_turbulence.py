@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
 from scipy.stats import chi2
 from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Array, Seed
+from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_number, check_radians, check_table
 from skdgp._flight.clock import flight_segments
@@ -175,17 +176,9 @@ class Turbulence(NamedTuple):
             raise ValueError(
                 f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
             )
-        speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), (len(winds),)).tolist()
+        speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), len(winds)).tolist()
         spectra = _spectra(winds, speeds, span, SPECTRA)
-        along = _fitted(spectra, (0, 1), SPECTRA)
-        across = along
-        vertical = _fitted(spectra, (2,), SPECTRA)
-        if spectra[0].is_along:
-            u = _fitted(spectra, (0,), SPECTRA)
-            v = _fitted(spectra, (1,), SPECTRA)
-            if 2 * (along.loss - u.loss - v.loss) >= chi2.ppf(SPECTRA.level, 2):
-                along, across = u, v
-        fits = (along, across, vertical)
+        fits = [*_along_and_across(spectra, SPECTRA), _fitted(spectra, (2,), SPECTRA)]
         durations = [spectrum.step * len(spectrum.values) for spectrum in spectra]
         airspeed = np.average([spectrum.airspeed for spectrum in spectra], weights=durations)
         return cls(
@@ -321,24 +314,33 @@ def _periodogram(
     wind: pd.DataFrame, airspeed: float, span: float, settings: SpectraSettings
 ) -> _Spectra | None:
     """Return the periodogram of a wind, None if it is too short, met at no airspeed, or sampled too rarely."""
-    is_along = "heading" in wind
     wind = wind.dropna()
-    time = wind["time"].to_numpy(float)
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    steps = np.diff(wind["time"].to_numpy(float))
+    step = float(np.median(steps)) if len(steps) else 0.0
     sampled = settings.samples * step * airspeed
     if not 0 < sampled < settings.longest:
         return None
-    even = np.arange(time[0], time[-1], step)
-    gusts = np.stack([np.interp(even, time, wind[name].to_numpy(float)) for name in WIND], axis=1)
-    gusts -= gusts.mean(axis=0)
-    if is_along:
-        gusts = _turned(gusts, np.interp(even, time, wind["heading"].to_numpy(float)))
-    values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * step / len(even)
-    frequency = 2 * np.pi * np.fft.rfftfreq(len(even), step)
+    gusts = _even_gusts(wind, step)
+    n_times = len(gusts)
+    values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * step / n_times
+    frequency = 2 * np.pi * np.fft.rfftfreq(n_times, step)
     highest = min(settings.band * np.pi * airspeed / (4 * span), 0.9 * np.pi / step)
     used = (frequency > settings.slowest) & (frequency < highest)
     shortest = max(sampled, airspeed / highest)
-    return _Spectra(frequency[used], values[used], step, airspeed, shortest, is_along)
+    return _Spectra(frequency[used], values[used], step, airspeed, shortest, "heading" in wind)
+
+
+def _even_gusts(wind: pd.DataFrame, step: float) -> Array:
+    """Return a wind less its mean (n, 3) at even times: along a heading, across, down; or north, east, down."""
+    time = wind["time"].to_numpy(float)
+    even = np.arange(time[0], time[-1], step)
+
+    def resampled(name: str) -> Vector:
+        return np.interp(even, time, wind[name].to_numpy(float))
+
+    gusts = np.stack([resampled(name) for name in WIND], axis=1)
+    gusts -= gusts.mean(axis=0)
+    return _turned(gusts, resampled("heading")) if "heading" in wind else gusts
 
 
 def _turned(gusts: Array, heading: Array) -> Array:
@@ -355,9 +357,22 @@ def _spectrum(frequency: Array, time: float, axis: int) -> Array:
     return 2 * time / (1 + x) if axis == 0 else time * (1 + 3 * x) / (1 + x) ** 2
 
 
+def _along_and_across(spectra: list[_Spectra], settings: SpectraSettings) -> tuple[_Fit, _Fit]:
+    """Return intensity and length of u and v: shared, unless they differ significantly (Wilks 1938)."""
+    both = _fitted(spectra, (0, 1), settings)
+    if not spectra[0].is_along:
+        return both, both
+    u = _fitted(spectra, (0,), settings)
+    v = _fitted(spectra, (1,), settings)
+    if 2 * (both.loss - u.loss - v.loss) >= chi2.ppf(settings.level, 2):
+        return u, v
+    return both, both
+
+
 def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSettings) -> _Fit:
     """Return intensity and length that the axes share; each has white noise of its own."""
-    observed = np.concatenate([part.values[:, axis] for part in spectra for axis in axes])
+    columns = list(axes)
+    observed = np.concatenate([part.values[:, columns].T.ravel() for part in spectra])
 
     def loss(theta: Array) -> float:
         """Return the negative logarithm of Whittle's likelihood and of the prior of the length."""
@@ -371,15 +386,17 @@ def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSet
     density = level / min(part.step for part in spectra)
     loudest = (10 if spectra[0].is_along else 2e-6) * density
     shortest = min(part.shortest for part in spectra)
-    n_axes = len(axes)
-    least = [1e-6 * power, shortest, *[1e-6 * density] * n_axes]
-    most = [100 * power, settings.longest, *[loudest] * n_axes]
-    bounds = list(zip(np.log(least), np.log(most), strict=True))
+
+    def logarithms(variance: float, length: float, noise: float) -> Array:
+        return np.log([variance, length, *[noise] * len(axes)])
+
+    least = logarithms(1e-6 * power, shortest, 1e-6 * density)
+    most = logarithms(100 * power, settings.longest, loudest)
     solutions = []
     for length in (2 * shortest, 10 * shortest):
-        start = np.log([0.5 * power, length, *[0.05 * loudest] * n_axes])
-        solutions.append(minimize(loss, start, bounds=bounds))
-    best = min(solutions, key=lambda solution: solution.fun)
+        start = logarithms(0.5 * power, length, 0.05 * loudest)
+        solutions.append(minimize(loss, start, bounds=Bounds(least, most)))
+    best = min(solutions, key=attrgetter("fun"))
     variance, length, *_ = np.exp(best.x)
     return _Fit(float(np.sqrt(variance)), float(length), best.fun)
 

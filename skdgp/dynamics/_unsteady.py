@@ -21,6 +21,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import RATES
 from skdgp._flight.frames import air_data_slopes, air_velocity, cross
 from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._rigid_body import dynamic_pressure
 
 # Rate of each air angle, and the rate of rotation whose slopes have a similar effect
 ROTATION_OF = {"alpha_dot": "q", "beta_dot": "r"}
@@ -58,13 +59,14 @@ def unsteady_terms(
     sizes = np.copysign(np.hypot(slopes, scatter), slopes)
     std = np.zeros((*slopes.shape[:-1], 2))
     relation = _angle_rate_slopes(motion, now, slopes, units)
+    missing = np.ones((2, 1), dtype=bool)
     for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
         for k, name in enumerate(motion.regressors):
             if name == rotation:
                 std[..., j] = RELATIVE_STD[j] * sizes[..., k] / units[..., k, None]
             if name == angle_rate:
                 relation[..., j, k] -= units[..., k]
-    missing = np.array([[name not in motion.regressors] for name in ROTATION_OF])
+                missing[j] = False
     return UnsteadyTerms(std, relation, missing)
 
 
@@ -75,9 +77,10 @@ def std_by_method(errors: Any) -> Array | float:
 
 def _units(motion: Motion, now: Instant) -> Array:
     """Return the channel over its regressor (..., d): 2 V / b [1/s] of p_hat, 1 of p and of alpha."""
-    factors = [motion.factor(k, now.airspeed) for k in range(len(motion.regressors))]
-    ones = np.ones(np.shape(now.airspeed))
-    return np.stack([ones / factor for factor in factors], axis=-1)
+    units = np.ones((*np.shape(now.airspeed), len(motion.regressors)))
+    for k in range(len(motion.regressors)):
+        units[..., k] /= motion.factor(k, now.airspeed)
+    return units
 
 
 def _angle_rate_slopes(motion: Motion, now: Instant, slopes: Array, units: Array) -> Array:
@@ -85,12 +88,10 @@ def _angle_rate_slopes(motion: Motion, now: Instant, slopes: Array, units: Array
 
     .. math:: \dot V = F_A(x) / m - \omega(x) \times V
     """
-    velocity = air_velocity(now.airspeed, now.alpha, now.beta)
     aircraft = motion.aircraft
-    pressure = np.asarray(0.5 * now.density * now.airspeed**2)
-    acceleration = (pressure * aircraft.wing_area / aircraft.mass)[..., None, None] * slopes[
-        ..., :3, :
-    ]
+    velocity = air_velocity(now.airspeed, now.alpha, now.beta)
+    force_per_slope = dynamic_pressure(now.airspeed, now.density) * aircraft.wing_area
+    acceleration = (force_per_slope / aircraft.mass)[..., None, None] * slopes[..., :3, :]
     for k, name in enumerate(motion.regressors):
         if name in RATES:
             axis = np.eye(3)[RATES.index(name)] * np.ones_like(velocity)

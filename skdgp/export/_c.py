@@ -4,29 +4,39 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from sklearn.utils import gen_batches
 
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
-from skdgp.export._model import PortableModel, Reference, Term, packed
+from skdgp.export._model import PortableModel, Reference, Term, inertia_entries, packed
 
-# Of the self-test, relative to the largest value; of deviations at least PortableModel.rounding
-TOLERANCE = 1e-9
-# Allowed above the stated loss of a reduced model, in posterior standard deviations
-LOSS_TOLERANCE = 1e-6
-# Vectors of the model's own values
-N_VECTORS = 40
-# Numbers in a line
-PER_LINE = 8
-# Bytes of the pointers and numbers of a term, and of a part
-TERM_BYTES = 56
-PART_BYTES = 72
-# Bytes of the functions and names
-CODE_BYTES = 4096
+
+@dataclass(frozen=True)
+class CSettings:
+    """Numbers of the C source and its self-test."""
+
+    # Of the self-test, relative to the largest value; of deviations at least PortableModel.rounding
+    tolerance: float = 1e-9
+    # Allowed above the stated loss of a reduced model, in posterior standard deviations
+    loss_tolerance: float = 1e-6
+    # Vectors of the model's own values
+    vectors: int = 40
+    # Numbers in a line
+    per_line: int = 8
+    # Bytes of the pointers and numbers of a term and of a part, and of the functions and names
+    term_bytes: int = 56
+    part_bytes: int = 72
+    code_bytes: int = 4096
+
+
+SETTINGS = CSettings()
 # Arrays of the portable file that the source has, too
 SHARED = (
     "shift",
@@ -77,27 +87,44 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
 
 def c_bytes(model: PortableModel) -> int:
     """Return the bytes of a model in C, tables and code: an estimate from above for a processor of 64 bits."""
-    size = CODE_BYTES + PART_BYTES * len(model.parts) + TERM_BYTES * len(_all_terms(model))
-    for table in _tables(model).values():
+    n_terms = sum(len(part.terms) for part in model.parts)
+    size = SETTINGS.code_bytes + SETTINGS.part_bytes * len(model.parts)
+    size += SETTINGS.term_bytes * n_terms
+    for table in _tables(model, _Terms(model)).values():
         size += table.nbytes
     return size
 
 
-def _all_terms(model: PortableModel) -> list[Term]:
-    return [term for part in model.parts for term in part.terms]
+class _Terms:
+    """The terms of all parts, one after another: the rows of their table, and the arrays that these point into."""
+
+    def __init__(self, model: PortableModel) -> None:
+        self.rows: list[str] = []
+        self.used: list[int] = []
+        self.roots: list[float] = []
+        self.centres: list[float] = []
+        for part in model.parts:
+            for term in part.terms:
+                self._add(term)
+
+    def _add(self, term: Term) -> None:
+        size, rank = term.centres.shape
+        root = term.root[list(term.regressors)]
+        places = (
+            f"used + {len(self.used)}, roots + {len(self.roots)}, centres + {len(self.centres)}"
+        )
+        self.rows.append(f"{term.first}, {size}, {len(root)}, {rank}, {places}, {term.gain!r}")
+        self.used += term.regressors
+        self.roots += root.ravel().tolist()
+        self.centres += term.centres.ravel().tolist()
 
 
-def _tables(model: PortableModel) -> dict[str, Array]:
-    """Return the arrays of numbers by name; of terms one after another."""
+def _tables(model: PortableModel, terms: _Terms) -> dict[str, Array]:
+    """Return the arrays of numbers by name."""
     arrays = model.arrays()
     tables = {name: arrays[name] for name in SHARED}
-    roots = [np.empty(0)]
-    centres = [np.empty(0)]
-    for term in _all_terms(model):
-        roots.append(term.root[list(term.regressors)].ravel())
-        centres.append(term.centres.ravel())
-    tables["roots"] = np.concatenate(roots)
-    tables["centres"] = np.concatenate(centres)
+    tables["roots"] = np.array(terms.roots)
+    tables["centres"] = np.array(terms.centres)
     for k, readout in enumerate(model.readouts):
         tables[f"weights_{k}"] = readout.weights
         tables[f"root_{k}"] = packed(readout.root)
@@ -108,26 +135,12 @@ def _tables(model: PortableModel) -> dict[str, Array]:
 
 
 def _header(model: PortableModel) -> dict[str, Any]:
-    aircraft = model.aircraft
-    inertia = aircraft.inertia
-    constants = {
-        "MASS": aircraft.mass,
-        "WING_AREA": aircraft.wing_area,
-        "SPAN": aircraft.span,
-        "CHORD": aircraft.chord,
-        "IXX": inertia[0, 0],
-        "IYY": inertia[1, 1],
-        "IZZ": inertia[2, 2],
-        "IXY": inertia[0, 1],
-        "IXZ": inertia[0, 2],
-        "IYZ": inertia[1, 2],
-        "SERVO_LAG": model.servo_lag[0],
-    }
-    lines = [f"#define AERO_{name} {float(value)!r}" for name, value in constants.items()]
+    constants = model.aircraft.to_dict() | inertia_entries(model.aircraft)
+    constants["servo_lag"] = float(model.servo_lag[0])
     inputs = [f"{r.name} [{r.unit}]" if r.unit else r.name for r in model.regressors]
     functions = max(len(readout.weights) for readout in model.readouts)
-    name = re.sub(r"[^ -~]|[*\\$]", "?", aircraft.name)
-    return {
+    name = re.sub(r"[^ -~]|[*\\$]", "?", model.aircraft.name)
+    return constants | {
         "hash": model.content_hash,
         "aircraft": name.replace("??", "? ?"),  # which can stand in a comment
         "size": c_bytes(model),
@@ -138,20 +151,18 @@ def _header(model: PortableModel) -> dict[str, Any]:
         "sources": ", ".join(model.columns),
         "inputs": ", ".join(inputs),
         "outputs": ", ".join(model.outputs),
-        "constants": "\n".join(lines),
     }
 
 
 def _source(model: PortableModel) -> dict[str, Any]:
-    terms, used = _terms(model)
+    terms = _Terms(model)
     texts = [_array("aero_limits", model.limits, "const double")]
-    for name, table in _tables(model).items():
+    for name, table in _tables(model, terms).items():
         texts.append(_array(name, table))
-    texts += [
-        _array("used", used or [0], "static const unsigned char"),
-        _structs("term terms", terms or ["0, 0, 0, 0, used, roots, centres, 0"]),
-        _structs("posterior parts", _parts(model)),
-    ]
+    texts.append(_array("used", terms.used or [0], "static const unsigned char"))
+    no_term = "0, 0, 0, 0, used, roots, centres, 0"
+    texts.append(_structs("term terms", terms.rows or [no_term]))
+    texts.append(_structs("posterior parts", _parts(model)))
     largest = max(len(readout.weights) for readout in model.readouts)
     return {
         "components": len(model.mixture),
@@ -176,66 +187,47 @@ def _parts(model: PortableModel) -> list[str]:
     return rows
 
 
-def _terms(model: PortableModel) -> tuple[list[str], list[int]]:
-    """Return the rows of the table of terms, and the regressors that they use."""
-    rows: list[str] = []
-    used: list[int] = []
-    root = 0
-    centre = 0
-    for term in _all_terms(model):
-        size, rank = term.centres.shape
-        n = len(term.regressors)
-        places = f"used + {len(used)}, roots + {root}, centres + {centre}"
-        rows.append(f"{term.first}, {size}, {n}, {rank}, {places}, {term.gain!r}")
-        used += term.regressors
-        root += n * rank
-        centre += size * rank
-    return rows, used
-
-
 def _test(model: PortableModel) -> dict[str, Any]:
     """Return the self-test: values of the pipeline; of a reduced model its own, and the pipeline's."""
-    reference = model.reference or _own_values(model)
     losses = model.provenance.get("reduction", {})
-    X = reference.regressors
-    expected = reference
-    if losses:
-        expected = Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
+    if model.reference is None:
+        rows = np.linspace(0, len(model.samples) - 1, SETTINGS.vectors).astype(int)
+        X = model.samples[rows]
+    else:
+        X = model.reference.regressors
+    own = Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
+    pipeline = model.reference or own
+    expected = own if losses else pipeline
     slopes = model.predict_gradient(X)
     size = np.abs(slopes * model.scale).max(axis=(0, 2))[:, None] / model.scale
-    rounding = model.rounding(X)
-    allowed = np.zeros((2, len(model.outputs)))
-    if losses:
-        of_mean = [losses[name]["mean"] for name in model.outputs]
-        of_std = [losses[name]["std"] for name in model.outputs]
-        allowed = np.array([of_mean, of_std]) + LOSS_TOLERANCE
     tables = {
         "at": X,
         "expected_mean": expected.mean,
         "expected_std": expected.std,
         "expected_slope": slopes,
         "mean_size": np.abs(expected.mean).max(axis=0),
-        "std_size": np.maximum(expected.std.max(axis=0), rounding / TOLERANCE),
+        "std_size": np.maximum(expected.std.max(axis=0), model.rounding(X) / SETTINGS.tolerance),
         "slope_size": np.where(size > 0, size, 1.0),
-        "pipeline_mean": reference.mean,
-        "pipeline_std": reference.std,
-        "allowed": allowed,
+        "pipeline_mean": pipeline.mean,
+        "pipeline_std": pipeline.std,
+        "allowed": _allowed(model, losses),
     }
-    texts = [_array(name, values) for name, values in tables.items()]
     source = "the pipeline" if model.reference else "the portable model"
     return {
         "n": len(X),
-        "tolerance": TOLERANCE,
+        "tolerance": SETTINGS.tolerance,
         "reduced": int(bool(losses)),
         "source": "the reduced model" if losses else source,
-        "tables": "\n".join(texts),
+        "tables": "\n".join(_array(name, values) for name, values in tables.items()),
     }
 
 
-def _own_values(model: PortableModel) -> Reference:
-    """Return the values of the model itself at some of its samples."""
-    X = model.samples[np.linspace(0, len(model.samples) - 1, N_VECTORS).astype(int)]
-    return Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
+def _allowed(model: PortableModel, losses: dict[str, dict[str, float]]) -> Array:
+    """Return the changes of mean and deviation that the stated loss allows, (2, P) in standard deviations."""
+    if not losses:
+        return np.zeros((2, len(model.outputs)))
+    stated = pd.DataFrame(losses)[list(model.outputs)]
+    return stated.loc[["mean", "std"]].to_numpy() + SETTINGS.loss_tolerance
 
 
 def _formulas(model: PortableModel) -> list[str]:
@@ -264,9 +256,9 @@ def _braces(values: Array) -> str:
     if values.ndim > 1:
         lines = [_braces(row) for row in values]
     else:
-        numbers = [repr(value) for value in values.tolist()]
-        begins = range(0, len(numbers), PER_LINE)
-        lines = [", ".join(numbers[begin : begin + PER_LINE]) for begin in begins]
+        numbers = list(map(repr, values.tolist()))
+        batches = gen_batches(len(numbers), SETTINGS.per_line)
+        lines = [", ".join(numbers[batch]) for batch in batches]
     return "{" + ",\n".join(lines) + "}"
 
 

@@ -16,10 +16,6 @@ from skdgp.export._model import PortableModel
 FORMAT = "skdgp portable model"
 VERSION = 6
 HEAD = "model.json"
-# Time of all members: equal models are equal files
-EPOCH = (1980, 1, 1, 0, 0, 0)
-# Bytes of an array in the file, besides its numbers
-MEMBER_BYTES = 300
 
 
 class PortableFileError(ValueError):
@@ -42,11 +38,12 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
 
     def write(temporary: Path) -> None:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr(zipfile.ZipInfo(HEAD, EPOCH), text)
+            # Members have the same time always, so that equal models are equal files
+            archive.writestr(zipfile.ZipInfo(HEAD), text)
             for name, array in model.arrays().items():
                 data = io.BytesIO()
                 np.save(data, np.ascontiguousarray(array), allow_pickle=False)
-                archive.writestr(zipfile.ZipInfo(f"{name}.npy", EPOCH), data.getbuffer())
+                archive.writestr(zipfile.ZipInfo(f"{name}.npy"), data.getbuffer())
 
     return write_atomically(path, write)
 
@@ -61,14 +58,7 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     if not path.exists():
         raise FileNotFoundError(f"Got {path}, but there is no such file.")
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            head = json.loads(file[HEAD])
-            if (head["format"], head["version"]) != (FORMAT, VERSION):
-                raise ValueError(f"its format is {head['format']} {head['version']}")
-            arrays = {name: file[name] for name in file.files if name != HEAD}
-        model = PortableModel.from_arrays(head, arrays)
-        if model.content_hash != head["content_hash"]:
-            raise ValueError("its content is not what its hash says")
+        model = _read(path)
         model.predict(model.shift[None], return_std=True)
     except Exception as error:  # a damaged archive may raise anything
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -79,9 +69,22 @@ def load_portable(path: str | os.PathLike[str]) -> PortableModel:
     return model
 
 
-def file_bytes(model: PortableModel) -> int:
-    """Return the size of the file of a model."""
-    size = MEMBER_BYTES + len(json.dumps(model.head(), indent=1))
+def _read(path: Path) -> PortableModel:
+    """Return the model of a file; raise ValueError if it is of another version or was changed."""
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        head = json.loads(file[HEAD])
+        if (head["format"], head["version"]) != (FORMAT, VERSION):
+            raise ValueError(f"its format is {head['format']} {head['version']}")
+        arrays = {name: file[name] for name in file.files if name != HEAD}
+    model = PortableModel.from_arrays(head, arrays)
+    if model.content_hash != head["content_hash"]:
+        raise ValueError("its content is not what its hash says")
+    return model
+
+
+def file_bytes(model: PortableModel, per_member: int = 300) -> int:
+    """Return the size of the file of a model; a member has some bytes besides its numbers."""
+    size = per_member + len(json.dumps(model.head(), indent=1))
     for array in model.arrays().values():
-        size += MEMBER_BYTES + array.nbytes
+        size += per_member + array.nbytes
     return size

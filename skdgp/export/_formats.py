@@ -19,16 +19,14 @@ from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
 from skdgp.export._reduce import reduced
 
-# Compilers and simulators take no larger source in reasonable time
-MAX_BYTES = 2**26
-
 
 class Format(NamedTuple):
     """What writes a format into a folder and returns the files, the size of a model in it, and the largest."""
 
     write: Callable[[Path, PortableModel], list[Path]]
     size: Callable[[PortableModel], int] = file_bytes
-    most: float = MAX_BYTES
+    # Compilers and simulators take no larger source in reasonable time
+    most: float = 2**26
 
 
 def write_portable(folder: Path, model: PortableModel) -> list[Path]:

@@ -19,8 +19,8 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_number
-from skdgp.dynamics import Aircraft, Propeller, ThrustLine
-from skdgp.export._model import PortableModel, Regressor, Term
+from skdgp.dynamics import Aircraft, Propeller
+from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
 
 TEMPLATES = Path(__file__).with_name("jsbsim")
@@ -125,7 +125,7 @@ def write_jsbsim(
 
 def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[str, float]:
     """Return the deflections at a command of 1: given, of the aircraft, or the largest flown with a warning."""
-    units = {r.name: r.unit for r in model.regressors if r.name in SURFACES}
+    units = _units(model)
     for name, value in full.items():
         if name not in units:
             raise ValueError(
@@ -133,29 +133,30 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
                 f"model: {', '.join(units) or 'it has none'}."
             )
         check_number(f"full deflection of the {name}", value, unit=units[name])
-    of_aircraft = model.aircraft.full_deflections or {}
-    deflections = {}
-    flown = {}
-    for name, unit in units.items():
-        if name in full:
-            deflections[name] = float(full[name])
-        elif unit == FULL_THROW:
-            deflections[name] = 1.0
-        elif name in of_aircraft:
-            deflections[name] = of_aircraft[name]
-        else:
-            column = model.regressor_names.index(name)
-            flown[name] = deflections[name] = float(np.abs(model.limits[:, column]).max())
-    if flown:
-        values = ", ".join(f"{name} {value:.3g} {units[name]}" for name, value in flown.items())
-        example = " ".join(f"{name}=..." for name in flown)
+    by_unit = {name: 1.0 for name, unit in units.items() if unit == FULL_THROW}
+    known = {**(model.aircraft.full_deflections or {}), **by_unit, **full}
+    largest = np.abs(model.limits).max(axis=0).tolist()
+    flown = dict(zip(model.regressor_names, largest, strict=True))
+    unknown = {name: flown[name] for name in units if name not in known}
+    if unknown:
+        example = " ".join(f"{name}=..." for name in unknown)
         warn(
-            f"Got no full deflections, so a command of 1 is the largest deflection of the flights: "
-            f"{values}. Gains tuned with it are too large for servos that throw more: give full "
-            f"(--full {example}).",
+            "Got no full deflections, so a command of 1 is the largest deflection of the flights: "
+            f"{_listed(unknown, units)}. Gains tuned with it are too large for servos that throw more: "
+            f"give full (--full {example}).",
             stacklevel=3,
         )
-    return deflections
+    return {name: float(known.get(name, flown[name])) for name in units}
+
+
+def _units(model: PortableModel) -> dict[str, str]:
+    """Return the units of the surfaces that are regressors."""
+    return {r.name: r.unit for r in model.regressors if r.name in SURFACES}
+
+
+def _listed(deflections: Mapping[str, float], units: Mapping[str, str]) -> str:
+    """Return deflections with their units, in words."""
+    return ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in deflections.items())
 
 
 def _filled(template: str, values: Mapping[str, Any]) -> Element:
@@ -177,22 +178,17 @@ def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Ele
     JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry.
     """
     aircraft = model.aircraft
-    inertia = aircraft.inertia.tolist()
-    line = aircraft.thrust_line or ThrustLine()
+    inertia = inertia_entries(aircraft)
+    line = aircraft.engine_line
     x, y, z = map(float, line.position)
     along_x, along_y, along_z = map(float, line.direction)
-    units = {r.name: r.unit for r in model.regressors}
-    deflections = [f"{name} {value:.4g} {units[name]}" for name, value in full.items()]
-    values = aircraft.to_dict() | {
+    values = aircraft.to_dict() | inertia
+    values |= {
         "file": file,
         "name": escape(aircraft.name),
-        "full": ", ".join(deflections) or "none",
-        "ixx": inertia[0][0],
-        "iyy": inertia[1][1],
-        "izz": inertia[2][2],
-        "ixy": -inertia[0][1],
-        "ixz": inertia[0][2],
-        "iyz": -inertia[1][2],
+        "full": _listed(full, _units(model)) or "none",
+        "ixy": -inertia["ixy"],
+        "iyz": -inertia["iyz"],
         "thrust_x": -x,
         "thrust_y": y,
         "thrust_z": -z,
@@ -221,9 +217,7 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
     if propeller is None:
         reactions.remove(moment)
         return
-    speed = Element("property")
-    speed.text = SPEED
-    reactions.insert(0, speed)
+    reactions.insert(0, _named("property", SPEED))
     thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
     _part(reactions, "force").insert(0, _function("propulsion/thrust-lbs", thrust))
     if propeller.torque_coefficients:
@@ -256,30 +250,27 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
     control = _part(root, "flight_control")
     channel = _part(control, "channel")
     lag = float(model.servo_lag[0])
-    for surface, (command, trim, position) in SURFACES.items():
-        if surface not in model.regressor_names:
-            continue
-        values = {
-            "surface": surface,
-            "command": command,
-            "trim": trim,
-            "position": position,
-            "full": full[surface],
-            "lag": 1.0 / lag if lag > 0 else 0.0,
-        }
-        parts = _filled("surface.xml", values)
-        if not lag > 0:
-            servo = _part(parts, "actuator")
-            servo.remove(_part(servo, "lag"))
-        channel.extend(parts)
+    for name in SURFACES:
+        if name in model.regressor_names:
+            channel.extend(_surface(name, full[name], lag))
     settable = [] if _has_engine(model.aircraft) else [THROTTLE]
     for regressor in model.regressors:
         if not regressor.power and regressor.name not in SOURCES:
             settable.append(f"fcs/{regressor.name}")
     for place, name in enumerate(settable):
-        node = Element("property", value="0")
-        node.text = name
-        control.insert(place, node)
+        control.insert(place, _named("property", name, value="0"))
+
+
+def _surface(name: str, full: float, lag: float) -> Element:
+    """Return the command of a surface and its servo, without a lag if that is zero."""
+    command, trim, position = SURFACES[name]
+    values = {"surface": name, "command": command, "trim": trim, "position": position, "full": full}
+    values["lag"] = 1.0 / lag if lag > 0 else 0.0
+    parts = _filled("surface.xml", values)
+    if not lag > 0:
+        servo = _part(parts, "actuator")
+        servo.remove(_part(servo, "lag"))
+    return parts
 
 
 def _add_aerodynamics(root: Element, model: PortableModel) -> None:
@@ -317,13 +308,13 @@ def _load(coefficient: str) -> Element:
     factors = ["aero/qbar-psf", "metrics/Sw-sqft"]
     if coefficient in REFERENCES:
         node = Element("axis", name=axis)
-        name = f"aero/moment/{axis}"
+        kind = "moment"
         factors.append(REFERENCES[coefficient])
     else:
         node = Element("axis", name=axis, unit="LBS")
-        name = f"aero/force/{axis}"
-    factors.append(f"aero/coefficient/{coefficient}")
-    node.append(_function(name, _apply("product", *factors)))
+        kind = "force"
+    product = _apply("product", *factors, f"aero/coefficient/{coefficient}")
+    node.append(_function(f"aero/{kind}/{axis}", product))
     return node
 
 
@@ -337,12 +328,8 @@ def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
     total = _plane(constant, slopes, names)
     functions = []
     for number, (term, weights) in enumerate(gaussians):
-        A = term.root @ term.root.T
-        squares = []
-        for k, n in np.argwhere(A):
-            squares.append(_apply("product", -0.5 * A[k, n], names[k], names[n]))
         square = f"aero/square/{coefficient}-{number}"
-        functions.append(_function(square, _apply("sum", *squares)))
+        functions.append(_function(square, _half_square(term, names)))
         constants = -0.5 * np.square(term.centres).sum(axis=1)
         inner = term.centres @ term.root.T
         for weight, at_zero, slope in zip(weights, constants, inner, strict=True):
@@ -350,6 +337,15 @@ def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
             total.append(_apply("product", weight, _apply("exp", exponent)))
     functions.append(_function(f"aero/coefficient/{coefficient}", _apply("sum", *total)))
     return functions
+
+
+def _half_square(term: Term, names: Sequence[str]) -> Element:
+    """Return -z^T F F^T z / 2."""
+    A = term.root @ term.root.T
+    products = []
+    for k, n in np.argwhere(A):
+        products.append(_apply("product", -0.5 * A[k, n], names[k], names[n]))
+    return _apply("sum", *products)
 
 
 def _plane(constant: float, slopes: Vector, names: Sequence[str]) -> list[Any]:
@@ -377,18 +373,22 @@ def _apply(operator: str, *operands: Operand) -> Element:
     parts = []
     for operand in operands:
         if isinstance(operand, str):
-            part = Element("p")
-            part.text = operand
+            parts.append(_named("p", operand))
         elif isinstance(operand, Element):
-            part = operand
+            parts.append(operand)
         else:
-            part = Element("v")
-            part.text = repr(float(operand))
-        parts.append(part)
+            parts.append(_named("v", repr(float(operand))))
     if len(parts) == 1 and operator in ("sum", "product"):
         return parts[0]
     node = Element(operator)
     node.extend(parts)
+    return node
+
+
+def _named(tag: str, text: str, **attributes: str) -> Element:
+    """Return an element with a text."""
+    node = Element(tag, attributes)
+    node.text = text
     return node
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from itertools import groupby
-from operator import attrgetter
+from itertools import chain, groupby
+from operator import attrgetter, mul
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +18,6 @@ from sklearn.utils import gen_batches
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 
-# Rows that are predicted at once
-ROWS = 512
 ROUNDING = float(np.finfo(float).eps)
 
 
@@ -49,6 +47,12 @@ class Arithmetic(NamedTuple):
 
 
 ARRAYS = Arithmetic()
+
+
+def inertia_entries(aircraft: Aircraft) -> dict[str, float]:
+    """Return the entries of the inertia tensor by name, such as ixx and ixz [kg m^2]."""
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    return dict(zip(names, aircraft.inertia[np.triu_indices(3)].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -204,10 +208,7 @@ class Part:
         """Return the used entries of g at scaled regressors (n, d), (n, k)."""
         values = []
         for group in self.groups:
-            total = group[0].functions(Z, arithmetic)
-            for term in group[1:]:
-                total = total + term.functions(Z, arithmetic)
-            values.append(total)
+            values.append(sum(term.functions(Z, arithmetic) for term in group))
         return arithmetic.columns(values) if values else Z[:, :0]
 
     def mean(self, p: Any, g: Any) -> Any:
@@ -257,6 +258,11 @@ class Part:
         explained = 2 * np.sqrt(_row_sum(half**2 * squares))
         epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + n_functions)
         return np.asarray(epsilon * np.hypot(self.prior(p), explained))
+
+
+def _batches(Z: Matrix, rows: int = 512) -> Iterator[slice]:
+    """Yield the rows that are predicted at once."""
+    yield from gen_batches(len(Z), rows)
 
 
 def _row_sum(values: Any) -> Any:
@@ -355,9 +361,8 @@ class PortableModel:
     @property
     def columns(self) -> tuple[str, ...]:
         """All columns of a flight that the regressors are computed from, each once."""
-        return tuple(
-            dict.fromkeys(name for regressor in self.regressors for name in regressor.columns)
-        )
+        columns = chain.from_iterable(regressor.columns for regressor in self.regressors)
+        return tuple(dict.fromkeys(columns))
 
     @property
     def readouts(self) -> list[Readout]:
@@ -406,21 +411,17 @@ class PortableModel:
         self, i: int, Z: Any, p: Any, return_variance: bool, arithmetic: Arithmetic = ARRAYS
     ) -> tuple[Any, Any]:
         """Return normalised mean and variance of output i at scaled regressors; 0 as variance if it is not asked."""
-        components = self.components(i)
-        means = []
-        variances = []
-        for _, part in components:
-            g = part.basis(Z, arithmetic)
-            means.append(part.mean(p, g))
-            if return_variance:
-                variances.append(part.variance(p, part.explained(g), arithmetic))
-        weights = [weight for weight, _ in components]
-        mean = _weighted_sum(weights, means)
+        weights, parts = zip(*self.components(i), strict=True)
+        bases = [part.basis(Z, arithmetic) for part in parts]
+        means = [part.mean(p, g) for part, g in zip(parts, bases, strict=True)]
+        mean = sum(map(mul, weights, means))
         if not return_variance:
             return mean, 0.0
-        for k, value in enumerate(means):
-            variances[k] = variances[k] + (value - mean) ** 2
-        return mean, _weighted_sum(weights, variances)
+        variances = []
+        for part, g, own_mean in zip(parts, bases, means, strict=True):
+            variance = part.variance(p, part.explained(g), arithmetic)
+            variances.append(variance + (own_mean - mean) ** 2)
+        return mean, sum(map(mul, weights, variances))
 
     def predict(self, X: Any, return_std: bool = False, include_input_noise: Any = True) -> Any:
         """Return the mean of the coefficients (n, P) and, with ``return_std``, their standard deviations.
@@ -445,13 +446,14 @@ class PortableModel:
 
     def _predicted(self, Z: Matrix, return_variance: bool) -> tuple[Matrix, Matrix]:
         """Return normalised means and variances of all outputs, (n, P) each."""
-        mean, variance = np.empty((2, len(Z), len(self.outputs)))
-        for rows in gen_batches(len(Z), ROWS):
+        moments = np.empty((2, len(Z), len(self.outputs)))
+        for rows in _batches(Z):
             p = self.trend(Z[rows])
             for i in range(len(self.outputs)):
-                moments = self.moments(i, Z[rows], p, return_variance)
-                mean[rows, i], variance[rows, i] = moments
-        return mean, variance
+                moments[0, rows, i], moments[1, rows, i] = self.moments(
+                    i, Z[rows], p, return_variance
+                )
+        return moments[0], moments[1]
 
     def predict_gradient(self, X: Any) -> Array:
         """Return the slopes of the mean, d mean / d regressor, (n, P, d), per unit of the regressors."""
@@ -459,7 +461,7 @@ class PortableModel:
 
     def _slopes(self, Z: Matrix) -> Array:
         slopes = np.zeros((len(Z), len(self.outputs), Z.shape[1]))
-        for rows in gen_batches(len(Z), ROWS):
+        for rows in _batches(Z):
             for i in range(len(self.outputs)):
                 for weight, part in self.components(i):
                     slopes[rows, i] += weight * part.slopes(Z[rows])
@@ -499,13 +501,14 @@ class PortableModel:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name, as :func:`skdgp.export.save_portable` writes them."""
         values = vars(self)
-        arrays: dict[str, Any] = {name: values[name] for name in NUMBERS_OF_MODEL}
-        arrays["trend_weights"] = np.array([part.trend_weights for part in self.parts])
-        arrays["prior_variance"] = np.array([part.prior_variance for part in self.parts])
+        parts = self.parts
         readouts = self.readouts
-        arrays["readout_of"] = np.array([readouts.index(part.readout) for part in self.parts])
+        arrays: dict[str, Any] = {name: values[name] for name in NUMBERS_OF_MODEL}
+        arrays["trend_weights"] = np.array([part.trend_weights for part in parts])
+        arrays["prior_variance"] = np.array([part.prior_variance for part in parts])
+        arrays["readout_of"] = np.array([readouts.index(part.readout) for part in parts])
         arrays |= self._term_arrays()
-        for j, part in enumerate(self.parts):
+        for j, part in enumerate(parts):
             arrays[f"trend_prior_{j}"] = part.trend_prior
             arrays[f"trend_root_{j}"] = part.trend_root
         for k, readout in enumerate(readouts):
@@ -572,17 +575,8 @@ class PortableModel:
 
 # Arrays of a model
 NUMBERS_OF_MODEL = (
-    "shift",
-    "scale",
-    "center",
-    "output_scale",
-    "trend_center",
-    "mixture",
-    "noise_variance",
-    "input_covariance",
-    "limits",
-    "samples",
-    "servo_lag",
+    *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
+    *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
 )
 # Prefix of the arrays of a `Reference`
 REFERENCE = "reference_"
@@ -595,35 +589,32 @@ def _parts_of(arrays: dict[str, np.ndarray]) -> tuple[Part, ...]:
     for k in range(int(readout_of.max()) + 1):
         weights = arrays[f"weights_{k}"]
         readouts.append(Readout(weights, unpacked(arrays[f"root_{k}"], len(weights))))
-    terms: list[list[Term]] = [[] for _ in readout_of]
-    begin = 0
-    for t, (j, first, k) in enumerate(arrays["term_place"].tolist()):
-        root = arrays["term_root"][t]
-        used = root.any(axis=0)
-        centres = arrays["centres"][begin : begin + k, used]
-        begin += k
-        terms[j].append(Term(first, float(arrays["term_gain"][t]), root[:, used], centres))
+    terms = _terms_of(arrays)
     parts = []
-    for j, term in enumerate(terms):
-        parts.append(
-            Part(
-                terms=tuple(term),
-                readout=readouts[readout_of[j]],
-                trend_weights=arrays["trend_weights"][j],
-                trend_prior=arrays[f"trend_prior_{j}"],
-                trend_root=arrays[f"trend_root_{j}"],
-                prior_variance=float(arrays["prior_variance"][j]),
-            )
+    for j, k in enumerate(readout_of):
+        part = Part(
+            terms=tuple(terms[j]),
+            readout=readouts[k],
+            trend_weights=arrays["trend_weights"][j],
+            trend_prior=arrays[f"trend_prior_{j}"],
+            trend_root=arrays[f"trend_root_{j}"],
+            prior_variance=float(arrays["prior_variance"][j]),
         )
+        parts.append(part)
     return tuple(parts)
 
 
-def _weighted_sum(weights: list[float], values: list[Any]) -> Any:
-    """Return the weighted sum of arrays or symbols."""
-    total = weights[0] * values[0]
-    for weight, value in zip(weights[1:], values[1:], strict=True):
-        total = total + weight * value
-    return total
+def _terms_of(arrays: dict[str, np.ndarray]) -> list[list[Term]]:
+    """Return the terms of each part from the arrays of a model."""
+    terms: list[list[Term]] = [[] for _ in arrays["readout_of"]]
+    places = arrays["term_place"]
+    centres = np.split(arrays["centres"], np.cumsum(places[:, 2]))[:-1]
+    gains = arrays["term_gain"].tolist()
+    rows = zip(places.tolist(), gains, arrays["term_root"], centres, strict=True)
+    for (j, first, _), gain, root, c in rows:
+        used = root.any(axis=0)
+        terms[j].append(Term(first, gain, root[:, used], c[:, used]))
+    return terms
 
 
 def packed(triangle: Matrix) -> Vector:

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 from scipy.linalg import lapack, rq
-from sklearn.pipeline import Pipeline
+from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics, check_aircraft, scaling_of
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    as_aerodynamics,
+    check_aircraft,
+    scaling_of,
+    steps_by_choice,
+)
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.inference import (
     ExactPosterior,
@@ -31,12 +38,20 @@ from skdgp.inference import (
 )
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
-# Rows of the training data that a model holds
-MAX_SAMPLES = 1000
-# Rows at which a model holds the predictions of the pipeline
-REFERENCE_ROWS = 40
-# Distance of every second one from the training data, in standard deviations
-REFERENCE_STEP = 0.5
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """Samples that a portable model holds."""
+
+    # Rows of the training data, at most
+    rows: int = 1000
+    # Rows with predictions of the pipeline
+    reference_rows: int = 40
+    # Distance of every second one from the training data, in standard deviations
+    reference_step: float = 0.5
+
+
+SAMPLES = SampleSettings()
 NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
@@ -75,15 +90,15 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     check_aircraft(aircraft)
     regressor = _fitted_regressor(pipeline)
     simulated = as_aerodynamics(pipeline)
-    steps = _behind_choice(pipeline)
-    shift, scale = _scaling(steps, len(simulated.regressors))
+    _, behind = steps_by_choice(pipeline)
+    shift, scale = _scaling(behind[:-1], len(simulated.regressors))
     posterior = regressor.posterior_
     center, parts = _all_parts(posterior)
     samples = training_inputs(posterior) * scale + shift
     points = samples
     if simulated.limits is not None:
         points = np.vstack([samples, simulated.limits])
-    every = -(-len(samples) // MAX_SAMPLES)
+    every = -(-len(samples) // SAMPLES.rows)
     model = PortableModel(
         regressors=_regressors(pipeline, simulated, aircraft),
         outputs=tuple(regressor.output_names_),
@@ -101,7 +116,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         samples=samples[::every],
         servo_lag=np.array([simulated.servo_lag]),
         provenance=plain(facts | {"inference": regressor.inference_}),
-        reference=_reference(steps, regressor, samples, simulated.regressors),
+        reference=_reference(behind, samples, simulated.regressors),
     )
     _check_names(model)
     return model
@@ -132,40 +147,17 @@ def _check_names(model: PortableModel) -> None:
         )
 
 
-def _behind_choice(pipeline: Pipeline) -> list[Any]:
-    """Return the steps between the choice of regressors and the last step."""
-    behind: list[Any] = []
-    for _, step in pipeline.steps[:-1]:
-        if step in (None, "passthrough"):
-            continue
-        if getattr(step, "in_simulation", "") == "regressors":
-            behind = []
-        else:
-            behind.append(step)
-    return behind
-
-
-def _reference(
-    steps: list[Any], regressor: DependentGPRegressor, samples: Matrix, names: Sequence[str]
-) -> Reference:
-    """Return the predictions of the steps and the regressor at and near some samples (n, d)."""
-    rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
+def _reference(behind: list[Any], samples: Matrix, names: Sequence[str]) -> Reference:
+    """Return the predictions of the steps behind the choice of regressors, at and near some samples (n, d)."""
+    rows = np.linspace(0, len(samples) - 1, SAMPLES.reference_rows).astype(int)
     X = samples[rows]
     moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
-    X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
-    Z: Any = X
-    for step in steps:
-        Z = step.transform(_as_fitted(Z, step, names))
-    Z = _as_fitted(Z, regressor, names)
-    mean, std = regressor.predict(Z, return_std=True, include_input_noise=False)
+    X[1::2] += SAMPLES.reference_step * samples.std(axis=0) * moves
+    is_of_table = hasattr(behind[0], "feature_names_in_")
+    table = pd.DataFrame(X, columns=list(names)) if is_of_table else X
+    fitted = make_pipeline(*behind)
+    mean, std = fitted.predict(table, return_std=True, include_input_noise=False)
     return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1))
-
-
-def _as_fitted(Z: Any, step: Any, names: Sequence[str]) -> Any:
-    """Return regressors as a table for a step that was fitted on one."""
-    if hasattr(step, "feature_names_in_") and not hasattr(Z, "columns"):
-        return pd.DataFrame(Z, columns=list(names))
-    return Z
 
 
 def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:
@@ -183,11 +175,11 @@ def _regressors(
     pipeline: Pipeline, model: Aerodynamics, aircraft: Aircraft
 ) -> tuple[Regressor, ...]:
     """Return the regressors with the columns of flights that the pipeline computes them from."""
-    lengths = {"span": model.span or aircraft.span, "chord": model.chord or aircraft.chord}
+    lengths = model.lengths(aircraft)
     columns: set[str] = set()
     for _, step in pipeline.steps:
         columns.update(getattr(step, "feature_names_in_", ()))
-    mixing = model.mixing
+    mixing = model.mixing if model.mixing and columns.issuperset(model.mixing.surfaces) else None
     regressors = []
     for name in model.regressors:
         rate = name.removesuffix(HAT)
@@ -197,14 +189,19 @@ def _regressors(
             regressors.append(Regressor(name, "", (rate,), (1.0,), length, power))
             continue
         unit = CHANNELS[name].unit if name in CHANNELS else ""
-        factors = {}
-        if mixing and name in mixing.controls and columns.issuperset(mixing.surfaces):
-            row = mixing.matrix[mixing.controls.index(name)]
-            factors = {s: float(c) for s, c in zip(mixing.surfaces, row, strict=True) if c}
-        factors = factors or {name: 1.0}
-        unit = model.units.get(name, unit)
-        regressors.append(Regressor(name, unit, tuple(factors), tuple(factors.values())))
+        factors = _factors(name, mixing)
+        sources = tuple(factors)
+        weights = tuple(factors.values())
+        regressors.append(Regressor(name, model.units.get(name, unit), sources, weights))
     return tuple(regressors)
+
+
+def _factors(name: str, mixing: Any) -> dict[str, float]:
+    """Return the columns of a flight whose weighted sum is a regressor, with their weights."""
+    if mixing is None or name not in mixing.controls:
+        return {name: 1.0}
+    row = mixing.matrix[mixing.controls.index(name)].tolist()
+    return {surface: c for surface, c in zip(mixing.surfaces, row, strict=True) if c} or {name: 1.0}
 
 
 def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
@@ -262,22 +259,26 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Ve
     moved = _moved_trend(trend, center).T
     moved_parts = []
     for i, part in enumerate(parts):
-        trend_prior = moved @ part.trend_prior
-        prior_variance = part.prior_variance
-        if errors is not None:
-            linear = _moved_trend(errors.centre, center).T @ errors.weights[:, :, i].T
-            trend_prior = _square_root(np.hstack([trend_prior, linear]))
-            prior_variance += float(errors.discrepancy[i])
-        moved_parts.append(
-            replace(
-                part,
-                trend_weights=moved @ part.trend_weights,
-                trend_prior=trend_prior,
-                trend_root=moved @ part.trend_root,
-                prior_variance=prior_variance,
-            )
+        about_center = replace(
+            part,
+            trend_weights=moved @ part.trend_weights,
+            trend_prior=moved @ part.trend_prior,
+            trend_root=moved @ part.trend_root,
         )
+        if errors is not None:
+            about_center = _with_errors(about_center, errors, i, center)
+        moved_parts.append(about_center)
     return moved_parts
+
+
+def _with_errors(part: Part, errors: FunctionErrors, i: int, center: Vector) -> Part:
+    """Return the part of output i with the errors of the function in its prior."""
+    linear = _moved_trend(errors.centre, center).T @ errors.weights[:, :, i].T
+    return replace(
+        part,
+        trend_prior=_square_root(np.hstack([part.trend_prior, linear])),
+        prior_variance=part.prior_variance + float(errors.discrepancy[i]),
+    )
 
 
 def _unused(d: int) -> Part:
@@ -321,13 +322,17 @@ def _exact(
         for kernel in kernels:
             for j, first in enumerate(places[:-1]):
                 terms += _terms(kernel, i, j, first, X[j], kernel)
-        columns = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
-        root = (inverse[:, a:b] @ columns).T
-        if not kernels:
-            root = _square_root(root)
-        weights = posterior.alpha[a:b] @ columns
-        prior = _trend_prior(tau[i])
-        parts.append(Part(tuple(terms), readout, weights, prior, root, float(variance[i])))
+        trend = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
+        root = (inverse[:, a:b] @ trend).T
+        part = Part(
+            terms=tuple(terms),
+            readout=readout,
+            trend_weights=posterior.alpha[a:b] @ trend,
+            trend_prior=_trend_prior(tau[i]),
+            trend_root=root if kernels else _square_root(root),
+            prior_variance=float(variance[i]),
+        )
+        parts.append(part)
     return parts
 
 
@@ -340,14 +345,19 @@ def _sparse(posterior: SparsePosterior, tau: Matrix, variance: Vector) -> list[P
         order = [*of_trend, *of_terms]
         w = posterior.weights[posterior.features.columns(i)][order]
         root = np.array(rq(posterior.roots[i][order], mode="r"))
-        readout = Readout(w[n:], np.ascontiguousarray(root[n:, n:]))
         trend_weights = np.zeros(tau.shape[1])
         trend_root = np.zeros((tau.shape[1], len(order)))
         if n:  # weights of the trend are in units of its prior
             trend_weights = tau[i] * w[:n]
             trend_root = tau[i][:, None] * root[:n]
-        prior = _trend_prior(tau[i])
-        part = Part(tuple(terms), readout, trend_weights, prior, trend_root, float(variance[i]))
+        part = Part(
+            terms=tuple(terms),
+            readout=Readout(w[n:], np.ascontiguousarray(root[n:, n:])),
+            trend_weights=trend_weights,
+            trend_prior=_trend_prior(tau[i]),
+            trend_root=trend_root,
+            prior_variance=float(variance[i]),
+        )
         parts.append(part)
     return parts
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -57,35 +58,26 @@ def reduced(
         return model
     Z, check = _points(model, settings)
     reductions = [_PartReduction(model, j, Z, check, settings) for j in range(len(model.parts))]
-    numbers = [0] * len(reductions)
-    parts = []
-    losses = []
-    for reduction in reductions:
-        part, loss = reduction.fit(0)
-        parts.append(part)
-        losses.append(loss)
-    best = replace(model, parts=tuple(parts))
+    best = _with_parts(model, reductions)
     if size(best) > most:
         raise ValueError(
             f"Got a size of at most {most} bytes, but the smallest form of this model takes "
             f"{size(best)}: allow more."
         )
-    while True:
-        growing = [j for j, item in enumerate(reductions) if numbers[j] + 1 < len(item.sizes)]
-        if not growing:
-            break
-        worst = max(growing, key=losses.__getitem__)
-        numbers[worst] += 1
-        part, loss = reductions[worst].fit(numbers[worst])
-        if loss >= losses[worst]:
+    while growing := [item for item in reductions if item.can_grow]:
+        worst = max(growing, key=attrgetter("loss"))
+        if not worst.grow():
             continue
-        losses[worst] = loss
-        parts[worst] = part
-        grown = replace(model, parts=tuple(parts))
+        grown = _with_parts(model, reductions)
         if size(grown) > most:
             break
         best = grown
     return replace(best, provenance=model.provenance | {"reduction": _loss(model, best, check)})
+
+
+def _with_parts(model: PortableModel, reductions: list[_PartReduction]) -> PortableModel:
+    """Return the model with the parts as they are reduced now."""
+    return replace(model, parts=tuple(item.reduced for item in reductions))
 
 
 def _points(model: PortableModel, settings: ReductionSettings) -> tuple[Matrix, Matrix]:
@@ -98,7 +90,7 @@ def _points(model: PortableModel, settings: ReductionSettings) -> tuple[Matrix, 
 
     def around(Z: Matrix, moved: Sequence[float]) -> Matrix:
         copies = max(len(moved), settings.points // len(Z))
-        steps = spread * np.resize(moved, copies)[:, None]
+        steps = np.multiply.outer(np.resize(moved, copies), spread)
         noise = rng.standard_normal((copies, *Z.shape)) * steps[:, None]
         return np.concatenate([Z, *(Z + noise)])
 
@@ -125,7 +117,11 @@ def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, di
 
 
 class _PartReduction:
-    """The functions of a part in the order of their use, and the fit of the first ones."""
+    """The functions of a part in the order of their use, and the part ``reduced`` to the first ones.
+
+    ``loss`` is the larger of the changes of mean and deviation of the output, root mean square in
+    its standard deviations.
+    """
 
     def __init__(
         self,
@@ -138,36 +134,59 @@ class _PartReduction:
         component, i = divmod(j, len(model.outputs))
         self.part = model.parts[j]
         self.weight = model.mixture[component, i]
+        self._factorise(Z, model.trend(Z), settings)
         self.trend = model.trend(check)
-        self.spread = model.moments(i, check, self.trend, True)[1]
+        _, self.spread = model.moments(i, check, self.trend, True)
         g = self.part.basis(check)
         self.mean = self.part.functions_mean(g)
         self.variance = self.part.variance(self.trend, self.part.explained(g))
+        self.checked = np.hstack([self.trend, self._functions(check, self.chosen)])
+        self.step = 0
+        self.reduced, self.loss = self._fit(self.sizes[0])
 
-        # Rows are weighted by the standard deviation of the part
-        p = model.trend(Z)
-        g = self.part.basis(Z)
-        explained = self.part.explained(g)
-        scale = 1.0 / np.sqrt(self.part.variance(p, explained))[:, None]
+    def _factorise(self, Z: Matrix, p: Matrix, settings: ReductionSettings) -> None:
+        """Choose functions at Z, and factorise trend and functions for the fit of mean and explained root.
+
+        Rows are weighted by the standard deviation of the part.
+        """
+        part = self.part
+        g = part.basis(Z)
+        explained = part.explained(g)
+        weight = 1.0 / np.sqrt(part.variance(p, explained))[:, None]
+        trend = weight * p
         candidates = self._candidates(settings.max_candidates)
-        functions = scale * self._functions(Z, candidates)
-        order = self._order(scale * p, functions, settings.negligible)
+        functions = weight * self._functions(Z, candidates)
+        order = self._order(trend, functions, settings.negligible)
         self.sizes = [0, *(size for size in settings.sizes if size <= len(order))]
         used = order[: self.sizes[-1]]
         self.chosen = candidates[used]
-        Q, self.R = qr(np.hstack([scale * p, functions[:, used]]), mode="economic")
-        mean = self.part.functions_mean(g)
-        self.targets = Q.T @ (scale * np.column_stack([mean, explained]))
-        self.checked = np.hstack([self.trend, self._functions(check, self.chosen)])
+        Q, self.R = qr(np.hstack([trend, functions[:, used]]), mode="economic")
+        self.targets = Q.T @ (weight * np.column_stack([part.functions_mean(g), explained]))
+
+    @property
+    def can_grow(self) -> bool:
+        """Whether a larger number of functions is left to try."""
+        return self.step + 1 < len(self.sizes)
+
+    def grow(self) -> bool:
+        """Try the next number of functions, and return whether the loss falls; else the part stays."""
+        self.step += 1
+        part, loss = self._fit(self.sizes[self.step])
+        is_better = loss < self.loss
+        if is_better:
+            self.reduced = part
+            self.loss = loss
+        return is_better
 
     def _candidates(self, most: int) -> Indices:
         """Return functions to choose from, by term and place in it (k, 2)."""
-        places = []
+        places = [np.empty((0, 2), dtype=int)]
         for t, term in enumerate(self.part.terms):
-            for k in range(len(term.centres)):
-                places.append((t, k))
-        every = max(1, -(-len(places) // most))
-        return np.array(places[::every], dtype=int).reshape(-1, 2)
+            n = len(term.centres)
+            places.append(np.column_stack([np.full(n, t), np.arange(n)]))
+        stacked = np.concatenate(places)
+        every = max(1, -(-len(stacked) // most))
+        return stacked[::every]
 
     @staticmethod
     def _order(trend: Matrix, functions: Matrix, negligible: float) -> Indices:
@@ -179,29 +198,30 @@ class _PartReduction:
         n = int(np.sum(remainder > negligible * remainder.max(initial=0.0)))
         return np.asarray(order[:n])
 
+    def _chosen(self, places: Indices) -> Iterator[tuple[Indices, Term]]:
+        """Yield the rows of ``places`` (k, 2) in each term, and the term of these functions alone."""
+        for t, term in enumerate(self.part.terms):
+            rows = np.flatnonzero(places[:, 0] == t)
+            if len(rows):
+                yield rows, replace(term, centres=term.centres[places[rows, 1]])
+
     def _functions(self, Z: Matrix, places: Indices) -> Matrix:
         """Return Gaussian functions, by term and place in it (k, 2), at scaled regressors, (n, k)."""
         values = np.empty((len(Z), len(places)))
-        for t, term in enumerate(self.part.terms):
-            columns = np.flatnonzero(places[:, 0] == t)
-            few = replace(term, centres=term.centres[places[columns, 1]])
-            values[:, columns] = few.functions(Z)
+        for columns, term in self._chosen(places):
+            values[:, columns] = term.functions(Z)
         return values
 
-    def fit(self, number: int) -> tuple[Part, float]:
-        """Return the part with the first functions, and the larger of the changes of mean and deviation.
-
-        Changes are of the output, root mean square in its standard deviations.
-        """
+    def _fit(self, n: int) -> tuple[Part, float]:
+        """Return the part with the first n functions, and its loss."""
         if self.weight == 0.0:
             return self.part, 0.0
-        e = self.trend.shape[1]
-        n = self.sizes[number]
-        solved: Any = solve_triangular(self.R[: e + n, : e + n], self.targets[: e + n])
+        rows = slice(0, self.trend.shape[1] + n)
+        solved: Any = solve_triangular(self.R[rows, rows], self.targets[rows])
         return self._part(solved, self.chosen[:n]), self._change(solved)
 
     def _change(self, solved: Matrix) -> float:
-        """Return the larger of the changes of mean and deviation by fitted weights of mean and explained root."""
+        """Return the loss by fitted weights of mean and explained root."""
         fitted = self.checked[:, : len(solved)] @ solved
         change = fitted[:, 0] - self.mean
         of_mean = self.weight**2 * np.mean(change**2 / self.spread)
@@ -216,26 +236,21 @@ class _PartReduction:
         e = len(part.trend_weights)
         order = np.lexsort((places[:, 1], places[:, 0]))
         solved = np.concatenate([solved[:e], solved[e:][order]])
+        weights = solved[:, 0]
+        explained = solved[:, 1:]
         # h = T^T p + (0, U^T g) by p and the functions
         size = max(part.trend_root.shape[1], len(solved))
         root: Any = np.zeros((len(solved), size))
         root[:e, size - part.trend_root.shape[1] :] = part.trend_root
-        root[:, size - solved.shape[1] + 1 :] += solved[:, 1:]
+        root[:, size - explained.shape[1] :] += explained
         root = np.asarray(rq(root, mode="r"))[:, -len(solved) :]
+        terms = []
+        for rows, term in self._chosen(places[order]):
+            terms.append(replace(term, first=int(rows[0])))
         return replace(
             part,
-            terms=self._terms(places[order]),
-            readout=Readout(solved[e:, 0], root[e:, e:]),
-            trend_weights=part.trend_weights + solved[:e, 0],
+            terms=tuple(terms),
+            readout=Readout(weights[e:], root[e:, e:]),
+            trend_weights=part.trend_weights + weights[:e],
             trend_root=root[:e],
         )
-
-    def _terms(self, places: Indices) -> tuple[Term, ...]:
-        """Return the terms of functions in order."""
-        terms = []
-        for t, term in enumerate(self.part.terms):
-            rows = np.flatnonzero(places[:, 0] == t)
-            if len(rows):
-                centres = term.centres[places[rows, 1]]
-                terms.append(replace(term, first=int(rows[0]), centres=centres))
-        return tuple(terms)

@@ -11,14 +11,11 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import extra
+from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Indices, Vector
 from skdgp._display.page import MARGINS, WIDTH, legend_above, picture, text, tidy
 
-GAP = 5.0  # usual steps; no line is drawn across a longer one
-N_SLICES = 300  # of a long record, each drawn with its lowest and its highest sample
-# Distance of the vertical axis' label from the left edge of a panel of a page [in]
-LABEL_PLACE = 0.17
-BAND = 1.959964  # half the width of a 95 % interval, in standard deviations
+BAND = half_width(0.95)  # in standard deviations
 
 
 class Display(ABC):
@@ -27,6 +24,7 @@ class Display(ABC):
     axes_: np.ndarray
     figure_: Any
     size: tuple[float, float] = (4.6, 1.5)  # of a panel [in]
+    label_place = 0.17  # of the vertical axis' label, from the left edge of a panel of a page [in]
     by_column = False  # whether panels follow each other column by column
 
     @property
@@ -73,22 +71,10 @@ class Display(ABC):
 
     def html(self, caption: str, *beneath: Display) -> str:
         """Return the figure of a page: all panels, and under each the panels of ``beneath`` of its key."""
-        keys: list[str] = []
-
-        def image(display: Display, key: Any) -> str:
-            def draw(figure: Any) -> None:
-                ax = figure.subplots()
-                tidy(ax)
-                display.draw(ax, key)
-                inches = ax.get_position().width * figure.get_figwidth()
-                ax.yaxis.set_label_coords((LABEL_PLACE - MARGINS[0]) / inches, 0.5)
-                keys.append(_legend(ax))
-
-            return picture(draw, label=display.words(key), size=display.size)
-
+        legends: list[str] = []
         panels = ""
         for key in self.keys:
-            images = [image(display, key) for display in (self, *beneath)]
+            images = [display._image(key, legends) for display in (self, *beneath)]
             panels += f"<div>{''.join(images)}</div>"
         layout = ""
         if len(self.keys) == 1:
@@ -96,7 +82,20 @@ class Display(ABC):
         elif self.size[0] < WIDTH:
             layout = "trio"
         grid = f'<div class="panels {layout}">{panels}</div>'
-        return f"<figure>{keys[0]}{grid}<figcaption>{caption}</figcaption></figure>"
+        return f"<figure>{legends[0]}{grid}<figcaption>{caption}</figcaption></figure>"
+
+    def _image(self, key: Any, legends: list[str]) -> str:
+        """Return the picture of a panel, and add its legend."""
+
+        def draw(figure: Any) -> None:
+            ax = figure.subplots()
+            tidy(ax)
+            self.draw(ax, key)
+            inches = ax.get_position().width * figure.get_figwidth()
+            ax.yaxis.set_label_coords((self.label_place - MARGINS[0]) / inches, 0.5)
+            legends.append(_legend(ax))
+
+        return picture(draw, label=self.words(key), size=self.size)
 
 
 def _legend(ax: Any) -> str:
@@ -126,21 +125,24 @@ def _legend(ax: Any) -> str:
     return f'<ul class="key">{lines}</ul>' if lines else ""
 
 
-def segment_starts(time: Vector, window: np.ndarray | None = None) -> Indices:
-    """Return the indices where a new segment begins: after a gap, when time goes back, at a new window."""
+def segment_starts(time: Vector, window: np.ndarray | None = None, longest: float = 5.0) -> Indices:
+    """Return the indices where a new segment begins: after a gap, when time goes back, at a new window.
+
+    A gap is longer than ``longest`` times the usual step.
+    """
     step = np.diff(time)
     forward = step[step > 0]
     usual = np.median(forward) if forward.size else np.inf
-    cut = ~((step > 0) & (step <= GAP * usual))
+    cut = ~((step > 0) & (step <= longest * usual))
     if window is not None:
         cut |= window[1:] != window[:-1]
     return np.flatnonzero(np.concatenate([[True], cut]))
 
 
-def _slices(time: Vector, starts: Indices) -> Indices:
+def _slices(time: Vector, starts: Indices, n_slices: int = 300) -> Indices:
     """Return the number of each sample's slice of a record; it jumps by two where a line breaks."""
     new = np.zeros(len(time), dtype=int)
-    new[:: max(1, len(time) // N_SLICES)] = 1
+    new[:: max(1, len(time) // n_slices)] = 1
     new[starts] = 2
     return np.cumsum(new)
 
@@ -173,10 +175,10 @@ def band_points(
     finite = band[np.isfinite(band).all(axis=1)]
     slices = finite.groupby(_slices(time, starts)[finite.index])
     edges = pd.DataFrame({"lower": slices["lower"].min(), "upper": slices["upper"].max()})
-    ends = pd.concat(
-        [edges.assign(time=slices["time"].min()), edges.assign(time=slices["time"].max())]
-    )
-    ends = ends.sort_index(kind="stable")
+    # A slice has the same edges from its first to its last time
+    first = edges.assign(time=slices["time"].min())
+    last = edges.assign(time=slices["time"].max())
+    ends = pd.concat([first, last]).sort_index(kind="stable")
     gaps = np.flatnonzero(np.diff(ends.index) > 1) + 1
-    broken = np.insert(ends.to_numpy(float), gaps, np.nan, axis=0)
-    return broken[:, 2], broken[:, 0], broken[:, 1]
+    low, high, times = np.insert(ends.to_numpy(float), gaps, np.nan, axis=0).T
+    return times, low, high

@@ -27,14 +27,29 @@ from skdgp.dynamics import scaling_of
 from skdgp.inference import CentredTerm, training_inputs
 from skdgp.plotting._display import BAND, Display
 
-MAX_ROWS = 1000  # samples over which effects are centred
-RANGE = (0.01, 0.99)  # quantiles of a regressor between which its effect is computed
 JOINT = "joint"  # name of the term of all regressors
-LEVELS = (0.05, 0.95)  # quantiles of the second regressor of an interaction
-N_SAMPLES = 60  # samples over which interactions are compared
-N_GRID = 30  # points of each curve
-N_INTERACTIONS = 2  # shown for each output
-N_LEVEL_GRID = 15  # points of each curve of an interaction
+
+
+@dataclass(frozen=True)
+class EffectSettings:
+    """Numbers of effects and interactions, and of their display."""
+
+    # Samples over which effects are centred, and over which interactions are compared
+    rows: int = 1000
+    interaction_rows: int = 60
+    # Quantiles of a regressor between which its effect is computed
+    range: tuple[float, float] = (0.01, 0.99)
+    # Quantiles of the second regressor of an interaction
+    levels: tuple[float, float] = (0.05, 0.95)
+    # Points of a curve, and of a curve of an interaction
+    points: int = 30
+    interaction_points: int = 15
+    # Shown for each output: regressors whose effects vary most over the samples, and interactions
+    effects: int = 4
+    interactions: int = 2
+
+
+SETTINGS = EffectSettings()
 
 
 class Curve(NamedTuple):
@@ -149,7 +164,7 @@ def effects(model: BaseEstimator) -> Effects:
     True
     """
     parts = _split_model(model)
-    rows = parts.samples(MAX_ROWS)
+    rows = parts.samples(SETTINGS.rows)
     terms = {}
     intercept: Any = 0.0
     for columns in parts.posterior.kernel.term_regressors():
@@ -175,9 +190,9 @@ def effects(model: BaseEstimator) -> Effects:
 
 def _curve(parts: _Parts, rows: Matrix, term: CentredTerm, k: int) -> Curve:
     """Return the effect of regressor k, from its 1 % to its 99 % quantile."""
-    low, high = np.quantile(rows[:, k], RANGE)
-    points = np.tile(rows.mean(axis=0), (N_GRID, 1))
-    points[:, k] = np.linspace(low, high, N_GRID)
+    low, high = np.quantile(rows[:, k], SETTINGS.range)
+    points = np.tile(rows.mean(axis=0), (SETTINGS.points, 1))
+    points[:, k] = np.linspace(low, high, SETTINGS.points)
     mean, variance = term.predict(points)
     return Curve(parts.in_units(points)[:, k], mean * parts.scale, np.sqrt(variance) * parts.scale)
 
@@ -204,15 +219,14 @@ def interactions(model: BaseEstimator) -> dict[str, list[Interaction]]:
     ('alpha', 'q')
     """
     parts = _split_model(model)
-    rows = parts.samples(N_SAMPLES)
+    rows = parts.samples(SETTINGS.interaction_rows)
     pairs = list(combinations(range(len(parts.names)), 2))
     shares = _shares(parts, rows, pairs)
     strongest = {}
     for k, output in enumerate(parts.regressor.output_names_):
-        order = np.argsort(-shares[:, k], kind="stable")[:N_INTERACTIONS]
-        strongest[str(output)] = [
-            _interaction(parts, rows, pairs[n], k, float(shares[n, k])) for n in order
-        ]
+        order = np.argsort(-shares[:, k], kind="stable")[: SETTINGS.interactions]
+        of_output = [_interaction(parts, rows, pairs[n], k, float(shares[n, k])) for n in order]
+        strongest[str(output)] = of_output
     return strongest
 
 
@@ -240,18 +254,14 @@ def _interaction(
 ) -> Interaction:
     """Return how an output moves with the first of two regressors at two values of the second."""
     first, second = pair
-    low, high = np.quantile(rows[:, first], RANGE)
-    points = np.tile(rows.mean(axis=0), (2, N_LEVEL_GRID + 1, 1))
-    points[:, 1:, first] = np.linspace(low, high, N_LEVEL_GRID)  # behind the origin of the curve
-    points[:, :, second] = np.quantile(rows[:, second], LEVELS)[:, None]
-    mean = np.empty((2, N_LEVEL_GRID))
-    variance = np.empty((2, N_LEVEL_GRID))
-    for level in range(2):
-        value = parts.posterior.predict(points[level])[:, output]
-        block = slice(output * (N_LEVEL_GRID + 1), (output + 1) * (N_LEVEL_GRID + 1))
-        cov = parts.posterior.covariance(points[level])[block, block]
-        mean[level] = value[1:] - value[0]
-        variance[level] = np.diagonal(cov)[1:] + cov[0, 0] - 2 * cov[1:, 0]
+    low, high = np.quantile(rows[:, first], SETTINGS.range)
+    n = SETTINGS.interaction_points
+    # A curve for each level, behind its origin
+    points = np.tile(rows.mean(axis=0), (2, n + 1, 1))
+    points[:, 1:, first] = np.linspace(low, high, n)
+    points[:, :, second] = np.quantile(rows[:, second], SETTINGS.levels)[:, None]
+    changes = np.array([_change(parts.posterior, curve, output) for curve in points])
+    mean, variance = np.moveaxis(changes, 1, 0)
     units = parts.in_units(points)
     scale = parts.scale[output]
     return Interaction(
@@ -262,6 +272,16 @@ def _interaction(
         std=scale * np.sqrt(np.maximum(variance, 0.0)).T,
         share=share,
     )
+
+
+def _change(posterior: Any, points: Matrix, output: int) -> tuple[Vector, Vector]:
+    """Return mean and variance of an output at points (1 + n, d) less its value at the first, (n,) each."""
+    n = len(points)
+    block = slice(output * n, (output + 1) * n)
+    value = posterior.predict(points)[:, output]
+    cov = posterior.covariance(points)[block, block]
+    variance = np.diagonal(cov)[1:] + cov[0, 0] - 2 * cov[1:, 0]
+    return value[1:] - value[0], variance
 
 
 class _Parts(NamedTuple):
@@ -305,17 +325,20 @@ def _split_model(model: Any) -> _Parts:
     check_is_fitted(regressor)
     names = regressor._regressor_names()
     d = len(names)
-    steps = [step for step in steps if step not in (None, "passthrough")]
-    scalers: list[Any] = []
-    for step in reversed(steps):
-        _, _, transforms = scaling_of([step], d)
-        if transforms:
-            break
-        scalers.insert(0, step)
+    before = [step for step in steps if step not in (None, "passthrough")]
+    scalers = _scalers_at_end(before, d)
     if scalers:
         names = list(map(str, getattr(scalers[0], "feature_names_in_", names)))
     shift, factor, _ = scaling_of(scalers, d)
-    return _Parts(regressor, steps, names, shift, factor)
+    return _Parts(regressor, before, names, shift, factor)
+
+
+def _scalers_at_end(steps: list[Any], d: int) -> list[Any]:
+    """Return the scalers behind all other steps."""
+    n_others = len(steps)
+    while n_others and not scaling_of(steps[n_others - 1 : n_others], d)[2]:
+        n_others -= 1
+    return steps[n_others:]
 
 
 def _name(columns: tuple[int, ...], names: list[str]) -> str:
@@ -323,9 +346,6 @@ def _name(columns: tuple[int, ...], names: list[str]) -> str:
     if len(columns) == len(names) > 1:
         return JOINT
     return ", ".join(names[k] for k in columns)
-
-
-N_EFFECTS = 4  # regressors shown for each output: those whose effects vary most over the samples
 
 
 @dataclass(kw_only=True, eq=False, repr=False)
@@ -384,7 +404,8 @@ class EffectsDisplay(Display):
         return -(-len(self.keys) // len(self.importance.columns))
 
     def _largest(self, output: str) -> list[str]:
-        return list(self.importance.loc[list(self.curves), output].nlargest(N_EFFECTS).index)
+        sizes = self.importance.loc[list(self.curves), output]
+        return list(sizes.nlargest(SETTINGS.effects).index)
 
     def words(self, key: tuple[str, str | int]) -> str:
         """Return what a panel shows."""
@@ -406,21 +427,20 @@ class EffectsDisplay(Display):
         ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
         ax.set_ylabel(symbol(output))
 
-    def _draw_effect(self, ax, output, name):
+    def _draw_effect(self, ax: Any, output: str, name: str) -> None:
         k = list(self.importance).index(output)
         curve = self.curves[name]
-        factor = display_unit(name)[0]
+        factor, _ = display_unit(name)
         draw_curve(ax, factor * curve.at, curve.mean[:, k], curve.std[:, k], "effect")
         quantiles = factor * self.samples[name].quantile(np.linspace(0.02, 0.98, 25))
         ax.plot(
             quantiles, np.full(len(quantiles), 0.03), "|", label="samples", color=ROLES["measured"],
             markersize=4, markeredgewidth=0.5, transform=ax.get_xaxis_transform(),
         )  # fmt: skip
-        top = 0.0
-        for name_of_row in self._largest(output):  # on one scale
-            shown = self.curves[name_of_row]
-            top = max(top, np.abs(shown.mean[:, k]).max() + BAND * shown.std[:, k].min())
-        ax.set_ylim(-1.08 * top, 1.08 * top)
+        shown = [self.curves[other] for other in self._largest(output)]  # on one scale
+        tops = [np.abs(c.mean[:, k]).max() + BAND * c.std[:, k].min() for c in shown]
+        top = 1.08 * max(0.0, *tops)
+        ax.set_ylim(-top, top)
         ax.set_xlabel(axis_label(name))
 
     def _draw_interaction(self, ax: Any, interaction: Interaction) -> None:

@@ -12,8 +12,7 @@ from sklearn.utils import check_array, check_consistent_length
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.page import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
-from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import unwrapped_paths
+from skdgp._flight.checks import check_columns, unwrapped
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,
@@ -24,8 +23,6 @@ from skdgp.plotting._display import (
 )
 
 LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
-LEVEL = 0.95
-MAX_BAND = 0.6  # largest widening of the vertical axis by a band, as a fraction of the lines' range
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 
@@ -119,29 +116,21 @@ class TimeHistoryDisplay(Display):
                 time, points = line_points(self.time, factor * values[:, k], starts)
                 # samples between gaps, which a line alone does not show
                 alone = _lone_points(points)
-                marker = "." if alone else None
-                ax.plot(
-                    time, points, label=label, marker=marker, markersize=3, markevery=alone, **style
-                )
+                marks = {"marker": "." if alone else None, "markersize": 3, "markevery": alone}
+                ax.plot(time, points, label=label, **marks, **style)
 
         if self.lower is not None and self.upper is not None:
-            band = band_points(
-                self.time, factor * self.lower[:, k], factor * self.upper[:, k], starts
-            )
-            ax.fill_between(
-                *band, label="95 % band", color=ROLES["band"], alpha=0.35, linewidth=0.6, zorder=2.2
-            )
+            low = factor * self.lower[:, k]
+            high = factor * self.upper[:, k]
+            style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.6, "zorder": 2.2}
+            ax.fill_between(*band_points(self.time, low, high, starts), label="95 % band", **style)
         line("measured", self.measured, color=ROLES["measured"], linewidth=1.4)
         line("truth", self.truth, color=ROLES["truth"], linewidth=0.9, linestyle="--")
         line(self.estimate, self.mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3)
         if self.measured is not None:  # else the band is the subject of the figure
             _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
-            marks = np.where(self.beyond > 0, 1.0, np.nan)
-            ax.plot(
-                self.time, marks, label="outside the training data", color=PALETTE["orange"],
-                linewidth=4, clip_on=False, transform=ax.get_xaxis_transform(),
-            )  # fmt: skip
+            _mark_beyond(ax, self.time, self.beyond)
         ax.set(xlabel="time [s]", ylabel=axis_label(key) + self.suffix)
 
     @classmethod
@@ -162,10 +151,11 @@ class TimeHistoryDisplay(Display):
         """
         check_consistent_length(time, measured, mean, std, truth)
         n = len(check_array(time, ensure_2d=False))
-
         shape = np.asarray(measured).reshape(n, -1).shape
 
-        def columns(values: ArrayLike) -> Matrix:
+        def columns(values: ArrayLike | None) -> Any:
+            if values is None:
+                return None
             array = np.asarray(values, dtype=float).reshape(n, -1)
             if array.shape != shape:
                 raise ValueError(f"Got values of shape {array.shape} of measured ones of {shape}.")
@@ -177,16 +167,15 @@ class TimeHistoryDisplay(Display):
             )
         center = columns(mean)
         half = None if std is None else BAND * columns(std)
-        unnamed = (
-            COEFFICIENTS if center.shape[1] == 6 else [f"y{k}" for k in range(center.shape[1])]
-        )
+        n_outputs = center.shape[1]
+        unnamed = COEFFICIENTS if n_outputs == 6 else [f"y{k}" for k in range(n_outputs)]
         return cls(
             time=np.asarray(time, dtype=float),
             measured=columns(measured),
             mean=center,
             lower=None if half is None else center - half,
             upper=None if half is None else center + half,
-            truth=None if truth is None else columns(truth),
+            truth=columns(truth),
             names=tuple(map(str, getattr(measured, "columns", unnamed))),
         ).plot(ax)
 
@@ -234,25 +223,21 @@ class TimeHistoryDisplay(Display):
             )
         n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
         time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
-        line: Any = None
         lower = upper = None
         estimate = "simulated"
         if n_paths == 1:
-            line = _unwrapped(trajectories, names)
+            line = unwrapped(trajectories, names)
         else:
-            bands = trajectory_bands(trajectories, LEVEL, names)
-            lower = bands[[f"{name}_low" for name in names]].to_numpy()
-            upper = bands[[f"{name}_high" for name in names]].to_numpy()
-            median = bands[names].to_numpy()
+            lower, line, upper = _band(trajectories, names)
             if mean is None:
-                line = median
                 estimate = "median of the paths"
             else:
-                line = _unwrapped(mean, names)
-                line += _turns(names, median[0], line[0])
+                of_mean = unwrapped(mean, names)
+                line = of_mean + _turns(names, line[0], of_mean[0])
         beyond = None
         if "beyond" in trajectories:
-            beyond = (trajectories["beyond"] != "").to_numpy().reshape(n_paths, -1).mean(axis=0)
+            is_beyond = (trajectories["beyond"] != "").to_numpy()
+            beyond = is_beyond.reshape(n_paths, -1).mean(axis=0)
         return cls(
             time=time,
             names=tuple(names),
@@ -278,19 +263,27 @@ class TimeHistoryDisplay(Display):
         ).plot(ax)
 
 
+def _band(trajectories: pd.DataFrame, names: list[str]) -> tuple[Matrix, Matrix, Matrix]:
+    """Return lower edge, median and upper edge (n, k) of the paths."""
+    bands = trajectory_bands(trajectories, columns=names)
+    low = bands[[f"{name}_low" for name in names]]
+    high = bands[[f"{name}_high" for name in names]]
+    return low.to_numpy(), bands[names].to_numpy(), high.to_numpy()
+
+
+def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:
+    """Mark the times at which any path is outside the training data, at the upper edge."""
+    marks = np.where(beyond > 0, 1.0, np.nan)
+    ax.plot(
+        time, marks, label="outside the training data", color=PALETTE["orange"],
+        linewidth=4, clip_on=False, transform=ax.get_xaxis_transform(),
+    )  # fmt: skip
+
+
 def _lone_points(values: Vector) -> list[int]:
     """Return the points that have no finite neighbour."""
     finite = np.pad(np.isfinite(values), 1)
     return np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
-
-
-def _unwrapped(table: pd.DataFrame, names: list[str]) -> Matrix:
-    """Return columns (n, k), angles without jumps."""
-    values = table[names].to_numpy(float, copy=True)
-    for k, name in enumerate(names):
-        if name in EULER:
-            values[:, k] = unwrapped_paths(values[None, :, k])[0]
-    return values
 
 
 def _turns(names: list[str], wanted: Vector, found: Vector) -> Vector:
@@ -303,21 +296,19 @@ def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Ve
     """Return a flight at times, its angles without jumps, within half a turn of the simulated ones at the start."""
     check_columns(flown, ["time", *names], what="flown")
     clock = flown["time"].to_numpy(float)
-    columns = []
-    for name in names:
-        column = flown[name].to_numpy(float)
-        if name in EULER:
-            column = np.unwrap(column)
-        columns.append(np.interp(time, clock, column, left=np.nan, right=np.nan))
-    values = np.stack(columns, axis=-1)
+
+    def interpolated(column: Vector) -> Vector:
+        return np.interp(time, clock, column, left=np.nan, right=np.nan)
+
+    values = np.stack([interpolated(column) for column in unwrapped(flown, names).T], axis=-1)
     return values + _turns(names, start, values[0])
 
 
-def _fit_to_lines(ax: Any) -> None:
-    """Fit the vertical axis to the lines; a much wider band is cut off."""
+def _fit_to_lines(ax: Any, widening: float = 0.6) -> None:
+    """Fit the vertical axis to the lines; a band may widen it by a fraction of their range, and is cut off there."""
     shown = np.concatenate([line.get_ydata() for line in ax.lines])
     shown = shown[np.isfinite(shown)]
     if shown.size and np.ptp(shown) > 0:
-        room = MAX_BAND * np.ptp(shown)
+        room = widening * np.ptp(shown)
         low, high = ax.get_ylim()
         ax.set_ylim(max(low, shown.min() - room), min(high, shown.max() + room))

@@ -86,7 +86,7 @@ def test_a_command_of_1_is_the_full_deflection(load, portable_of):
     assert load(model, FULL) is not None
     largest = np.abs(model.limits).max(axis=0)[-1]
     with pytest.warns(
-        UserWarning, match=f"largest deflection of the flights: rudder {largest:.3g} rad"
+        UserWarning, match=f"largest deflection of the flights: rudder {largest:.4g} rad"
     ):
         fdm = load(model, {"elevator": 0.42})
     assert deflections(fdm, model) == pytest.approx([0.42, 0.5, largest])

@@ -2,6 +2,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.stats import norm
 
 from skdgp.plotting import TimeHistoryDisplay
 
@@ -45,7 +46,7 @@ def test_holes_wide_enough_to_be_seen_break_the_line():
 def test_a_band_covers_every_interval():
     time, centre = noisy_record(5000)
     std = 1 + np.abs(np.sin(time))
-    half = 1.959964 * std
+    half = norm.ppf(0.975) * std
     (area,) = drawn(time, centre, std).collections
     corners = area.get_paths()[0].vertices
     top = len(corners) // 2

@@ -27,7 +27,17 @@ extern const double aero_limits[2][AERO_INPUTS];
 
 /* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products; and the
  * lag T of the servos in s: surfaces d follow commands c by T d' = c - d. */
-${constants}
+#define AERO_MASS ${mass}
+#define AERO_WING_AREA ${wing_area}
+#define AERO_SPAN ${span}
+#define AERO_CHORD ${chord}
+#define AERO_IXX ${ixx}
+#define AERO_IYY ${iyy}
+#define AERO_IZZ ${izz}
+#define AERO_IXY ${ixy}
+#define AERO_IXZ ${ixz}
+#define AERO_IYZ ${iyz}
+#define AERO_SERVO_LAG ${servo_lag}
 
 /* Inputs of the sources: non-dimensional rates, mixed controls. */
 void aero_inputs(const double source[AERO_SOURCES], double x[AERO_INPUTS]);

@@ -24,6 +24,7 @@ from skdgp.inference import (
     average,
     fit_exact,
     fit_sparse,
+    inducing_inputs,
     mixture_of,
     n_searched,
     search,
@@ -214,28 +215,37 @@ class Recipe:
             "optimizer": self.optimizer,
             "max_iter": self.most_iterations(Z),
             "input_noise": self.learns_input_noise(known),
-            "random_state": random_state.randint(2**31 - 1),
+            "random_state": check_random_state(random_state.randint(2**31 - 1)),
             "settings": self.settings.search,
         }
         exact = self.inference_of(data.n_values) == "exact"
+        centres = None
+        if not exact:
+            rng = options["random_state"]
+            centres = inducing_inputs(kernels[-1], X, Z, self.n_inducing, rng)
         shifts = len(kernels) > 1
         requested = SearchOptions(shifts=shifts, **options)
         found = search(kernels, X, Z, requested, exact=exact, known=known)
         weights = structure_weights([learned.score() for learned in found])
         order = np.argsort(-weights, kind="stable")
         fits = []
+        options |= {"known": known, "data": data}
+        if not exact:
+            options |= {
+                "n_inducing": self.n_inducing,
+                "centres": centres,
+                "ordered": self.time_series,
+            }
         for k in order[: np.count_nonzero(weights)]:
-            fits.append(self._fitted(found[k], X, Z, data, known, random_state, options))
+            fits.append(self._fitted(found[k], X, Z, known, random_state, options))
         return fits, weights[order[: len(fits)]]
 
-    def _fitted(self, learned, X, Z, data, known, random_state, options):
+    def _fitted(self, learned, X, Z, known, random_state, options):
         """Return the fit at hyperparameters that a search has found."""
-        options = options | {"known": known, "data": data, "learned": learned}
-        if self.inference_of(data.n_values) == "exact":
-            fit = fit_exact(learned.kernel, X, Z, **options)
+        if "centres" not in options:
+            fit = fit_exact(learned.kernel, X, Z, learned=learned, **options)
         else:
-            options |= {"n_inducing": self.n_inducing, "ordered": self.time_series}
-            fit = fit_sparse(learned.kernel, X, Z, **options)
+            fit = fit_sparse(learned.kernel, X, Z, learned=learned, **options)
             if self._is_neglectful(fit):
                 rows = stratified(np.arange(len(X)), self._exact_rows(X, Z), random_state)
                 X, Z, known = X[rows], Z[rows], known.of_rows(rows)

@@ -145,6 +145,7 @@ def fit_sparse(
     ordered: bool = False,
     known: KnownNoise = UNKNOWN,
     data: Data | None = None,
+    centres: Matrix | None = None,
     learned: Hyperparameters | None = None,
     **options: Any,
 ) -> Fit:
@@ -162,6 +163,8 @@ def fit_sparse(
     known : KnownNoise
     data : Data or None
         As for ``fit_exact``.
+    centres : ndarray (k, d) or None
+        Inducing inputs. None: ``inducing_inputs``.
     learned : Hyperparameters or None
         As for ``fit_exact``.
     **options
@@ -178,10 +181,7 @@ def fit_sparse(
         When matrices of the size of all inducing variables do not fit into memory.
     """
     random_state = check_random_state(random_state)
-    start = kernel.initialize(X, Y, np.random.RandomState(0))
-    Z = inducing_centres(start, X, n_inducing, random_state)
-    size = inducing_features(start, Z).size
-    check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
+    Z = inducing_inputs(kernel, X, Y, n_inducing, random_state) if centres is None else centres
     options["random_state"] = random_state
     if learned is None:
         learned = search([kernel], X, Y, SearchOptions(**options), known=known)[0]
@@ -284,6 +284,17 @@ class SparseFit:
         loading = self.known.loading * np.sqrt(inflation)[:, None]
         data = Data.from_table(self.X, self.Y, loading)
         return SparsePosterior(posterior.kernel, self.features, noise, data)
+
+
+def inducing_inputs(
+    kernel: MultiOutputKernel, X: Matrix, Y: Matrix, n_inducing: int, random_state: Any
+) -> Matrix:
+    """Return the inducing inputs (k, d) of a kernel without values; ValueError if matrices of their size do not fit."""
+    start = kernel.initialize(X, Y, np.random.RandomState(0))
+    Z = inducing_centres(start, X, n_inducing, random_state)
+    size = inducing_features(start, Z).size
+    check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
+    return Z
 
 
 def inducing_centres(

@@ -39,7 +39,7 @@ class TileSettings:
     #: Beside the diagonal
     side: int = 768
     #: On the diagonal, where both triangles are computed
-    diagonal: int = 128
+    diagonal: int = 384
 
 
 TILES = TileSettings()

@@ -15,7 +15,8 @@ import pandas as pd
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
-from skdgp._flight.faults import POSSIBLE, RARE
+from skdgp._flight.faults import POSSIBLE
+from skdgp._flight.faults import SETTINGS as FAULTS
 from skdgp._flight.frames import (
     HIGHEST,
     LOWEST,
@@ -235,7 +236,8 @@ def _problem(source: Source, rule: Rule) -> str:
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
     impossible = ((source.values < low) | (source.values > high)).any(axis=1).mean()
-    if impossible > RARE:  # fewer are faults of a sensor
+    # fewer are faults of a sensor
+    if impossible > FAULTS.rare:
         columns = ", ".join(rule.columns)
         return f"{source.name} cannot be {columns}: {100 * impossible:.0f} % is impossible"
     return ""

@@ -14,7 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfiltfilt
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import GAP
+from skdgp._flight.clock import CLOCK, slices
 from skdgp.io._log import Topic
 
 
@@ -137,7 +137,7 @@ def usual_step(step: Vector, settings: ResamplingSettings = RESAMPLING) -> float
     In bursts, steps longer than gaps are frequent and make up most of the time.
     """
     median = np.median(step)
-    gap = step > GAP * median
+    gap = step > CLOCK.gap * median
     are_bursts = gap.mean() > settings.most_gaps and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
@@ -157,8 +157,7 @@ def uniform_clock(time: Vector, rate: float, settings: ResamplingSettings = RESA
 def _runs(time: Vector, gap: float) -> list[slice]:
     """Return the runs of a channel between steps longer than a gap [s]."""
     starts = np.flatnonzero(np.diff(time) > gap) + 1
-    edges = [0, *starts.tolist(), len(time)]
-    return [slice(first, last) for first, last in pairwise(edges)]
+    return slices(starts, len(time))
 
 
 def resample(
@@ -182,7 +181,7 @@ def resample(
     values = values[sampled]
     if len(time) < 2:
         return result
-    gap = GAP * usual_step(np.diff(time), settings)
+    gap = CLOCK.gap * usual_step(np.diff(time), settings)
     tolerance = 1e-6 / rate
     for run in _runs(time, gap):
         run_time = time[run]

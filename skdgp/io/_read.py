@@ -19,14 +19,15 @@ from skdgp._compute.wording import grouped_faults, reason_of
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
-    check_units,
     suggestions,
     unknown_columns,
     unknown_columns_message,
 )
-from skdgp._flight.clock import check_clock, flight_codes
+from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning, find_faults
 from skdgp._flight.physics import find_contradictions
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import check_units
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
 from skdgp.io._tables import (
     FlightReadError,
@@ -198,8 +199,7 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
         if np.isnan(time).any():
             row = int(np.argmax(np.isnan(time)))
             raise FlightReadError(f"Got no time at row {row}, but expected it in every row [s].")
-        check_clock(time, table["flight"])
-        check_units(table)
+        check_units(FlightTable.of(table))
     except ValueError as error:
         raise FlightReadError(*error.args) from error
     channels = [name for name in table.columns if name not in ("time", "flight")]
@@ -392,9 +392,10 @@ def _flights(table: pd.DataFrame) -> pd.DataFrame:
 
 def _faults(table: pd.DataFrame) -> list[str]:
     """Return faults and contradictions of flights; no contradiction if their clocks are too irregular to filter."""
-    faults = grouped_faults(fault.finding for fault in find_faults(table))
+    flights = FlightTable.of(table)
+    faults = grouped_faults(fault.finding for fault in find_faults(flights))
     try:
-        contradictions = find_contradictions(table)
+        contradictions = find_contradictions(flights)
     except ValueError:
         return faults
     return faults + [reason_of(contradiction.finding) for contradiction in contradictions]

@@ -99,9 +99,8 @@ def unknown_columns_message(names: Collection[str], have: Collection[str]) -> st
 
 def unknown_columns(table: pd.DataFrame) -> list[str]:
     """Return the columns of a table whose names are none of a flight table, nor of simulated truth."""
-    return [
-        str(name) for name in table.columns if str(name).removesuffix(TRUTH_SUFFIX) not in CHANNELS
-    ]
+    names = map(str, table.columns)
+    return [name for name in names if name.removesuffix(TRUTH_SUFFIX) not in CHANNELS]
 
 
 def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "flight") -> None:
@@ -144,8 +143,10 @@ def as_floats(values: object) -> Array:
         array = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
         return np.array(np.nan)
-    is_bool = any(isinstance(value, bool) for value in np.ravel(np.array(values, dtype=object)))
-    return np.array(np.nan) if is_bool else array
+    objects = np.ravel(np.array(values, dtype=object))
+    if any(isinstance(value, bool) for value in objects):
+        return np.array(np.nan)
+    return array
 
 
 def check_number(
@@ -167,7 +168,8 @@ def check_number(
 def check_numbers(name: str, values: object, *sizes: int) -> Array:
     """Return finite numbers (n,), n one of the ``sizes``; raise ValueError at anything else."""
     array = as_floats(values)
-    if array.ndim != 1 or len(array) not in sizes or not np.isfinite(array).all():
+    is_vector = array.ndim == 1 and len(array) in sizes
+    if not is_vector or not np.isfinite(array).all():
         count = " to ".join(map(str, sorted({sizes[0], sizes[-1]})))
         raise ValueError(f"Got {name}={values!r}, but expected {count} finite numbers.")
     return array

@@ -103,7 +103,8 @@ class Clock:
         steps = pd.Series(step).where(is_same)
         usual = steps.groupby(self.flight[1:]).transform("median").to_numpy()
         is_gap = is_same & (step > CLOCK.gap * usual)
-        is_uneven = is_same & ~is_gap & (np.abs(step - usual) > CLOCK.uneven * usual)
+        deviation = np.abs(step - usual)
+        is_uneven = is_same & ~is_gap & (deviation > CLOCK.uneven * usual)
         n_irregular = max(is_gap.sum(), is_uneven.sum())
         if n_irregular > CLOCK.most_irregular * max(is_same.sum(), 10):
             raise _irregular(step[is_same])
@@ -161,6 +162,17 @@ def slices(starts: Iterable[int], n: int) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
+def n_rows(run: slice) -> int:
+    """Return the number of rows of a run."""
+    return int(run.stop - run.start)
+
+
+def median_step(time: Vector, runs: list[slice]) -> float:
+    """Return the median step within runs [s]."""
+    steps = [np.diff(time[run]) for run in runs]
+    return float(np.median(np.concatenate(steps)))
+
+
 def true_runs(mask: Mask) -> list[slice]:
     """Return each run of True in a mask (n,)."""
     padded = np.concatenate([[0], np.asarray(mask).astype(int), [0]])
@@ -175,8 +187,9 @@ def uniform_grid(time: Vector) -> tuple[Vector, bool]:
         return time, False
     index = np.arange(n)
     line = np.polynomial.Polynomial.fit(index, time, 1)(index)
-    step = (line[-1] - line[0]) / (n - 1)
-    if np.abs(time - line).max() <= CLOCK.jitter * step:
+    step = np.ptp(line) / (n - 1)
+    jitter = np.abs(time - line).max()
+    if jitter <= CLOCK.jitter * step:
         return line, False
-    n_steps = round((time[-1] - time[0]) / np.median(np.diff(time)))
+    n_steps = round(np.ptp(time) / np.median(np.diff(time)))
     return np.linspace(time[0], time[-1], max(n, 1 + n_steps)), True

@@ -29,7 +29,7 @@ from skdgp._flight.channels import (
     VANES,
     WRAPPED,
 )
-from skdgp._flight.clock import CLOCK, true_runs
+from skdgp._flight.clock import CLOCK, n_rows, true_runs
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 
@@ -195,11 +195,11 @@ def _missing(name: str, values: Vector, step: float, settings: FaultSettings) ->
         return
     # as many rows are missing between samples of a sensor that is slower than the table
     usual = settings.missing * usual_spacing(values) - 1
-    gaps = [gap for gap in true_runs(is_missing) if gap.stop - gap.start > usual]
+    gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
     if gaps:
         rows = np.concatenate([np.arange(gap.start, gap.stop) for gap in gaps])
-        longest = max(gap.stop - gap.start for gap in gaps)
-        numbers = {"times": len(gaps), "longest": float(longest * step)}
+        longest = max(map(n_rows, gaps)) * step
+        numbers = {"times": len(gaps), "longest": longest}
         yield _Rows(name, Code.MISSING, rows, numbers)
 
 
@@ -207,7 +207,8 @@ def _impossible(name: str, values: Vector, settings: FaultSettings) -> Iterator[
     """Yield the values that no aircraft has, if they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
-    if 0 < rows.size <= settings.rare * np.isfinite(values).sum():
+    n_sampled = np.isfinite(values).sum()
+    if 0 < rows.size <= settings.rare * n_sampled:
         numbers = {"value": float(values[rows[0]])}
         values[rows] = np.nan
         yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
@@ -279,8 +280,10 @@ def stuck_rows(values: Vector, step: float, settings: FaultSettings = SETTINGS) 
     is_stuck &= ~(is_again & (leap <= largest_usual))
 
     stuck = []
-    for first, length in zip(runs.start[is_stuck], runs.length[is_stuck], strict=True):
-        stuck.append(runs.rows[first + 1 : first + length])
+    for run in np.flatnonzero(is_stuck):
+        first = runs.start[run]
+        end = first + runs.length[run]
+        stuck.append(runs.rows[first + 1 : end])
     return stuck
 
 
@@ -307,7 +310,8 @@ def _resolution(held: Vector, settings: FaultSettings) -> float:
     if len(levels) < settings.fewest_held:
         return 0.0
     step = np.diff(levels).min()
-    multiples = (levels - levels[len(levels) // 2]) / step
+    middle = levels[len(levels) // 2]
+    multiples = (levels - middle) / step
     on_step = np.abs(multiples - np.rint(multiples)) < settings.off_step
     return float(step) if on_step.mean() > settings.most_on_step else 0.0
 
@@ -315,25 +319,29 @@ def _resolution(held: Vector, settings: FaultSettings) -> float:
 def spike_rows(values: Vector, *, angle: bool, settings: FaultSettings = SETTINGS) -> Indices:
     """Return the rows of a few samples that leap from their neighbours and back."""
     runs = _Runs.of(values)
-    readings = np.unwrap(runs.value) if angle else runs.value
     rows = np.empty(0, int)
-    if len(readings) < settings.enough:
+    if len(runs.value) < settings.enough:
         return rows
+    readings = np.unwrap(runs.value) if angle else runs.value
     padded = np.pad(readings, 2, mode="reflect")
     neighbours = [padded[:-4], padded[1:-3], padded[3:-1], padded[4:]]
     out = np.abs(readings - np.median(neighbours, axis=0))
     usual = np.quantile(out, 0.995)
     ends = np.append(runs.start, len(runs.rows))
+    last = len(readings) - 1
     for run in true_runs(out > settings.spike * usual):
         before = readings[max(run.start - 1, 0)]
-        after = readings[min(run.stop, len(readings) - 1)]
+        after = readings[min(run.stop, last)]
         returns = abs(after - before) < out[run].max() / 2
-        if run.stop - run.start <= settings.widest_spike and returns:
-            rows = np.append(rows, runs.rows[ends[run.start] : ends[run.stop]])
+        if n_rows(run) <= settings.widest_spike and returns:
+            spike = runs.rows[ends[run.start] : ends[run.stop]]
+            rows = np.append(rows, spike)
     return rows
 
 
 def usual_spacing(values: Vector) -> float:
     """Return the 90 % quantile of the rows between a sample and the next."""
     sampled = np.flatnonzero(np.isfinite(values))
-    return float(np.quantile(np.diff(sampled), 0.9)) if sampled.size > 1 else 1.0
+    if sampled.size < 2:
+        return 1.0
+    return float(np.quantile(np.diff(sampled), 0.9))

@@ -39,10 +39,15 @@ def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.
     >>> quaternion_to_euler(euler_to_quaternion(0.3, -0.2, 1.5)).round(12)
     array([ 0.3, -0.2,  1.5])
     """
-    roll, pitch, yaw = (0.5 * np.asarray(angle, dtype=float) for angle in (phi, theta, psi))
-    c_phi, s_phi = np.cos(roll), np.sin(roll)
-    c_theta, s_theta = np.cos(pitch), np.sin(pitch)
-    c_psi, s_psi = np.cos(yaw), np.sin(yaw)
+    roll = 0.5 * np.asarray(phi, dtype=float)
+    pitch = 0.5 * np.asarray(theta, dtype=float)
+    yaw = 0.5 * np.asarray(psi, dtype=float)
+    c_phi = np.cos(roll)
+    s_phi = np.sin(roll)
+    c_theta = np.cos(pitch)
+    s_theta = np.sin(pitch)
+    c_psi = np.cos(yaw)
+    s_psi = np.sin(yaw)
     q0 = c_phi * c_theta * c_psi + s_phi * s_theta * s_psi
     q1 = s_phi * c_theta * c_psi - c_phi * s_theta * s_psi
     q2 = c_phi * s_theta * c_psi + s_phi * c_theta * s_psi
@@ -59,8 +64,9 @@ def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
     even = q0 * q0 - q2 * q2
     odd = q1 * q1 - q3 * q3
     norm2 = q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3
+    sine = 2.0 * (q0 * q2 - q1 * q3) / norm2
     phi = np.arctan2(2.0 * (q0 * q1 + q2 * q3), even - odd)
-    theta = np.arcsin(np.clip(2.0 * (q0 * q2 - q1 * q3) / norm2, -1.0, 1.0))
+    theta = np.arcsin(np.clip(sine, -1.0, 1.0))
     psi = np.arctan2(2.0 * (q0 * q3 + q1 * q2), even + odd)
     return _vector(phi, theta, psi)
 
@@ -95,7 +101,7 @@ def ned_to_body(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
 
 def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
     """Return d (phi, theta, psi) / d (small body rotation), (..., 3, 3): of body rates it makes Euler angles' rates."""
-    phi, theta = np.broadcast_arrays(np.asarray(phi, dtype=float), np.asarray(theta, dtype=float))
+    phi, theta = np.broadcast_arrays(phi, theta)
     sine = np.sin(phi)
     cosine = np.cos(phi)
     tangent = np.tan(theta)
@@ -109,9 +115,14 @@ def gravity_in_body_axes(
     phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
 ) -> np.ndarray:
     """Return gravity in body axes, g (-sin theta, sin phi cos theta, cos phi cos theta), (..., 3) [m/s^2]."""
-    phi, theta, gravity = (np.asarray(x, dtype=float) for x in (phi, theta, gravity))
+    phi = np.asarray(phi, dtype=float)
+    theta = np.asarray(theta, dtype=float)
+    gravity = np.asarray(gravity, dtype=float)
     across = gravity * np.cos(theta)
-    return _vector(-gravity * np.sin(theta), across * np.sin(phi), across * np.cos(phi))
+    x = -gravity * np.sin(theta)
+    y = across * np.sin(phi)
+    z = across * np.cos(phi)
+    return _vector(x, y, z)
 
 
 def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -127,8 +138,10 @@ def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     u, v, w = _components(velocity)
     airspeed = np.sqrt(u * u + v * v + w * w)
+    alpha = np.arctan2(w, u)
     # atan2 keeps beta accurate near 90 degrees and defined at rest, where asin(v / V) is neither.
-    return airspeed, np.arctan2(w, u), np.arctan2(v, np.hypot(u, w))
+    beta = np.arctan2(v, np.hypot(u, w))
+    return airspeed, alpha, beta
 
 
 def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray:
@@ -138,7 +151,8 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
     them. Speeds below ``least_speed`` [m/s] count as that, which bounds the slopes.
     """
     u, v, w = _components(velocity)
-    airspeed = np.maximum(np.sqrt(u * u + v * v + w * w), least_speed)
+    speed = np.sqrt(u * u + v * v + w * w)
+    airspeed = np.maximum(speed, least_speed)
     across = np.maximum(np.hypot(u, w), least_speed)
     factor = v / (airspeed**2 * across)
     of_airspeed = _vector(u / airspeed, v / airspeed, w / airspeed)
@@ -149,9 +163,14 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
 
 def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.ndarray:
     """Return the body velocity relative to the air, V (cos a cos b, sin b, sin a cos b), (..., 3) [m/s]."""
-    airspeed, alpha, beta = (np.asarray(x, dtype=float) for x in (airspeed, alpha, beta))
+    airspeed = np.asarray(airspeed, dtype=float)
+    alpha = np.asarray(alpha, dtype=float)
+    beta = np.asarray(beta, dtype=float)
     in_plane = airspeed * np.cos(beta)
-    return _vector(in_plane * np.cos(alpha), airspeed * np.sin(beta), in_plane * np.sin(alpha))
+    u = in_plane * np.cos(alpha)
+    v = airspeed * np.sin(beta)
+    w = in_plane * np.sin(alpha)
+    return _vector(u, v, w)
 
 
 def _components(vector: ArrayLike) -> tuple[Any, ...]:
@@ -166,7 +185,8 @@ def _vector(*components: ArrayLike) -> np.ndarray:
     """Return the components as vectors (..., k)."""
     if all(isinstance(component, float) for component in components):
         return np.array(components)
-    vector = np.empty((*np.broadcast(*components).shape, len(components)))
+    shape = np.broadcast(*components).shape
+    vector = np.empty((*shape, len(components)))
     for k, component in enumerate(components):
         vector[..., k] = component
     return vector
@@ -181,7 +201,10 @@ def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
     # c = s (e x vector)
     cx, cy, cz = _cross(e, (x, y, z))
     dx, dy, dz = _cross((e1, e2, e3), (cx, cy, cz))
-    return _vector(x + q0 * cx + dx, y + q0 * cy + dy, z + q0 * cz + dz)
+    x = x + q0 * cx + dx
+    y = y + q0 * cy + dy
+    z = z + q0 * cz + dz
+    return _vector(x, y, z)
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
@@ -193,14 +216,19 @@ def _cross(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return the components of a x b."""
     a1, a2, a3 = a
     b1, b2, b3 = b
-    return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
+    x = a2 * b3 - a3 * b2
+    y = a3 * b1 - a1 * b3
+    z = a1 * b2 - a2 * b1
+    return x, y, z
 
 
 def cross_matrix(vector: ArrayLike) -> np.ndarray:
     """Return the matrices (..., 3, 3) of the products v x, of vectors (..., 3)."""
     x, y, z = _components(vector)
-    rows = [_vector(0.0, -z, y), _vector(z, 0.0, -x), _vector(-y, x, 0.0)]
-    return np.stack(rows, axis=-2)
+    first = _vector(0.0, -z, y)
+    second = _vector(z, 0.0, -x)
+    third = _vector(-y, x, 0.0)
+    return np.stack([first, second, third], axis=-2)
 
 
 def wrapped(angle: np.ndarray) -> np.ndarray:
@@ -253,7 +281,8 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
         )
     temperature = SEA_LEVEL_TEMPERATURE - LAPSE * np.minimum(altitude, TROPOPAUSE)
     exponent = STANDARD_GRAVITY / (GAS_CONSTANT * LAPSE)
-    pressure = SEA_LEVEL_PRESSURE * (temperature / SEA_LEVEL_TEMPERATURE) ** exponent
-    above = np.maximum(altitude - TROPOPAUSE, 0.0)
-    pressure = pressure * np.exp(-STANDARD_GRAVITY * above / (GAS_CONSTANT * temperature))
-    return pressure / (GAS_CONSTANT * temperature)
+    below = SEA_LEVEL_PRESSURE * (temperature / SEA_LEVEL_TEMPERATURE) ** exponent
+    height = np.maximum(altitude - TROPOPAUSE, 0.0)
+    scale = GAS_CONSTANT * temperature
+    pressure = below * np.exp(-STANDARD_GRAVITY * height / scale)
+    return pressure / scale

@@ -37,6 +37,7 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
 )
+from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_matrix
 from skdgp._flight.tables import FlightTable
 
@@ -137,8 +138,9 @@ class Signals:
         """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end."""
         length = self.window_rows(seconds)
         is_inside = self.segment[length:] == self.segment[:-length]
+        difference = values[length:] - values[:-length]
         change = np.full(values.shape, np.nan)
-        change[:-length][is_inside] = (values[length:] - values[:-length])[is_inside]
+        change[:-length][is_inside] = difference[is_inside]
         return change
 
     def integral(self, values: Array, seconds: float | None = None) -> Array:
@@ -158,7 +160,8 @@ class Signals:
         ahead = np.interp(place, rows, values, left=np.nan, right=np.nan)
         for end in (np.floor(place), np.ceil(place)):
             row = np.clip(end, 0, len(rows) - 1).astype(int)
-            ahead[self.segment[row] != self.segment] = np.nan
+            is_outside = self.segment[row] != self.segment
+            ahead[is_outside] = np.nan
         return ahead
 
 
@@ -179,7 +182,8 @@ def roll(flight: Signals) -> Regression:
     turn = flight["q"] * np.sin(phi) + flight["r"] * np.cos(phi)
     coupling = flight.integral(turn * np.tan(flight["theta"]))
     y = flight.change(phi) - coupling
-    return Regression(y, flight.integral(flight["p"]), [flight.ones])
+    x = flight.integral(flight["p"])
+    return Regression(y, x, [flight.ones])
 
 
 def pitch(flight: Signals) -> Regression:
@@ -187,7 +191,8 @@ def pitch(flight: Signals) -> Regression:
     phi = flight["phi"]
     coupling = flight.integral(flight["r"] * np.sin(phi))
     y = flight.change(flight["theta"]) + coupling
-    return Regression(y, flight.integral(flight["q"] * np.cos(phi)), [flight.ones])
+    x = flight.integral(flight["q"] * np.cos(phi))
+    return Regression(y, x, [flight.ones])
 
 
 def yaw(flight: Signals) -> Regression:
@@ -196,14 +201,16 @@ def yaw(flight: Signals) -> Regression:
     cosine = np.cos(flight["theta"])
     coupling = flight.integral(flight["q"] * np.sin(phi) / cosine)
     y = flight.change(flight["psi"]) - coupling
-    return Regression(y, flight.integral(flight["r"] * np.cos(phi) / cosine), [flight.ones])
+    x = flight.integral(flight["r"] * np.cos(phi) / cosine)
+    return Regression(y, x, [flight.ones])
 
 
 def position(flight: Signals, name: str, velocity: str) -> Regression:
     """Return the change of a coordinate and the integral of its velocity."""
     sign = -1.0 if name == "altitude" else 1.0
     y = sign * flight.change(flight[name])
-    return Regression(y, flight.integral(flight[velocity]), [flight.ones])
+    x = flight.integral(flight[velocity])
+    return Regression(y, x, [flight.ones])
 
 
 def relative_velocity(flight: Signals, axis: int) -> Regression:
@@ -542,13 +549,18 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
 def _judged_lag(check: Check, slopes: dict[float, Slope], settings: PhysicsSettings) -> Judgement:
     """Return the judgement of equal signals: contradicted if the best lag is longer than usual."""
     lag, best = max(slopes.items(), key=lambda item: item[1].explained)
-    usual = max(slopes[late].explained for late in slopes if abs(late) <= settings.usual_lag)
+    usual = 0.0
+    for late, slope in slopes.items():
+        if abs(late) <= settings.usual_lag:
+            usual = max(usual, slope.explained)
     # likelihood ratio: t^2 = n log of the ratio of unexplained variances
     ratio = (1 + best.explained) / (1 + usual)
     t = float(np.sqrt(best.n_effective * np.log(ratio)))
-    late = best._replace(value=lag, std=settings.lag_spacing / np.sqrt(12))
-    is_late = abs(lag) > settings.usual_lag and t >= settings.least_t
-    return Judgement(check, check.channels, "lag", late, t if is_late else 0.0)
+    if abs(lag) <= settings.usual_lag or t < settings.least_t:
+        t = 0.0
+    # a uniform distribution between the lags that are tried
+    std = settings.lag_spacing / np.sqrt(12)
+    return Judgement(check, check.channels, "lag", best._replace(value=lag, std=std), t)
 
 
 def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
@@ -577,18 +589,16 @@ def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT)
     xy = xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]
     x, y = xy.T
     x_size, y_size = np.linalg.norm(xy, axis=0)
-    if not (x_size > 1e-3 * np.linalg.norm(Z[:, -2]) and y_size > 0):
+    is_determined = x_size > 1e-3 * np.linalg.norm(Z[:, -2])
+    if not is_determined or not y_size > 0:
         return None
     slope = x @ y / x_size**2
     products = x * (y - slope * x)
     tau = autocorrelation_time(products)
-    return Slope(
-        value=float(slope),
-        std=float(np.sqrt(tau) * np.linalg.norm(products) / x_size**2),
-        correlation=float(x @ y / (x_size * y_size)),
-        n_effective=n / tau,
-        size=float(x_size / np.sqrt(n)),
-    )
+    std = np.sqrt(tau) * np.linalg.norm(products) / x_size**2
+    correlation = x @ y / (x_size * y_size)
+    size = x_size / np.sqrt(n)
+    return Slope(float(slope), float(std), float(correlation), n / tau, float(size))
 
 
 # -- signals of a table
@@ -597,14 +607,15 @@ def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT)
 def flight_signals(flights: FlightTable, settings: PhysicsSettings = DEFAULT) -> Signals:
     """Return the channels of flights at about 20 Hz, without the rows on the ground."""
     time = flights.time
-    runs = [run for run in flights.segments if run.stop - run.start > 1]
+    runs = [run for run in flights.segments if n_rows(run) > 1]
     if not runs:
         return Signals({}, np.empty(0, int), 1.0, settings)
-    usual = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
+    usual = median_step(time, runs)
     n_averaged = max(1, int(1 / usual // settings.rate))
-    step = float(usual) * n_averaged
+    step = usual * n_averaged
     clocks = [_block_clock(time[run], step) for run in runs]
-    segment = np.repeat(np.arange(len(runs)), [len(clock) for clock in clocks])
+    lengths = [len(clock) for clock in clocks]
+    segment = np.repeat(np.arange(len(runs)), lengths)
     channels = {}
     for name, values in flights.numeric_channels(USED).items():
         parts = []
@@ -636,11 +647,13 @@ def _in_flight(channels: dict[str, Vector], settings: PhysicsSettings) -> dict[s
 
 def _block_clock(time: Vector, step: float) -> Matrix:
     """Return the times of whole blocks (n, k) of ``step`` [s] each, k the samples of a block at the run's own rate."""
-    size = max(1, round(step / np.median(np.diff(time))))
+    n_samples = round(step / np.median(np.diff(time)))
+    size = max(1, n_samples)
     spacing = step / size
     # the tolerance is of rounded clocks
-    n = 1 + int((time[-1] - time[0]) / spacing + 1e-3)
-    points = time[0] + spacing * np.arange(n // size * size)
+    n = 1 + int(np.ptp(time) / spacing + 1e-3)
+    n_blocks = n // size
+    points = time[0] + spacing * np.arange(n_blocks * size)
     return np.minimum(points, time[-1]).reshape(-1, size)
 
 

@@ -22,7 +22,7 @@ from scipy import interpolate, ndimage, optimize, signal
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.checks import check_number
-from skdgp._flight.clock import Clock, uniform_grid
+from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def smooth(
                 low_pass = partial(_butterworth, cutoff=cutoff)
             for run in runs:
                 smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
-                has_no_rate |= derivative and run.stop - run.start == 1
+                has_no_rate |= derivative and n_rows(run) == 1
         out[place] = smoothed
     if has_no_rate:
         warn(NO_RATE, stacklevel=2)
@@ -136,7 +136,7 @@ def noise_level(
             spectrum = _flight_spectrum(sampled, part.time, runs)
             if spectrum is not None:
                 variances.append(white_noise(spectrum) * spectrum.frequency[-1])
-                weights.append(sum(run.stop - run.start for run in runs))
+                weights.append(sum(map(n_rows, runs)))
         if variances:
             std[channels] = np.sqrt(np.average(variances, axis=0, weights=weights))
     return std.reshape(np.shape(values)[1:])
@@ -176,7 +176,7 @@ def _filtered(columns: Matrix, time: Vector, low_pass: LowPass | None, derivativ
         knots = grid
         if is_jittered:
             columns = interpolate.CubicSpline(time, columns)(grid)
-        rate = (len(grid) - 1) / (grid[-1] - grid[0])
+        rate = (len(grid) - 1) / np.ptp(grid)
         columns = low_pass(columns, rate)
     if knots is at and not derivative:
         return columns
@@ -191,7 +191,8 @@ def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
             f"the sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
     sections = signal.butter(SMOOTHING.order, cutoff, fs=rate, output="sos")
-    padding = min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
+    transient = int(np.ceil(5 * rate / cutoff))
+    padding = min(len(columns) - 1, transient)
     return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
 
 
@@ -209,10 +210,14 @@ def _wiener(columns: Matrix, time: Vector, runs: list[slice], joint: bool) -> Lo
 class Spectrum(NamedTuple):
     """Welch's estimate over the segments of a flight."""
 
-    frequency: Vector  # (m,) [Hz]
-    power: Array  # (m, k, k) cross-spectral density
-    averages: float  # independent periodograms in it
-    rounding: Vector  # (k,) white power that rounding makes
+    # (m,) [Hz]
+    frequency: np.ndarray
+    # (m, k, k) cross-spectral density
+    power: np.ndarray
+    # independent periodograms in it
+    averages: float
+    # (k,) white power that rounding makes
+    rounding: np.ndarray
 
     @property
     def channel_power(self) -> Matrix:
@@ -227,20 +232,24 @@ def _flight_spectrum(
 
     Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
-    longest = max(run.stop - run.start for run in runs)
+    longest = max(map(n_rows, runs))
     if longest < settings.least_samples:
         return None
-    step = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
+    step = median_step(time, runs)
     wanted = max(settings.window_seconds / step, settings.shortest_window)
     half = min(int(wanted), longest // 4) // 2
     size = 2 * half
-    windows = [_windows(columns[run], size) for run in runs if run.stop - run.start >= size]
+    windows = []
+    for run in runs:
+        if n_rows(run) >= size:
+            windows.append(_windows(columns[run], size))
     pieces = np.concatenate(windows)
     taper = signal.windows.hann(size)
     tapered = signal.detrend(pieces, axis=-1) * taper
     waves = np.fft.rfft(tapered, axis=-1).transpose(2, 1, 0)
     # of a periodogram [1/Hz]
-    unit = 2 * step / (len(pieces) * np.sum(taper**2))
+    energy = len(pieces) * np.sum(taper**2)
+    unit = 2 * step / energy
     power = waves @ waves.conj().swapaxes(1, 2) * unit
     largest = np.abs(pieces).max(axis=(0, 2))
     return Spectrum(
@@ -280,7 +289,8 @@ def _noise_floor(
     observed = power[top]
     if not observed.min() > 1e-24 * power.max():
         return 0.0
-    fall = np.sin(0.5 * np.pi * frequency[top] / frequency[-1]) ** -2
+    angle = 0.5 * np.pi * frequency[top] / frequency[-1]
+    fall = np.sin(angle) ** -2
     shapes = np.column_stack([fall**k for k in (0, 1, 2, 4, 8)])
     shapes /= shapes.max(axis=0)
     weights, misfit = _fit_weights(shapes, observed)
@@ -321,7 +331,8 @@ def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
     # root of the noise power, or of a small power where there is no noise
     small = 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + TINY
     unit = np.sqrt(np.where(floor > 0, floor, small))
-    size, axes = np.linalg.eigh(spectrum.power / np.outer(unit, unit))
+    scaled = spectrum.power / np.outer(unit, unit)
+    size, axes = np.linalg.eigh(scaled)
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
     gains = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
     # H = (P - N) P^-1
@@ -339,10 +350,12 @@ def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
 
 def _falling(gain: Matrix) -> Matrix:
     """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
-    last = len(gain) - 1 - np.argmax(gain[::-1] >= 0.5, axis=0)
-    beyond = np.arange(len(gain))[:, None] > last
-    least = np.minimum.accumulate(np.where(beyond, gain, 0.5), axis=0)
-    return np.where(beyond, least / np.maximum(gain, 1e-12), 1.0)
+    is_strong = gain >= 0.5
+    last = len(gain) - 1 - np.argmax(is_strong[::-1], axis=0)
+    is_beyond = np.arange(len(gain))[:, None] > last
+    least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5), axis=0)
+    factor = least / np.maximum(gain, 1e-12)
+    return np.where(is_beyond, factor, 1.0)
 
 
 def impulse_response(gain: Array) -> Array:

@@ -113,10 +113,14 @@ def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
 
 def has_values(table: pd.DataFrame, *names: str) -> bool:
     """Return whether the table has all these columns, each with a finite value."""
-    return all(name in table and np.isfinite(numeric(table, [name])).any() for name in names)
+    if not {*names} <= {*table.columns}:
+        return False
+    is_sampled = np.isfinite(numeric(table, names))
+    return bool(is_sampled.any(axis=0).all())
 
 
 def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
     """Return columns (n, k) with linear interpolation of values that are not finite."""
-    table = pd.DataFrame(np.where(np.isfinite(values), values, np.nan), index=time)
+    sampled = np.where(np.isfinite(values), values, np.nan)
+    table = pd.DataFrame(sampled, index=time)
     return np.array(table.interpolate("index", limit_direction="both"), order="C")

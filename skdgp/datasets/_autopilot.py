@@ -33,6 +33,7 @@ class AutopilotSettings:
 
 
 SETTINGS = AutopilotSettings()
+TIME_CONSTANTS = np.array(SETTINGS.time_constants)
 
 
 def scheduled(steps: ArrayLike, time: Array) -> Array:
@@ -50,17 +51,19 @@ class FlightControls:
     """
 
     def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
-        self.orbit = np.stack([scheduled(plan.orbits, time) for plan in plans], axis=1)
-        self.altitude = np.column_stack([scheduled(plan.altitudes, time) for plan in plans])
-        self.airspeed = np.column_stack([scheduled(plan.airspeeds, time) for plan in plans])
-        self.manoeuvres = np.zeros((len(time), len(plans), len(COMMANDS)))
-        for k, plan in enumerate(plans):
-            for j, axis in enumerate(COMMANDS):
-                self.manoeuvres[:, k, j] = plan.manoeuvres(axis, time)
+        orbits = [scheduled(plan.orbits, time) for plan in plans]
+        altitudes = [scheduled(plan.altitudes, time) for plan in plans]
+        airspeeds = [scheduled(plan.airspeeds, time) for plan in plans]
+        self.orbit = np.stack(orbits, axis=1)
+        self.altitude = np.column_stack(altitudes)
+        self.airspeed = np.column_stack(airspeeds)
+        manoeuvres = [_manoeuvres(plan, time) for plan in plans]
+        self.manoeuvres = np.stack(manoeuvres, axis=1)
         self.autopilot = Autopilot(step)
         self.step = step
         self.now = -1
-        self.end, _ = _targets(np.tile(SETTINGS.trim, (len(plans), 1)))
+        trim = np.tile(SETTINGS.trim, (len(plans), 1))
+        self.end, _ = _targets(trim)
 
     def __call__(
         self, k: int, stage: int, observe: Callable[[], Mapping[str, Array]]
@@ -76,7 +79,7 @@ class FlightControls:
         positions = self.begin
         if half_steps:
             seconds = 0.5 * half_steps * self.step
-            lag = np.exp(-seconds / np.array(SETTINGS.time_constants))
+            lag = np.exp(-seconds / TIME_CONSTANTS)
             positions = self.target + lag * (self.begin - self.target)
         if half_steps == 2:
             self.end = positions
@@ -92,13 +95,20 @@ class FlightControls:
         }
 
 
+def _manoeuvres(plan: FlightPlan, time: Array) -> Array:
+    """Return the additions to the commands (n, 4)."""
+    return np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS])
+
+
 def _targets(command: Array) -> tuple[Array, Array]:
     """Return where the actuators go (n, 4), elevons, rudder, propeller, and the throttle (n,), mixed and limited."""
     elevator, aileron, rudder, throttle = command.T
     throttle = np.clip(throttle, 0.0, 1.0)
-    elevons = np.stack([elevator + aileron, elevator - aileron])
-    left, right = np.clip(elevons, -SETTINGS.elevon_limit, SETTINGS.elevon_limit)
-    rudder = np.clip(rudder, -SETTINGS.rudder_limit, SETTINGS.rudder_limit)
+    most = SETTINGS.elevon_limit
+    left = np.clip(elevator + aileron, -most, most)
+    right = np.clip(elevator - aileron, -most, most)
+    most = SETTINGS.rudder_limit
+    rudder = np.clip(rudder, -most, most)
     propeller_speed = PROPELLER.speed_at(throttle)
     return np.stack([left, right, rudder, propeller_speed], axis=-1), throttle
 
@@ -128,10 +138,10 @@ class Autopilot:
         climb = np.clip(0.35 * (altitude - sensed["altitude"]), -3.0, 4.0)
         elevator = self._elevator(sensed, climb)
         aileron = self._aileron(sensed, orbit)
-        turn_rate = STANDARD_GRAVITY * np.sin(sensed["phi"]) * np.cos(sensed["theta"]) / speed
-        rudder = 0.22 * (sensed["r"] - turn_rate) - 0.10 * sensed["beta"]
+        rudder = _rudder(sensed)
         error = airspeed - speed
-        throttle = 0.08 * error + 0.06 * climb + self.integral("speed", 0.02 * error, 0.3)
+        integral = self.integral("speed", 0.02 * error, 0.3)
+        throttle = 0.08 * error + 0.06 * climb + integral
         return SETTINGS.trim + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
     def _elevator(self, sensed: Mapping[str, Array], climb: Array) -> Array:
@@ -140,17 +150,27 @@ class Autopilot:
         phi = sensed["phi"]
         level = np.cos(phi)
         error = climb + sensed["v_down"]
+        integral = self.integral("climb", 0.010 * error, 0.10)
         steady = SETTINGS.alpha / level + climb / speed
-        pitch = steady + 0.012 * error + self.integral("climb", 0.010 * error, 0.10)
+        pitch = steady + 0.012 * error + integral
         pitch_rate = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
         damping = 0.12 * (sensed["q"] - pitch_rate)
-        return -0.30 * (pitch - sensed["theta"]) + damping - 0.03 * (1.0 / level - 1.0)
+        in_turn = 0.03 * (1.0 / level - 1.0)
+        return -0.30 * (pitch - sensed["theta"]) + damping - in_turn
 
     def _aileron(self, sensed: Mapping[str, Array], orbit: Array) -> Array:
         """Return the addition to the aileron that follows the orbit."""
         error = _bank(sensed, orbit) - sensed["phi"]
-        aileron = 0.085 * error - 0.022 * sensed["p"] + self.integral("roll", 0.01 * error, 0.05)
+        integral = self.integral("roll", 0.01 * error, 0.05)
+        aileron = 0.085 * error - 0.022 * sensed["p"] + integral
         return np.clip(aileron, -0.12, 0.12)
+
+
+def _rudder(sensed: Mapping[str, Array]) -> Array:
+    """Return the addition to the rudder that coordinates a turn."""
+    across = np.sin(sensed["phi"]) * np.cos(sensed["theta"])
+    turn_rate = STANDARD_GRAVITY * across / sensed["airspeed"]
+    return 0.22 * (sensed["r"] - turn_rate) - 0.10 * sensed["beta"]
 
 
 def _bank(sensed: Mapping[str, Array], orbit: Array) -> Array:
@@ -160,11 +180,17 @@ def _bank(sensed: Mapping[str, Array], orbit: Array) -> Array:
     east = sensed["east"] - center_east
     radius = np.abs(signed_radius)
     turn = np.sign(signed_radius)
-    off = (np.hypot(north, east) - radius) / SETTINGS.capture_distance
-    wanted = np.arctan2(east, north) + turn * (0.5 * np.pi + np.arctan(off))
-    course = np.arctan2(sensed["v_east"], sensed["v_north"])
+    distance = np.hypot(north, east) - radius
+    off = distance / SETTINGS.capture_distance
+    bearing = np.arctan2(east, north)
+    wanted = bearing + turn * (0.5 * np.pi + np.arctan(off))
+    v_north = sensed["v_north"]
+    v_east = sensed["v_east"]
+    course = np.arctan2(v_east, v_north)
     error = wrapped(wanted - course)
-    ground_speed2 = sensed["v_north"] ** 2 + sensed["v_east"] ** 2
-    steady = np.arctan(ground_speed2 / (STANDARD_GRAVITY * radius))
+    # of a steady turn on the orbit
+    centripetal = (v_north**2 + v_east**2) / radius
+    steady = np.arctan(centripetal / STANDARD_GRAVITY)
     ahead = turn * steady * np.exp(-0.5 * off**2)
-    return np.clip(ahead + 1.2 * error, -SETTINGS.bank_limit, SETTINGS.bank_limit)
+    limit = SETTINGS.bank_limit
+    return np.clip(ahead + 1.2 * error, -limit, limit)

@@ -57,25 +57,23 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
     suction = 1.5 * s * s * ordered * head_on
     wing = potential + vortex
     heave = (1.9 * q + 0.6 * alpha_dot) * (0.5 + 0.5 * ordered)
-    lift, lift_difference, drag, drag_difference = _elevons(elevator, aileron, s)
+    lift_left, drag_left = _elevon(elevator + aileron, s)
+    lift_right, drag_right = _elevon(elevator - aileron, s)
+    elevons = 0.36 * (lift_left + lift_right)
+    drag = 0.5 * (drag_left + drag_right) + 0.07 * rudder * rudder + 0.05 * beta2
     sidewash = beta + 0.14 * p - 0.68 * r + 0.15 * beta_dot
     fin = _fin(sidewash, rudder, s)
 
-    CX = -0.026 + suction - 0.5 * drag - 0.07 * rudder * rudder - 0.05 * beta2
+    CX = -0.026 + suction - drag
     CY = fin - (0.20 + 1.5 * beta2) * beta + 0.06 * p
-    CZ = -(wing + heave + lift)
-    Cl = 0.07 * fin + 0.075 * lift_difference + _roll_in_sideslip(beta, p, r, s, wing)
-    Cm = 0.0085 - 0.055 * potential - 0.10 * vortex - 0.50 * heave - 0.44 * lift + 0.06 * beta2
-    Cn = -0.34 * fin - 0.10 * drag_difference + _yaw_in_sideslip(beta, p, r, s, wing)
+    CZ = -(wing + heave + elevons)
+    roll_by_elevons = 0.075 * (lift_left - lift_right)
+    Cl = 0.07 * fin + roll_by_elevons + _roll_in_sideslip(beta, p, r, s, wing)
+    pitch_by_wing = -0.055 * potential - 0.10 * vortex
+    Cm = 0.0085 + pitch_by_wing - 0.50 * heave - 0.44 * elevons + 0.06 * beta2
+    yaw_by_elevons = -0.10 * (drag_left - drag_right)
+    Cn = -0.34 * fin + yaw_by_elevons + _yaw_in_sideslip(beta, p, r, s, wing)
     return np.stack((CX, CY, CZ, Cl, Cm, Cn), axis=-1)
-
-
-def _elevons(elevator: Array, aileron: Array, s: Array) -> tuple[Array, Array, Array, Array]:
-    """Return lift and its difference, left less right, and drag and its difference."""
-    lift_left, drag_left = _elevon(elevator + aileron, s)
-    lift_right, drag_right = _elevon(elevator - aileron, s)
-    lift = 0.36 * (lift_left + lift_right)
-    return lift, lift_left - lift_right, drag_left + drag_right, drag_left - drag_right
 
 
 def _elevon(deflection: Array, s: Array) -> tuple[Array, Array]:
@@ -88,7 +86,8 @@ def _elevon(deflection: Array, s: Array) -> tuple[Array, Array]:
 def _fin(sidewash: Array, rudder: Array, s: Array) -> Array:
     """Return the side force of the fin and the rudder."""
     shade = 1.0 - 1.2 * s
-    return (0.13 * _soft(rudder, 0.30) - 0.26 * _soft(sidewash, 0.30)) * shade
+    force = 0.13 * _soft(rudder, 0.30) - 0.26 * _soft(sidewash, 0.30)
+    return force * shade
 
 
 def _roll_in_sideslip(beta: Array, p: Array, r: Array, s: Array, wing: Array) -> Array:

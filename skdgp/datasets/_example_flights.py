@@ -159,21 +159,24 @@ def _flights(
     seed: int, turbulence: float, sensor_noise: float, duration: float = DURATION
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables of training and test."""
-    gust_seed, *sensor_seeds = np.random.SeedSequence(seed).spawn(1 + len(FLIGHT_PLANS))
+    seeds = np.random.SeedSequence(seed).spawn(1 + len(FLIGHT_PLANS))
+    gust_seed, *sensor_seeds = seeds
     rng = np.random.default_rng(gust_seed)
     record, instant = fly_plans(FLIGHT_PLANS, duration, turbulence, rng)
     logged, true = _columns(record, instant)
     tables = {}
     for k, plan in enumerate(FLIGHT_PLANS):
-        truth = pd.DataFrame({name + TRUTH_SUFFIX: true[name][:, k] for name in TRUTH})
-        table = measure(truth, sensor_noise, np.random.default_rng(sensor_seeds[k]))
+        rng = np.random.default_rng(sensor_seeds[k])
+        truth = pd.DataFrame({name: true[name][:, k] for name in TRUTH}).add_suffix(TRUTH_SUFFIX)
+        table = measure(truth, sensor_noise, rng)
         table["flight"] = plan.name
         for name, values in logged.items():
             table[name] = values[:, k]
         tables[plan.name] = pd.concat([table[list(MEASURED)], truth], axis=1)
     test = tables.pop(TEST_FLIGHT)
     train = pd.concat(tables.values(), ignore_index=True)
-    return train.astype({"flight": "category"}), test.astype({"flight": "category"})
+    kinds = {"flight": "category"}
+    return train.astype(kinds), test.astype(kinds)
 
 
 def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -205,8 +208,8 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
 
 
 def _named(names: Sequence[str], values: Array) -> dict[str, Array]:
-    """Return the last axis of an array by name."""
-    return {name: values[..., k] for k, name in enumerate(names)}
+    """Return the first values along the last axis of an array by name."""
+    return dict(zip(names, np.moveaxis(values, -1, 0), strict=False))
 
 
 def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.DataFrame:
@@ -215,10 +218,10 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
     Noise is white and independent from channel to channel, with ``scale`` times the stated standard
     deviations.
     """
-    measured = truth[[name + TRUTH_SUFFIX for name in SENSOR_NOISE]]
-    measured = measured.set_axis(list(SENSOR_NOISE), axis=1)
+    names = list(SENSOR_NOISE)
+    exact = truth.rename(columns=lambda name: name.removesuffix(TRUTH_SUFFIX))[names]
     std = scale * np.array(list(SENSOR_NOISE.values()))
-    return measured + std * rng.standard_normal(measured.shape)
+    return exact + std * rng.standard_normal(exact.shape)
 
 
 def fly_plans(
@@ -272,7 +275,10 @@ def _initial_states(controls: FlightControls, wind: Array) -> Array:
     """Return states (n_flights, 13) about trimmed, on the orbit due north of its centre, heading along it."""
     airspeed = controls.airspeed[0]
     north, east, radius = controls.orbit[0].T
-    position = np.column_stack([north + np.abs(radius), east, -controls.altitude[0]])
-    attitude = euler_to_quaternion(0.0, SETTINGS.alpha, 0.5 * np.pi * np.sign(radius))
-    velocity = ned_to_body(attitude, wind) + air_velocity(airspeed, SETTINGS.alpha, 0.0)
+    down = -controls.altitude[0]
+    position = np.column_stack([north + np.abs(radius), east, down])
+    heading = 0.5 * np.pi * np.sign(radius)
+    attitude = euler_to_quaternion(0.0, SETTINGS.alpha, heading)
+    through_air = air_velocity(airspeed, SETTINGS.alpha, 0.0)
+    velocity = ned_to_body(attitude, wind) + through_air
     return np.hstack([position, velocity, attitude, np.zeros_like(position)])

@@ -13,6 +13,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import RATES, WIND
+from skdgp._flight.clock import n_rows
 from skdgp._flight.frames import wrapped
 from skdgp._flight.smoothing import noise_level
 from skdgp._flight.tables import FlightTable, unwrapped
@@ -283,7 +284,7 @@ def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
     names = [name for name in (*STATES, "psi") if name in table]
     smooth = table.assign(**dict(zip(names, unwrapped(table, names).T, strict=True)))
     runs = FlightTable.of(smooth).segments
-    return [smooth.iloc[run] for run in runs if run.stop - run.start > 2]
+    return [smooth.iloc[run] for run in runs if n_rows(run) > 2]
 
 
 def _part(segment: pd.DataFrame, rows: Vector, half_start: float) -> Part:

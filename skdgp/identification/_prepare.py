@@ -25,6 +25,7 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
 )
 from skdgp._flight.checks import check_columns, suggestions
+from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
@@ -275,7 +276,7 @@ def _complete_rows(
         }
         report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers), stacklevel=4)
     segments = FlightTable.of(complete).segments
-    rows = [np.arange(run.start, run.stop) for run in segments if run.stop - run.start > 1]
+    rows = [np.arange(run.start, run.stop) for run in segments if n_rows(run) > 1]
     if not rows:
         raise ValueError(
             f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but expected "

@@ -289,6 +289,26 @@ def to_table(
     sources: list[Source], settings: TableSettings = TABLE
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
+    columns, origin = _on_clock(sources, settings)
+    if "density" not in columns and "altitude" in columns:
+        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
+        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
+    if EQUIVALENT in columns:
+        pitot = origin.pop(EQUIVALENT)
+        columns["airspeed"], note = _true_airspeed(columns.pop(EQUIVALENT), columns.get("density"))
+        origin["airspeed"] = Origin(f"{pitot.words} ({note})", pitot.rate)
+    table = pd.DataFrame(columns)
+    table = table.where(np.isfinite(table))
+    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
+        table, origin = with_specific_force(table, origin, settings)
+    names_in_order = [name for name in CHANNELS if name in table]
+    return table[names_in_order], {name: origin[name] for name in names_in_order if name in origin}
+
+
+def _on_clock(
+    sources: list[Source], settings: TableSettings
+) -> tuple[dict[str, Vector], dict[str, Origin]]:
+    """Return the columns of the sources on the clock of one of them, and where each is from."""
     leader = _leader(sources)
     rate = float(f"{min(settings.highest_rate, leader.rate):.3g}")
     clock = uniform_clock(leader.time, rate)
@@ -303,19 +323,7 @@ def to_table(
             values = resample(source.time, source.values, clock, rate)
         columns |= dict(zip(names, values.T, strict=True))
         origin |= dict.fromkeys(names, source.origin)
-    if "density" not in columns and "altitude" in columns:
-        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
-        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
-    if EQUIVALENT in columns:
-        pitot = origin.pop(EQUIVALENT)
-        columns["airspeed"], note = _true_airspeed(columns.pop(EQUIVALENT), columns.get("density"))
-        origin["airspeed"] = Origin(f"{pitot.words} ({note})", pitot.rate)
-    table = pd.DataFrame(columns)
-    table = table.where(np.isfinite(table))
-    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
-        table, origin = with_specific_force(table, origin, settings)
-    names_in_order = [name for name in CHANNELS if name in table]
-    return table[names_in_order], {name: origin[name] for name in names_in_order if name in origin}
+    return columns, origin
 
 
 def _true_airspeed(equivalent: Vector, density: Vector | None) -> tuple[Vector, str]:

@@ -154,9 +154,10 @@ def check_number(
 ) -> float:
     """Return a finite number above ``least``, or from it on if not ``is_open``; raise ValueError at another."""
     number = as_floats(value)
-    is_inside = number.shape == () and (number > least if is_open else number >= least)
-    if is_inside and number < np.inf:
-        return float(number)
+    if number.shape == ():
+        is_inside = number > least if is_open else number >= least
+        if is_inside and number < np.inf:
+            return float(number)
     bound = "a finite number"
     if least > -np.inf:
         bound = f"a number {'>' if is_open else '>='} {least:g}"
@@ -180,6 +181,8 @@ def _lacking(needed: Iterable[str], names: list[str]) -> str:
     hints = []
     for name in dict.fromkeys(needed):
         if name not in names:
-            near = get_close_matches(name, names, n=1, cutoff=0.75)
-            hints.append(f"{name!r} (nearest: {near[0]!r})" if near else f"{name!r}")
+            hint = repr(name)
+            for near in get_close_matches(name, names, n=1, cutoff=0.75):
+                hint += f" (nearest: {near!r})"
+            hints.append(hint)
     return ", ".join(hints)

@@ -68,7 +68,8 @@ class Clock:
         # rows of a flight may stand apart
         order = np.argsort(codes, kind="stable")
         is_same = np.diff(codes[order]) == 0
-        back = np.flatnonzero(is_same & ~(np.diff(time[order]) > 0))
+        is_later = np.diff(time[order]) > 0
+        back = np.flatnonzero(is_same & ~is_later)
         if back.size:
             before, row = order[back[0] : back[0] + 2]
             raise ValueError(
@@ -80,16 +81,15 @@ class Clock:
         return cls(time, codes, names)
 
     def part(self, rows: Indices) -> Clock:
-        """Return the clock of some rows, in their order."""
-        return Clock(self.time[rows], self.flight[rows], self.names)
+        """Return the clock of some rows, in their order, and of their flights."""
+        present, flight = np.unique(self.flight[rows], return_inverse=True)
+        names = [self.names[number] for number in present]
+        return Clock(self.time[rows], flight, names)
 
     @property
     def rows(self) -> dict[str, Indices]:
         """Rows of each flight by its name, in the order of the flights."""
-        order = np.argsort(self.flight, kind="stable")
-        ends = np.cumsum(np.bincount(self.flight))
-        # of no rows at all there is one empty part
-        return dict(zip(self.names, np.split(order, ends[:-1]), strict=False))
+        return {name: np.flatnonzero(self.flight == k) for k, name in enumerate(self.names)}
 
     @cached_property
     def segments(self) -> list[slice]:
@@ -177,7 +177,8 @@ def true_runs(mask: Mask) -> list[slice]:
     """Return each run of True in a mask (n,)."""
     padded = np.concatenate([[0], np.asarray(mask).astype(int), [0]])
     edges = np.flatnonzero(np.diff(padded))
-    return [slice(first, last) for first, last in edges.reshape(-1, 2).tolist()]
+    pairs = edges.reshape(-1, 2).tolist()
+    return [slice(first, last) for first, last in pairs]
 
 
 def uniform_grid(time: Vector) -> tuple[Vector, bool]:
@@ -191,5 +192,7 @@ def uniform_grid(time: Vector) -> tuple[Vector, bool]:
     jitter = np.abs(time - line).max()
     if jitter <= CLOCK.jitter * step:
         return line, False
-    n_steps = round(np.ptp(time) / np.median(np.diff(time)))
-    return np.linspace(time[0], time[-1], max(n, 1 + n_steps)), True
+    usual = np.median(np.diff(time))
+    n_steps = round(np.ptp(time) / usual)
+    grid = np.linspace(time[0], time[-1], max(n, 1 + n_steps))
+    return grid, True

@@ -135,7 +135,9 @@ def find_faults(
     for flight, rows in flights.clock.rows.items():
         part = flights.part(rows)
         for fault in _faults_of_flight(part, names, settings):
-            begin, end = part.time[fault.rows[[0, -1]]].tolist()
+            times = part.time[fault.rows]
+            begin = float(times[0])
+            end = float(times[-1])
             place = {"start": begin, "end": end, "samples": len(fault.rows), "origin": origin}
             finding = Finding(fault.code, flight, fault.channel, place | fault.numbers)
             faults.append(Fault(finding, rows[fault.rows]))
@@ -180,7 +182,8 @@ def _faults_of_channel(
     if name not in SENSORS:
         return
     for rows in stuck_rows(values, step, settings):
-        yield _Rows(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
+        value = float(values[rows[0]])
+        yield _Rows(name, Code.STUCK, rows, {"value": value})
         values[rows] = np.nan
     rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
     if rows.size:
@@ -197,7 +200,8 @@ def _missing(name: str, values: Vector, step: float, settings: FaultSettings) ->
     usual = settings.missing * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
     if gaps:
-        rows = np.concatenate([np.arange(gap.start, gap.stop) for gap in gaps])
+        places = np.arange(len(values))
+        rows = np.concatenate([places[gap] for gap in gaps])
         longest = max(map(n_rows, gaps)) * step
         numbers = {"times": len(gaps), "longest": longest}
         yield _Rows(name, Code.MISSING, rows, numbers)
@@ -312,7 +316,8 @@ def _resolution(held: Vector, settings: FaultSettings) -> float:
     step = np.diff(levels).min()
     middle = levels[len(levels) // 2]
     multiples = (levels - middle) / step
-    on_step = np.abs(multiples - np.rint(multiples)) < settings.off_step
+    distance = np.abs(multiples - np.rint(multiples))
+    on_step = distance < settings.off_step
     return float(step) if on_step.mean() > settings.most_on_step else 0.0
 
 
@@ -332,7 +337,8 @@ def spike_rows(values: Vector, *, angle: bool, settings: FaultSettings = SETTING
     for run in true_runs(out > settings.spike * usual):
         before = readings[max(run.start - 1, 0)]
         after = readings[min(run.stop, last)]
-        returns = abs(after - before) < out[run].max() / 2
+        height = out[run].max()
+        returns = abs(after - before) < height / 2
         if n_rows(run) <= settings.widest_spike and returns:
             spike = runs.rows[ends[run.start] : ends[run.stop]]
             rows = np.append(rows, spike)

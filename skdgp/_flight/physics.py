@@ -116,11 +116,6 @@ class Signals:
         return name in self.channels
 
     @property
-    def ones(self) -> Vector:
-        """The regressor of an intercept."""
-        return np.ones(len(self.segment))
-
-    @property
     def rotation(self) -> Array:
         """Rotation matrices from body to earth axes (n, 3, 3)."""
         return euler_to_matrix(self["phi"], self["theta"], self["psi"])
@@ -172,6 +167,11 @@ class Regression(NamedTuple):
     x: Vector
     others: list[Vector]
 
+    @classmethod
+    def with_intercept(cls, y: Vector, x: Vector, *others: Vector) -> Regression:
+        """Return the regression with an intercept and other regressors."""
+        return cls(y, x, [np.ones(len(y)), *others])
+
 
 # -- kinematics: equal signals
 
@@ -179,30 +179,32 @@ class Regression(NamedTuple):
 def roll(flight: Signals) -> Regression:
     """Return the terms of phi_dot = p + (q sin phi + r cos phi) tan theta."""
     phi = flight["phi"]
-    turn = flight["q"] * np.sin(phi) + flight["r"] * np.cos(phi)
-    coupling = flight.integral(turn * np.tan(flight["theta"]))
-    y = flight.change(phi) - coupling
+    by_pitch = flight["q"] * np.sin(phi)
+    by_yaw = flight["r"] * np.cos(phi)
+    coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
+    y = flight.change(phi) - flight.integral(coupling)
     x = flight.integral(flight["p"])
-    return Regression(y, x, [flight.ones])
+    return Regression.with_intercept(y, x)
 
 
 def pitch(flight: Signals) -> Regression:
     """Return the terms of theta_dot = q cos phi - r sin phi."""
     phi = flight["phi"]
-    coupling = flight.integral(flight["r"] * np.sin(phi))
-    y = flight.change(flight["theta"]) + coupling
+    coupling = flight["r"] * np.sin(phi)
+    y = flight.change(flight["theta"]) + flight.integral(coupling)
     x = flight.integral(flight["q"] * np.cos(phi))
-    return Regression(y, x, [flight.ones])
+    return Regression.with_intercept(y, x)
 
 
 def yaw(flight: Signals) -> Regression:
     """Return the terms of psi_dot = (q sin phi + r cos phi) / cos theta."""
     phi = flight["phi"]
     cosine = np.cos(flight["theta"])
-    coupling = flight.integral(flight["q"] * np.sin(phi) / cosine)
-    y = flight.change(flight["psi"]) - coupling
-    x = flight.integral(flight["r"] * np.cos(phi) / cosine)
-    return Regression(y, x, [flight.ones])
+    coupling = flight["q"] * np.sin(phi) / cosine
+    turn = flight["r"] * np.cos(phi) / cosine
+    y = flight.change(flight["psi"]) - flight.integral(coupling)
+    x = flight.integral(turn)
+    return Regression.with_intercept(y, x)
 
 
 def position(flight: Signals, name: str, velocity: str) -> Regression:
@@ -210,7 +212,7 @@ def position(flight: Signals, name: str, velocity: str) -> Regression:
     sign = -1.0 if name == "altitude" else 1.0
     y = sign * flight.change(flight[name])
     x = flight.integral(flight[velocity])
-    return Regression(y, x, [flight.ones])
+    return Regression.with_intercept(y, x)
 
 
 def relative_velocity(flight: Signals, axis: int) -> Regression:
@@ -219,14 +221,15 @@ def relative_velocity(flight: Signals, axis: int) -> Regression:
     Along x the air velocity is V, across it about V beta and V alpha. Gusts move these only, so they
     are the response there.
     """
-    rotation = flight.rotation
     airspeed = flight["airspeed"]
-    ground = np.einsum("nij,ni->nj", rotation, flight.vector(EARTH_VELOCITY))[:, axis]
-    wind = [rotation[:, 0, axis], rotation[:, 1, axis]]
+    # of the axis, in earth axes
+    direction = flight.rotation[:, :, axis]
+    ground = np.sum(direction * flight.vector(EARTH_VELOCITY), axis=1)
+    north, east, _ = direction.T
     if axis == 0:
-        return Regression(ground, airspeed, wind)
+        return Regression(ground, airspeed, [north, east])
     angle = flight["beta"] if axis == 1 else flight["alpha"]
-    return Regression(airspeed * angle, ground, [*wind, airspeed])
+    return Regression(airspeed * angle, ground, [north, east, airspeed])
 
 
 def level_force(flight: Signals, axis: int) -> Regression:
@@ -238,13 +241,13 @@ def level_force(flight: Signals, axis: int) -> Regression:
     force = np.einsum("nij,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
     impulse = flight.integral(force)
     if axis == 2:
-        return Regression(change[:, 2], impulse[:, 2], [flight.ones])
+        return Regression.with_intercept(change[:, 2], impulse[:, 2])
     middle = flight.settings.kinematic_window / 2
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
     y = np.sum(direction * change[:, :2], axis=1)
     x = np.sum(direction * impulse[:, :2], axis=1)
-    return Regression(y, x, [flight.ones])
+    return Regression.with_intercept(y, x)
 
 
 def gravity(flight: Signals) -> Regression:
@@ -280,16 +283,18 @@ def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression
     columns.append(airspeed**2)
     x, *others = [flight.integral(column, window) for column in columns]
     grows = flight.change if name in RATES else flight.integral
-    return Regression(grows(flight[name], window), x, others)
+    y = grows(flight[name], window)
+    return Regression(y, x, others)
 
 
 def thrust(flight: Signals) -> Regression:
     """Return the terms of ax = thrust - parasitic and induced drag."""
     squared = flight["airspeed"] ** 2
     az = flight["az"]
-    others = [flight.integral(drag) for drag in (squared, az, az**2 / squared)]
+    drags = [squared, az, az**2 / squared]
+    y = flight.integral(flight["ax"])
     x = flight.integral(flight["throttle"])
-    return Regression(flight.integral(flight["ax"]), x, [flight.ones, *others])
+    return Regression.with_intercept(y, x, *map(flight.integral, drags))
 
 
 # -- the table of checks

@@ -303,9 +303,11 @@ def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
     """Return non-negative weights of the shapes, and minus Whittle's log likelihood of one periodogram."""
     fitted = observed
     for _ in range(4):
-        weights, _ = optimize.nnls(shapes / fitted[:, None], observed / fitted)
+        relative = shapes / fitted[:, None]
+        weights, _ = optimize.nnls(relative, observed / fitted)
         fitted = shapes @ weights
-    return weights, np.sum(np.log(fitted) + observed / fitted)
+    misfit = np.sum(np.log(fitted) + observed / fitted)
+    return weights, misfit
 
 
 def _single_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
@@ -344,7 +346,8 @@ def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
     strength[0] = np.inf
     falling = _falling(1 / (1 + 1 / np.maximum(strength, 1e-12)))
     gain *= falling[:, :, None]
-    gain[:, floor == 0] = np.eye(k)[floor == 0]
+    is_exact = floor == 0
+    gain[:, is_exact] = np.eye(k)[is_exact]
     return gain
 
 

@@ -148,13 +148,15 @@ def _over_a_second(flights: FlightTable, values: Vector) -> Vector:
     is_same = flight[lag:] == flight[:-lag]
     seconds = time[lag:] - time[:-lag]
     is_unbroken = is_same & (np.abs(seconds - lag * step) < step)
-    return np.where(is_unbroken, values[lag:] - values[:-lag], np.nan)
+    change = values[lag:] - values[:-lag]
+    return np.where(is_unbroken, change, np.nan)
 
 
 def _turn_in_a_second(flights: FlightTable, rate: str) -> Vector:
     """Return the integrals of a rate over about a second."""
     step = np.median(np.diff(flights.time))
-    return _over_a_second(flights, np.nancumsum(flights.column(rate)) * step)
+    angle = step * np.nancumsum(flights.column(rate))
+    return _over_a_second(flights, angle)
 
 
 def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
@@ -165,6 +167,7 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
     values that are probably of another unit or sign.
     """
     flights = FlightTable.of(flight, needed)
+    # raises where time has no usual step
     _ = flights.segments
     _check_airspeed(flights)
     _check_density(flights)

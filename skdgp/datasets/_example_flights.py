@@ -143,7 +143,8 @@ def load_example_flights(
     seed: Any = random_state
     if not isinstance(seed, int | np.integer):
         seed = check_random_state(seed).randint(np.iinfo(np.int32).max)
-    train, test = _flights(int(seed), float(turbulence), float(sensor_noise))
+    factors = (float(turbulence), float(sensor_noise))
+    train, test = _flights(int(seed), *factors)
     return Bunch(
         train=train.copy(),
         test=test.copy(),
@@ -167,7 +168,8 @@ def _flights(
     tables = {}
     for k, plan in enumerate(FLIGHT_PLANS):
         rng = np.random.default_rng(sensor_seeds[k])
-        truth = pd.DataFrame({name: true[name][:, k] for name in TRUTH}).add_suffix(TRUTH_SUFFIX)
+        exact = pd.DataFrame({name: true[name][:, k] for name in TRUTH})
+        truth = exact.add_suffix(TRUTH_SUFFIX)
         table = measure(truth, sensor_noise, rng)
         table["flight"] = plan.name
         for name, values in logged.items():

@@ -97,8 +97,10 @@ def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
 
 
 def test_rows_of_flights_that_take_turns():
-    rows = Clock.of([0.0, 0.0, 1.0, 1.0], ["b", "a", "b", "a"]).rows
-    assert {name: part.tolist() for name, part in rows.items()} == {"b": [0, 2], "a": [1, 3]}
+    clock = Clock.of([0.0, 0.0, 1.0, 1.0], ["b", "a", "b", "a"])
+    rows = {name: part.tolist() for name, part in clock.rows.items()}
+    assert rows == {"b": [0, 2], "a": [1, 3]}
+    assert clock.part([1, 3]).names == ["a"]
     assert Clock.of([], []).rows == {}
 
 

@@ -39,9 +39,9 @@ def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.
     >>> quaternion_to_euler(euler_to_quaternion(0.3, -0.2, 1.5)).round(12)
     array([ 0.3, -0.2,  1.5])
     """
-    roll = 0.5 * np.asarray(phi, dtype=float)
-    pitch = 0.5 * np.asarray(theta, dtype=float)
-    yaw = 0.5 * np.asarray(psi, dtype=float)
+    roll = np.multiply(0.5, phi)
+    pitch = np.multiply(0.5, theta)
+    yaw = np.multiply(0.5, psi)
     c_phi = np.cos(roll)
     s_phi = np.sin(roll)
     c_theta = np.cos(pitch)
@@ -115,11 +115,8 @@ def gravity_in_body_axes(
     phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
 ) -> np.ndarray:
     """Return gravity in body axes, g (-sin theta, sin phi cos theta, cos phi cos theta), (..., 3) [m/s^2]."""
-    phi = np.asarray(phi, dtype=float)
-    theta = np.asarray(theta, dtype=float)
-    gravity = np.asarray(gravity, dtype=float)
-    across = gravity * np.cos(theta)
-    x = -gravity * np.sin(theta)
+    x = np.multiply(gravity, -np.sin(theta))
+    across = np.multiply(gravity, np.cos(theta))
     y = across * np.sin(phi)
     z = across * np.cos(phi)
     return _vector(x, y, z)
@@ -163,12 +160,9 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
 
 def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.ndarray:
     """Return the body velocity relative to the air, V (cos a cos b, sin b, sin a cos b), (..., 3) [m/s]."""
-    airspeed = np.asarray(airspeed, dtype=float)
-    alpha = np.asarray(alpha, dtype=float)
-    beta = np.asarray(beta, dtype=float)
-    in_plane = airspeed * np.cos(beta)
+    in_plane = np.multiply(airspeed, np.cos(beta))
     u = in_plane * np.cos(alpha)
-    v = airspeed * np.sin(beta)
+    v = np.multiply(airspeed, np.sin(beta))
     w = in_plane * np.sin(alpha)
     return _vector(u, v, w)
 

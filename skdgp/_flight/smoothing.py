@@ -313,7 +313,8 @@ def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
 def _single_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
     """Return the smoother of each channel alone, (m, k)."""
     log_power = np.log(spectrum.channel_power + TINY)
-    steady = np.exp(ndimage.gaussian_filter1d(log_power, 1.0, axis=0, mode="nearest"))
+    smoothed = ndimage.gaussian_filter1d(log_power, 1.0, axis=0, mode="nearest")
+    steady = np.exp(smoothed)
     # h = max(0, 1 - N / P)
     gain = np.clip(1 - floor / steady, 0, 1)
     gain[:, floor == 0] = 1.0

@@ -49,23 +49,29 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
     s = np.sin(alpha)
     beta2 = beta * beta
     # fraction of the vortex not broken down
-    ordered = 1.0 / (1.0 + np.exp((alpha - 0.32) / 0.04))
+    beyond = (alpha - 0.32) / 0.04
+    ordered = 1.0 / (1.0 + np.exp(beyond))
 
     head_on = 1.0 - beta2
     potential = 2.7 * s * np.cos(alpha) * head_on
-    vortex = 3.0 * s * np.sqrt(s * s + 1e-4) * ordered * head_on
+    # s |s|, without its bend at zero
+    signed_square = s * np.sqrt(s * s + 1e-4)
+    vortex = 3.0 * signed_square * ordered * head_on
     suction = 1.5 * s * s * ordered * head_on
     wing = potential + vortex
-    heave = (1.9 * q + 0.6 * alpha_dot) * (0.5 + 0.5 * ordered)
+    plunge = 1.9 * q + 0.6 * alpha_dot
+    heave = plunge * (0.5 + 0.5 * ordered)
     lift_left, drag_left = _elevon(elevator + aileron, s)
     lift_right, drag_right = _elevon(elevator - aileron, s)
     elevons = 0.36 * (lift_left + lift_right)
-    drag = 0.5 * (drag_left + drag_right) + 0.07 * rudder * rudder + 0.05 * beta2
+    drag_of_elevons = 0.5 * (drag_left + drag_right)
+    drag = drag_of_elevons + 0.07 * rudder * rudder + 0.05 * beta2
     sidewash = beta + 0.14 * p - 0.68 * r + 0.15 * beta_dot
     fin = _fin(sidewash, rudder, s)
 
     CX = -0.026 + suction - drag
-    CY = fin - (0.20 + 1.5 * beta2) * beta + 0.06 * p
+    side_force = (0.20 + 1.5 * beta2) * beta
+    CY = fin - side_force + 0.06 * p
     CZ = -(wing + heave + elevons)
     roll_by_elevons = 0.075 * (lift_left - lift_right)
     Cl = 0.07 * fin + roll_by_elevons + _roll_in_sideslip(beta, p, r, s, wing)

@@ -121,7 +121,7 @@ def prepare(
     train, tested = train_and_test(train, tested)
     columns = regressor_columns([flight.table for flight in train.values()], regressors)
     learned = usable_flights(train, regressors, columns)
-    held_out = usable_flights(tested, regressors, columns)
+    evaluated = usable_flights(tested, regressors, columns)
     without_thrust = lacks_thrust(thrust, learned.values(), aircraft)
     if without_thrust:
         report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
@@ -132,7 +132,7 @@ def prepare(
         report(Finding(Code.FULL_THROWS), stacklevel=3)
     return PreparedFlights(
         train=learned,
-        test=held_out,
+        test=evaluated,
         aircraft=aircraft,
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},

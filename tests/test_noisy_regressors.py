@@ -6,7 +6,7 @@ import pytest
 
 from skdgp import DependentGPRegressor, listening, make_identification_pipeline
 from skdgp.datasets import _example_flights
-from skdgp.datasets._example_flights import BRUMBY
+from skdgp.datasets._brumby import BRUMBY
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors
 from skdgp.model_selection import thin_targets

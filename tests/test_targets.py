@@ -9,7 +9,7 @@ from sklearn.pipeline import make_pipeline
 from skdgp import DependentGPRegressor
 from skdgp._compute.files import column_names
 from skdgp._regressor import check_targets
-from skdgp.datasets._example_flights import BRUMBY
+from skdgp.datasets._brumby import BRUMBY
 from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
 from skdgp.dynamics._starts import as_starts
 from skdgp.model_selection import thin_targets

@@ -20,12 +20,14 @@ class Channel(NamedTuple):
 
 VANES = ("alpha", "beta")
 AIR_DATA = ("airspeed", *VANES)
-HORIZONTAL = ("north", "east")
-POSITION = (*HORIZONTAL, "down")
+POSITION = ("north", "east", "down")
 # velocity over the ground
 BODY_VELOCITY = ("u", "v", "w")
 EARTH_VELOCITY = ("v_north", "v_east", "v_down")
-EULER = ("phi", "theta", "psi")  # attitude, in the order of its rotations from the body outward
+# attitude, in the order of its rotations from the body outward
+EULER = ("phi", "theta", "psi")
+# roll and heading, which go round and jump by 2 pi
+WRAPPED = ("phi", "psi")
 RATES = ("p", "q", "r")
 SPECIFIC_FORCE = ("ax", "ay", "az")
 WIND = ("wind_north", "wind_east", "wind_down")
@@ -110,9 +112,11 @@ MIRRORED = frozenset(
     (*LATERAL, "beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder")
 )
 
-TRUTH_SUFFIX = "_true"  # columns that end so are noise-free truth of a simulation: for scoring only
+# columns that end so are noise-free truth of a simulation: for scoring only
+TRUTH_SUFFIX = "_true"
 
-HAT = "_hat"  # ends the name of a non-dimensional rate
+# ends the name of a non-dimensional rate
+HAT = "_hat"
 RATE_LENGTHS = {"p": "span", "q": "chord", "r": "span", "alpha_dot": "chord", "beta_dot": "span"}
 ACCELERATION_LENGTHS = {"p_dot": "span", "q_dot": "chord", "r_dot": "span"}
 LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
@@ -120,7 +124,8 @@ LENGTHS = RATE_LENGTHS | ACCELERATION_LENGTHS
 REGRESSOR_SETS = {
     "quasi-steady": (*VANES, *RATES, *SURFACES, "throttle"),
     "classical": (*VANES, *RATES, "alpha_dot", "beta_dot", *SURFACES, "throttle"),
-    "paper": (  # equation 22
+    # equation 22
+    "paper": (
         *SPECIFIC_FORCE,
         *RATES,
         "p_dot",

@@ -2,30 +2,142 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-# a step longer than this many median steps starts a new segment (one lost sample is bridged)
-GAP = 2.5
-# samples nearer than this fraction of a step to a uniform grid count as on it (rounded clocks)
-JITTER = 0.02
-MULTIPLE = 0.1  # tolerance of multiples of the shortest step, as a fraction
+from skdgp._compute.typing import Indices, Mask, Vector
 
 
-def flight_segments(time: ArrayLike, flight: ArrayLike | None = None) -> list[slice]:
-    """Return the segments of a log: rows of one flight without gaps, in order, every row once.
+@dataclass(frozen=True)
+class ClockSettings:
+    """Settings of the search for segments without gaps; guesses."""
 
-    A segment ends where ``flight`` (n,), identifiers, changes, and where ``time`` (n,) [s] steps by
-    more than 2.5 times the median step of the flight. Raises ValueError if time is not finite, does
-    not increase within a flight, or has no usual step; or a row names no flight.
+    # a step of more usual steps than this starts a new segment: one lost sample is bridged
+    gap: float = 2.5
+    # steps that differ from the usual one by more than this fraction of it are uneven
+    uneven: float = 0.5
+    # largest fraction of gaps, and of uneven steps, of a clock with a usual step
+    most_irregular: float = 0.1
+    # samples nearer than this fraction of a step to a uniform grid count as on it: rounded clocks
+    jitter: float = 0.02
+
+
+CLOCK = ClockSettings()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time and flight of each row: time increases within each flight.
+
+    Attributes
+    ----------
+    time : ndarray (n,)
+        [s].
+    flight : ndarray (n,) of int
+        Number of each row's flight, from 0 on in their order.
+    names : list
+        Names of the flights.
     """
-    return _split(*check_clock(time, flight))
+
+    time: Vector
+    flight: Indices
+    names: list
+
+    @classmethod
+    def of(cls, time: ArrayLike, flight: ArrayLike | None = None) -> Clock:
+        """Return the clock of times (n,) [s] and names of flights (n,), by default one flight.
+
+        Raises ValueError if time is not finite or does not increase within a flight, or a row names
+        no flight.
+        """
+        time = np.asarray(time, dtype=float)
+        if time.ndim != 1 or not np.isfinite(time).all():
+            raise ValueError(
+                f"Got time of shape {time.shape}, but expected (n,), every value finite [s]."
+            )
+        codes = np.zeros(len(time), int)
+        names = ["flight"]
+        if flight is not None:
+            codes, names = flight_codes(flight)
+        # rows of a flight may stand apart
+        order = np.argsort(codes, kind="stable")
+        is_same = np.diff(codes[order]) == 0
+        is_later = np.diff(time[order]) > 0
+        back = np.flatnonzero(is_same & ~is_later)
+        if back.size:
+            before, row = order[back[0] : back[0] + 2]
+            raise ValueError(
+                f"Got time {time[row]:.10g} s after {time[before]:.10g} s at row {row} "
+                f"({len(back)} such rows), but expected time to increase strictly within a flight: "
+                "sort by time, drop repeated rows, or name the flights apart in a column 'flight', "
+                "as where a clock was restarted."
+            )
+        return cls(time, codes, names)
+
+    def part(self, rows: Indices) -> Clock:
+        """Return the clock of some rows, in their order, and of their flights."""
+        present, flight = np.unique(self.flight[rows], return_inverse=True)
+        names = [self.names[number] for number in present]
+        return Clock(self.time[rows], flight, names)
+
+    @property
+    def rows(self) -> dict[str, Indices]:
+        """Rows of each flight by its name, in the order of the flights."""
+        return {name: np.flatnonzero(self.flight == k) for k, name in enumerate(self.names)}
+
+    @cached_property
+    def segments(self) -> list[slice]:
+        """Rows of one flight without gaps, in order, every row once.
+
+        A segment ends where the flight changes, and where time steps by more than 2.5 times the
+        median step of the flight. Raises ValueError if time has no usual step.
+        """
+        step = np.diff(self.time)
+        is_same = np.diff(self.flight) == 0
+        steps = pd.Series(step).where(is_same)
+        usual = steps.groupby(self.flight[1:]).transform("median").to_numpy()
+        is_gap = is_same & (step > CLOCK.gap * usual)
+        deviation = np.abs(step - usual)
+        is_uneven = is_same & ~is_gap & (deviation > CLOCK.uneven * usual)
+        n_irregular = max(is_gap.sum(), is_uneven.sum())
+        if n_irregular > CLOCK.most_irregular * max(is_same.sum(), 10):
+            raise _irregular(step[is_same])
+        starts = np.flatnonzero(~is_same | is_gap) + 1
+        return slices(starts, len(self.time))
+
+    @property
+    def segments_by_flight(self) -> list[list[slice]]:
+        """The segments of each flight."""
+        runs: dict[int, list[slice]] = {}
+        for segment in self.segments:
+            number = int(self.flight[segment.start])
+            runs.setdefault(number, []).append(segment)
+        return list(runs.values())
 
 
-def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:
+def _irregular(steps: Vector) -> ValueError:
+    """Return the error of a clock without a usual step."""
+    shortest = steps.min()
+    multiples = steps / shortest
+    is_multiple = np.abs(multiples - np.rint(multiples)) < 0.1
+    remedy = "resample the log to one uniform clock first"
+    if is_multiple.mean() > 0.99:
+        remedy = (
+            "rows seem to be left out at random, as by a shuffled KFold: hold out whole flights"
+        )
+    return ValueError(
+        f"Got time steps from {shortest:.3g} s to {steps.max():.3g} s (median "
+        f"{np.median(steps):.3g} s), but expected a nearly constant rate with few gaps: {remedy}."
+    )
+
+
+def flight_codes(flight: ArrayLike) -> tuple[Indices, list]:
     """Return the number of each row's flight, (n,), from 0 on in their order, and the flights' names.
 
     Raises ValueError if a row names no flight: its cell is empty, None, NaN or blank.
@@ -37,90 +149,50 @@ def flight_codes(flight: ArrayLike) -> tuple[np.ndarray, list]:
         raise ValueError(
             f"Got {missing.size} of {len(codes)} rows without a flight (the first is row "
             f"{missing[0]}), but expected each to name its own: fill in these cells, or drop these "
-            f"rows."
+            "rows."
         )
     return codes, names.tolist()
 
 
-def flight_rows(flight: ArrayLike) -> dict[str, np.ndarray]:
-    """Return the rows of each flight by its name, in the order of the flights."""
-    codes, names = flight_codes(flight)
-    parts = np.split(np.argsort(codes, kind="stable"), np.cumsum(np.bincount(codes))[:-1])
-    return dict(zip(names, parts, strict=False))  # of no rows at all there is one empty part
+def slices(starts: Iterable[int], n: int) -> list[slice]:
+    """Return the parts of n rows that begin at the first row and at ``starts``; none of no rows."""
+    if not n:
+        return []
+    edges = [0, *map(int, starts), n]
+    return [slice(first, last) for first, last in pairwise(edges)]
 
 
-def check_clock(time: ArrayLike, flight: ArrayLike | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return time (n,) as float and integer flight codes (n,); ValueError if time does not increase within a flight."""
-    time = np.asarray(time, dtype=float)
-    if time.ndim != 1 or not np.isfinite(time).all():
-        raise ValueError(
-            f"Got time of shape {time.shape}, but expected (n,), every value finite [s]."
-        )
-    codes = np.zeros(len(time), int) if flight is None else flight_codes(flight)[0]
-    order = np.argsort(codes, kind="stable")  # rows of a flight may stand apart
-    back = np.flatnonzero((np.diff(codes[order]) == 0) & ~(time[order[1:]] > time[order[:-1]]))
-    if back.size:
-        before, row = order[back[0] : back[0] + 2]
-        raise ValueError(
-            f"Got time {time[row]:.10g} s after {time[before]:.10g} s at row {row} ({len(back)} "
-            f"such rows), but expected time to increase strictly within a flight: sort by time, "
-            f"drop repeated rows, or name the flights apart in a column 'flight', as where a clock "
-            f"was restarted."
-        )
-    return time, codes
+def n_rows(run: slice) -> int:
+    """Return the number of rows of a run."""
+    return int(run.stop - run.start)
 
 
-def runs_by_flight(time: np.ndarray, codes: np.ndarray) -> list[list[slice]]:
-    """Group the segments by flight."""
-    runs: dict[int, list[slice]] = {}
-    for segment in _split(time, codes):
-        runs.setdefault(int(codes[segment.start]), []).append(segment)
-    return list(runs.values())
+def median_step(time: Vector, runs: list[slice]) -> float:
+    """Return the median step within runs [s]."""
+    steps = [np.diff(time[run]) for run in runs]
+    return float(np.median(np.concatenate(steps)))
 
 
-def true_runs(mask: np.ndarray) -> list[slice]:
+def true_runs(mask: Mask) -> list[slice]:
     """Return each run of True in a mask (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask).astype(int), [0]])))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]
+    padded = np.concatenate([[0], np.asarray(mask).astype(int), [0]])
+    edges = np.flatnonzero(np.diff(padded))
+    pairs = edges.reshape(-1, 2).tolist()
+    return [slice(first, last) for first, last in pairs]
 
 
-def uniform_grid(time: np.ndarray) -> tuple[np.ndarray, bool]:
+def uniform_grid(time: Vector) -> tuple[Vector, bool]:
     """Return the uniform grid of a run, and whether the samples lie off it (so must be resampled)."""
     n = len(time)
     if n < 3:
         return time, False
     index = np.arange(n)
     line = np.polynomial.Polynomial.fit(index, time, 1)(index)
-    step = (line[-1] - line[0]) / (n - 1)
-    if np.abs(time - line).max() <= JITTER * step:
+    step = np.ptp(line) / (n - 1)
+    jitter = np.abs(time - line).max()
+    if jitter <= CLOCK.jitter * step:
         return line, False
-    size = max(n, 1 + round((time[-1] - time[0]) / np.median(np.diff(time))))
-    return np.linspace(time[0], time[-1], size), True
-
-
-def _split(time: np.ndarray, codes: np.ndarray) -> list[slice]:
-    """Return the segments of a checked clock; raise ValueError if it has no usual step."""
-    if not len(time):
-        return []
-    step = np.diff(time)
-    same = np.diff(codes) == 0
-    usual = pd.Series(step[same]).groupby(codes[1:][same]).median()
-    usual_here = usual.reindex(codes[1:]).to_numpy()
-    gap = same & (step > GAP * usual_here)
-    starts = ~same | gap
-    uneven = ~starts & (np.abs(step - usual_here) > 0.5 * usual_here)
-    if max(gap.sum(), uneven.sum()) > 0.1 * max(same.sum(), 10):
-        steps = step[same] / step[same].min()
-        drawn = np.mean(np.abs(steps - np.rint(steps)) < MULTIPLE) > 0.99
-        remedy = "resample the log to one uniform clock first"
-        if drawn:
-            remedy = (
-                "rows seem to be left out at random, as by a shuffled KFold: hold out whole flights"
-            )
-        raise ValueError(
-            f"Got time steps from {step[same].min():.3g} s to {step[same].max():.3g} s (median "
-            f"{np.median(step[same]):.3g} s), but expected a nearly constant rate with few gaps: "
-            f"{remedy}."
-        )
-    edges = [0, *(np.flatnonzero(starts) + 1).tolist(), len(time)]
-    return [slice(a, b) for a, b in pairwise(edges)]
+    usual = np.median(np.diff(time))
+    n_steps = round(np.ptp(time) / usual)
+    grid = np.linspace(time[0], time[-1], max(n, 1 + n_steps))
+    return grid, True

@@ -10,15 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_numeric_dtype
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import FindingWarning
+from skdgp._compute.typing import Indices, Mask, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     BODY_VELOCITY,
@@ -28,42 +27,47 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
     VANES,
+    WRAPPED,
 )
-from skdgp._flight.checks import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, WRAPPED
-from skdgp._flight.clock import GAP, flight_codes, true_runs
+from skdgp._flight.clock import CLOCK, n_rows, true_runs
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 
 # of one sensor
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 # noise and motion never let them stand still
-SENSORS = ("airspeed", *(name for names in SIBLINGS for name in names))
+SENSORS = {"airspeed"}.union(*SIBLINGS)
+
+
+def _within(size: float, *names: str) -> dict[str, tuple[float, float]]:
+    """Return limits of channels, the same on both sides of zero."""
+    return dict.fromkeys(names, (-size, size))
+
+
 # Outside of these nothing can have been measured
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
-    **{
-        name: (-LARGEST_ANGLE[name] - ANGLE_NOISE, LARGEST_ANGLE[name] + ANGLE_NOISE)
-        for name in ("alpha", "beta", "theta")
-    },
-    **dict.fromkeys(RATES, (-FASTEST_RATE, FASTEST_RATE)),
-    **dict.fromkeys(SPECIFIC_FORCE, (-1000.0, 1000.0)),
-    **dict.fromkeys(("phi", "psi"), (-1000.0, 1000.0)),
-    **dict.fromkeys((*EARTH_VELOCITY, *BODY_VELOCITY), (-1500.0, 1500.0)),
-    **dict.fromkeys(POSITION, (-1e7, 1e7)),
+    **_within(LARGEST_ANGLE["alpha"] + ANGLE_NOISE, "alpha"),
+    **_within(LARGEST_ANGLE["beta"] + ANGLE_NOISE, "beta"),
+    **_within(LARGEST_ANGLE["theta"] + ANGLE_NOISE, "theta"),
+    **_within(FASTEST_RATE, *RATES),
+    **_within(1000.0, *SPECIFIC_FORCE, *WRAPPED),
+    **_within(1500.0, *EARTH_VELOCITY, *BODY_VELOCITY),
+    **_within(1e7, *POSITION),
     "density": (1e-3, 3.0),
     "altitude": (-1000.0, 1e5),
     "throttle": (-0.1, 1.5),
     "propeller_speed": (-1e4, 1e4),
-    **dict.fromkeys(ALL_SURFACES, (-np.pi / 2, np.pi / 2)),
+    **_within(np.pi / 2, *ALL_SURFACES),
 }
-# impossible values more frequent than this fraction are of another unit: checks of units name it
-RARE = 0.05
 
 
 @dataclass(frozen=True)
 class FaultSettings:
     """Constants of the search for faults; without another source they are guesses."""
 
-    # Impossible values more frequent than this fraction are no fault.
-    rare: float = RARE
+    # Impossible values more frequent than this fraction are of another unit, which other checks name.
+    rare: float = 0.05
     # Times [s] beyond this count from 1970, not from the start of a log.
     epoch: float = 1e8
     # Least number of samples to estimate the usual length of runs.
@@ -101,7 +105,7 @@ class Fault:
     """A fault of one channel, and its rows by position in the table."""
 
     finding: Finding
-    rows: np.ndarray
+    rows: Indices
 
     @property
     def is_measured(self) -> bool:
@@ -114,36 +118,29 @@ class _Rows(NamedTuple):
 
     channel: str
     code: Code
-    rows: np.ndarray
+    rows: Indices
     numbers: dict[str, Any]
 
 
 def find_faults(
-    table: pd.DataFrame, ignore: Iterable[str] = (), settings: FaultSettings = SETTINGS
+    flights: FlightTable, ignore: Iterable[str] = (), settings: FaultSettings = SETTINGS
 ) -> list[Fault]:
-    """Return the faults of each flight in a table whose time increases within each; some columns are ignored."""
-    time = table["time"].to_numpy(float)
-    codes, names = flight_codes(
-        table["flight"] if "flight" in table else np.full(len(table), "flight")
-    )
+    """Return the faults of each flight; some columns are ignored."""
     ignored = {*ignore}
-    channels = {}
-    for name in POSSIBLE:
-        if name in table and name not in ignored and is_numeric_dtype(table[name]):
-            channels[name] = table[name].to_numpy(float, na_value=np.nan)
+    names = [name for name in POSSIBLE if name not in ignored]
     # texts count times from the first row of a clock that counts from 1970
-    origin = float(time[0]) if len(time) and abs(time[0]) > settings.epoch else 0.0
+    start = float(flights.time[0])
+    origin = start if abs(start) > settings.epoch else 0.0
     faults = []
-    edges = np.flatnonzero(np.r_[True, np.diff(codes) != 0, True])
-    for first, last in pairwise(edges):
-        flight = names[codes[first]]
-        flight_time = time[first:last]
-        part = {name: values[first:last].copy() for name, values in channels.items()}
-        for fault in _faults_of_flight(flight_time, part, settings):
-            begin, end = flight_time[fault.rows[[0, -1]]].tolist()
+    for flight, rows in flights.clock.rows.items():
+        part = flights.part(rows)
+        for fault in _faults_of_flight(part, names, settings):
+            times = part.time[fault.rows]
+            begin = float(times[0])
+            end = float(times[-1])
             place = {"start": begin, "end": end, "samples": len(fault.rows), "origin": origin}
             finding = Finding(fault.code, flight, fault.channel, place | fault.numbers)
-            faults.append(Fault(finding, first + fault.rows))
+            faults.append(Fault(finding, rows[fault.rows]))
     return faults
 
 
@@ -160,153 +157,197 @@ def without_faults(table: pd.DataFrame, faults: Iterable[Fault]) -> pd.DataFrame
 
 
 def _faults_of_flight(
-    time: np.ndarray, channels: dict[str, np.ndarray], settings: FaultSettings
+    flight: FlightTable, names: list[str], settings: FaultSettings
 ) -> Iterator[_Rows]:
-    """Yield each fault; faulty values in the channels become NaN."""
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    rows = np.flatnonzero(np.diff(time) > GAP * step)
-    if rows.size:
-        numbers = {"times": len(rows), "longest": float(np.diff(time).max())}
-        yield _Rows("time", Code.GAP, rows, numbers)
+    """Yield each fault of a flight: gaps in time, then channel by channel, then dead sensors."""
+    steps = np.diff(flight.time)
+    step = float(np.median(steps)) if len(steps) else 1.0
+    gaps = np.flatnonzero(steps > CLOCK.gap * step)
+    if gaps.size:
+        numbers = {"times": len(gaps), "longest": float(steps.max())}
+        yield _Rows("time", Code.GAP, gaps, numbers)
+    channels = flight.numeric_channels(names)
     for name, values in channels.items():
-        yield from _missing(name, values, step, settings)
-        values[~np.isfinite(values)] = np.nan
-        yield from _impossible(name, values, settings)
-        if name in SENSORS:
-            for rows in stuck_rows(values, step, settings):
-                yield _Rows(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
-                values[rows] = np.nan
-            rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
-            if rows.size:
-                yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
-    yield from _dead(channels, len(time), settings)
+        yield from _faults_of_channel(name, values, step, settings)
+    yield from _dead(channels, settings)
 
 
-def _missing(
-    name: str, values: np.ndarray, step: float, settings: FaultSettings
+def _faults_of_channel(
+    name: str, values: Vector, step: float, settings: FaultSettings
 ) -> Iterator[_Rows]:
+    """Yield each fault of a channel; faulty values become NaN."""
+    yield from _missing(name, values, step, settings)
+    values[~np.isfinite(values)] = np.nan
+    yield from _impossible(name, values, settings)
+    if name not in SENSORS:
+        return
+    for rows in stuck_rows(values, step, settings):
+        value = float(values[rows[0]])
+        yield _Rows(name, Code.STUCK, rows, {"value": value})
+        values[rows] = np.nan
+    rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
+    if rows.size:
+        yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
+
+
+def _missing(name: str, values: Vector, step: float, settings: FaultSettings) -> Iterator[_Rows]:
     """Yield the gaps, together, of a channel that usually has values there."""
-    sampled = np.flatnonzero(np.isfinite(values))
-    if not sampled.size:
+    is_missing = ~np.isfinite(values)
+    if is_missing.all():
         yield _Rows(name, Code.MISSING, np.arange(len(values)), {})
         return
-    ends = np.r_[-1, sampled, len(values)]
-    spacing = np.diff(ends)
-    wide = spacing > settings.missing * usual_spacing(values)
-    if wide.any():
-        lengths = spacing[wide] - 1
-        gaps = zip(ends[:-1][wide] + 1, lengths, strict=True)
-        rows = np.concatenate([np.arange(first, first + n) for first, n in gaps])
-        numbers = {"times": _n_runs(rows), "longest": float(lengths.max() * step)}
+    # as many rows are missing between samples of a sensor that is slower than the table
+    usual = settings.missing * usual_spacing(values) - 1
+    gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
+    if gaps:
+        places = np.arange(len(values))
+        rows = np.concatenate([places[gap] for gap in gaps])
+        longest = max(map(n_rows, gaps)) * step
+        numbers = {"times": len(gaps), "longest": longest}
         yield _Rows(name, Code.MISSING, rows, numbers)
 
 
-def _impossible(name: str, values: np.ndarray, settings: FaultSettings) -> Iterator[_Rows]:
+def _impossible(name: str, values: Vector, settings: FaultSettings) -> Iterator[_Rows]:
+    """Yield the values that no aircraft has, if they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
-    if 0 < rows.size <= settings.rare * np.isfinite(values).sum():
+    n_sampled = np.isfinite(values).sum()
+    if 0 < rows.size <= settings.rare * n_sampled:
         numbers = {"value": float(values[rows[0]])}
         values[rows] = np.nan
         yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
 
 
-def _dead(channels: dict[str, np.ndarray], n: int, settings: FaultSettings) -> Iterator[_Rows]:
+def _dead(channels: dict[str, Vector], settings: FaultSettings) -> Iterator[_Rows]:
     """Yield sensors that have one value throughout while others of their kind move."""
-    spread = {}
+    ranges = {}
     for name, values in channels.items():
         sampled = values[np.isfinite(values)]
         if len(sampled) >= settings.enough:
-            spread[name] = np.ptp(sampled)
+            ranges[name] = np.ptp(sampled)
     for names in SIBLINGS:
-        moving = [name for name in names if spread.get(name, 0) > 0]
+        moving = [name for name in names if ranges.get(name, 0) > 0]
         for name in names:
-            if moving and spread.get(name) == 0:
-                yield _Rows(name, Code.CONSTANT, np.arange(n), {"moving": moving})
+            if moving and ranges.get(name) == 0:
+                rows = np.arange(len(channels[name]))
+                yield _Rows(name, Code.CONSTANT, rows, {"moving": moving})
 
 
-def _n_runs(rows: np.ndarray) -> int:
+def _n_runs(rows: Indices) -> int:
     """Return the number of runs of consecutive rows."""
     return 1 + int(np.sum(np.diff(rows) > 1))
 
 
-def stuck_rows(
-    values: np.ndarray, step: float, settings: FaultSettings = SETTINGS
-) -> list[np.ndarray]:
+class _Runs(NamedTuple):
+    """Runs of equal readings of a sensor."""
+
+    rows: Indices  # rows with a reading
+    start: Indices  # first reading of each run, among these rows
+    length: Indices
+    value: Vector
+
+    @classmethod
+    def of(cls, values: Vector) -> _Runs:
+        """Return the runs of a channel, NaN where it has no reading."""
+        rows = np.flatnonzero(np.isfinite(values))
+        readings = values[rows]
+        start = np.flatnonzero(np.diff(readings, prepend=np.nan) != 0)
+        length = np.diff(start, append=len(rows))
+        return cls(rows, start, length, readings[start])
+
+
+def stuck_rows(values: Vector, step: float, settings: FaultSettings = SETTINGS) -> list[Indices]:
     """Return the rows of each run where a sensor repeats its last value, improbably often."""
-    rows = np.flatnonzero(np.isfinite(values))
-    readings = values[rows]
-    if len(rows) < settings.enough or np.ptp(readings) == 0:
+    runs = _Runs.of(values)
+    if len(runs.rows) < settings.enough or np.ptp(runs.value) == 0:
         return []
-    start = np.flatnonzero(np.r_[True, np.diff(readings) != 0])
-    length = np.diff(np.r_[start, len(readings)])
-    usual = np.median(length)
-    k = np.floor(length / usual)
-    share = (1 + np.sum(length >= 1.5 * usual)) / (1 + len(length))
-    chance = len(length) * share ** (k - 1)  # expected number of runs at least so long
-    stuck = (chance < settings.improbable) & (length * step >= settings.least_hold)
+    is_stuck = _is_improbable(runs.length, settings)
+    is_stuck &= runs.length * step >= settings.least_hold
 
     # a channel that turns back repeats its value, and leaves it by one quantum
-    leap = np.abs(np.diff(readings[start], append=np.nan))
+    leap = np.abs(np.diff(runs.value, append=np.nan))
     steps = leap[:-1]
-    held = readings[start[length > 1]]
+    held = runs.value[runs.length > 1]
     quantum = max(np.quantile(steps, 0.01), _resolution(held, settings))
-    stuck &= ~(leap <= 3 * quantum)
+    is_stuck &= ~(leap <= 3 * quantum)
 
     # a channel without noise has long runs: it is stuck only if it jumps after the run
-    bend = np.inf
-    if len(steps) > 1:
-        bend = np.median(np.abs(np.diff(readings[start], 2))) / np.median(steps)
+    usual_step = np.median(steps)
     largest_usual = np.quantile(steps, 0.99)
-    if bend < settings.smooth or np.median(steps) <= settings.missing * quantum:
-        stuck &= leap > largest_usual
+    is_coarse = usual_step <= settings.missing * quantum
+    if is_coarse or _bend(runs.value) < settings.smooth * usual_step:
+        is_stuck &= leap > largest_usual
 
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
-    levels, counts = np.unique(readings[start[stuck]], return_counts=True)
-    again = np.isin(readings[start], levels[counts > 1])
-    stuck &= ~(again & (leap <= largest_usual))
-    runs = zip(start[stuck], length[stuck], strict=True)
-    return [rows[first + 1 : first + n] for first, n in runs]
+    levels, counts = np.unique(runs.value[is_stuck], return_counts=True)
+    is_again = np.isin(runs.value, levels[counts > 1])
+    is_stuck &= ~(is_again & (leap <= largest_usual))
+
+    stuck = []
+    for run in np.flatnonzero(is_stuck):
+        first = runs.start[run]
+        end = first + runs.length[run]
+        stuck.append(runs.rows[first + 1 : end])
+    return stuck
 
 
-def _resolution(held: np.ndarray, settings: FaultSettings) -> float:
+def _is_improbable(length: Indices, settings: FaultSettings) -> Mask:
+    """Return which of the runs are longer than chance makes one of them."""
+    usual = np.median(length)
+    n_long = np.sum(length >= 1.5 * usual)
+    p = (1 + n_long) / (1 + len(length))
+    k = np.floor(length / usual)
+    expected = len(length) * p ** (k - 1)
+    return expected < settings.improbable
+
+
+def _bend(values: Vector) -> float:
+    """Return the median change between the steps of successive values, infinite for less than three."""
+    if len(values) < 3:
+        return np.inf
+    return float(np.median(np.abs(np.diff(values, 2))))
+
+
+def _resolution(held: Vector, settings: FaultSettings) -> float:
     """Return the common step of held values, from any origin; 0 if there is none."""
     levels = np.unique(held)
     if len(levels) < settings.fewest_held:
         return 0.0
     step = np.diff(levels).min()
-    multiples = (levels - levels[len(levels) // 2]) / step
-    on_step = np.abs(multiples - np.rint(multiples)) < settings.off_step
+    middle = levels[len(levels) // 2]
+    multiples = (levels - middle) / step
+    distance = np.abs(multiples - np.rint(multiples))
+    on_step = distance < settings.off_step
     return float(step) if on_step.mean() > settings.most_on_step else 0.0
 
 
-def spike_rows(
-    values: np.ndarray, *, angle: bool, settings: FaultSettings = SETTINGS
-) -> np.ndarray:
+def spike_rows(values: Vector, *, angle: bool, settings: FaultSettings = SETTINGS) -> Indices:
     """Return the rows of a few samples that leap from their neighbours and back."""
-    none = np.empty(0, int)
-    sampled = np.flatnonzero(np.isfinite(values))
-    if len(sampled) < settings.enough:
-        return none
-    start = np.flatnonzero(np.r_[True, np.diff(values[sampled]) != 0])
-    fresh = values[sampled[start]]
-    readings = np.unwrap(fresh) if angle else fresh
-    if len(readings) < settings.enough:
-        return none
+    runs = _Runs.of(values)
+    rows = np.empty(0, int)
+    if len(runs.value) < settings.enough:
+        return rows
+    readings = np.unwrap(runs.value) if angle else runs.value
     padded = np.pad(readings, 2, mode="reflect")
-    around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
-    out = np.abs(readings - around)
-    edges = np.r_[start, len(sampled)]
-    spikes = [none]
-    for run in true_runs(out > settings.spike * np.quantile(out, 0.995)):
+    neighbours = [padded[:-4], padded[1:-3], padded[3:-1], padded[4:]]
+    out = np.abs(readings - np.median(neighbours, axis=0))
+    usual = np.quantile(out, 0.995)
+    ends = np.append(runs.start, len(runs.rows))
+    last = len(readings) - 1
+    for run in true_runs(out > settings.spike * usual):
         before = readings[max(run.start - 1, 0)]
-        after = readings[min(run.stop, len(readings) - 1)]
-        returns = abs(after - before) < out[run].max() / 2
-        if run.stop - run.start <= settings.widest_spike and returns:
-            spikes.append(sampled[edges[run.start] : edges[run.stop]])
-    return np.concatenate(spikes)
+        after = readings[min(run.stop, last)]
+        height = out[run].max()
+        returns = abs(after - before) < height / 2
+        if n_rows(run) <= settings.widest_spike and returns:
+            spike = runs.rows[ends[run.start] : ends[run.stop]]
+            rows = np.append(rows, spike)
+    return rows
 
 
-def usual_spacing(values: np.ndarray) -> float:
+def usual_spacing(values: Vector) -> float:
     """Return the 90 % quantile of the rows between a sample and the next."""
     sampled = np.flatnonzero(np.isfinite(values))
-    return float(np.quantile(np.diff(sampled), 0.9)) if sampled.size > 1 else 1.0
+    if sampled.size < 2:
+        return 1.0
+    return float(np.quantile(np.diff(sampled), 0.9))

@@ -12,16 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-GAS_CONSTANT = 287.05287  # of dry air [J/(kg K)]
+# of dry air [J/(kg K)]
+GAS_CONSTANT = 287.05287
+# [m/s^2]
 STANDARD_GRAVITY = 9.80665
 # altitudes of the standard atmosphere here [m]
 LOWEST = -5000.0
 HIGHEST = 20000.0
-SEA_LEVEL_DENSITY = 1.225  # [kg/m^3]
-SEA_LEVEL_PRESSURE = 101325.0  # [Pa]
-SEA_LEVEL_TEMPERATURE = 288.15  # [K]
-LAPSE = 0.0065  # [K/m] up to the tropopause, zero above
-TROPOPAUSE = 11000.0  # [m]
+# [kg/m^3], [Pa], [K]
+SEA_LEVEL_DENSITY = 1.225
+SEA_LEVEL_PRESSURE = 101325.0
+SEA_LEVEL_TEMPERATURE = 288.15
+# [K/m] up to the tropopause [m], zero above
+LAPSE = 0.0065
+TROPOPAUSE = 11000.0
 
 
 def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
@@ -35,15 +39,20 @@ def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.
     >>> quaternion_to_euler(euler_to_quaternion(0.3, -0.2, 1.5)).round(12)
     array([ 0.3, -0.2,  1.5])
     """
-    halves = [0.5 * np.asarray(angle, dtype=float) for angle in (phi, theta, psi)]
-    c_phi, c_theta, c_psi = map(np.cos, halves)
-    s_phi, s_theta, s_psi = map(np.sin, halves)
-    return _vector(
-        c_phi * c_theta * c_psi + s_phi * s_theta * s_psi,
-        s_phi * c_theta * c_psi - c_phi * s_theta * s_psi,
-        c_phi * s_theta * c_psi + s_phi * c_theta * s_psi,
-        c_phi * c_theta * s_psi - s_phi * s_theta * c_psi,
-    )
+    roll = np.multiply(0.5, phi)
+    pitch = np.multiply(0.5, theta)
+    yaw = np.multiply(0.5, psi)
+    c_phi = np.cos(roll)
+    s_phi = np.sin(roll)
+    c_theta = np.cos(pitch)
+    s_theta = np.sin(pitch)
+    c_psi = np.cos(yaw)
+    s_psi = np.sin(yaw)
+    q0 = c_phi * c_theta * c_psi + s_phi * s_theta * s_psi
+    q1 = s_phi * c_theta * c_psi - c_phi * s_theta * s_psi
+    q2 = c_phi * s_theta * c_psi + s_phi * c_theta * s_psi
+    q3 = c_phi * c_theta * s_psi - s_phi * s_theta * c_psi
+    return _vector(q0, q1, q2, q3)
 
 
 def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
@@ -52,23 +61,26 @@ def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
     Roll and heading lie in [-pi, pi], pitch in [-pi/2, pi/2].
     """
     q0, q1, q2, q3 = _components(quaternion)
+    even = q0 * q0 - q2 * q2
+    odd = q1 * q1 - q3 * q3
     norm2 = q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3
-    phi = np.arctan2(2.0 * (q0 * q1 + q2 * q3), q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3)
-    theta = np.arcsin(np.clip(2.0 * (q0 * q2 - q1 * q3) / norm2, -1.0, 1.0))
-    psi = np.arctan2(2.0 * (q0 * q3 + q1 * q2), q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3)
+    sine = 2.0 * (q0 * q2 - q1 * q3) / norm2
+    phi = np.arctan2(2.0 * (q0 * q1 + q2 * q3), even - odd)
+    theta = np.arcsin(np.clip(sine, -1.0, 1.0))
+    psi = np.arctan2(2.0 * (q0 * q3 + q1 * q2), even + odd)
     return _vector(phi, theta, psi)
 
 
 def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
-    """Return the rotation matrices (..., 3, 3) that take body vectors to NED, of quaternions (..., 4)."""
-    q0, q1, q2, q3 = _components(quaternion)
-    s = 2.0 / (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-    rows = (
-        (1.0 - s * (q2 * q2 + q3 * q3), s * (q1 * q2 - q0 * q3), s * (q1 * q3 + q0 * q2)),
-        (s * (q1 * q2 + q0 * q3), 1.0 - s * (q1 * q1 + q3 * q3), s * (q2 * q3 - q0 * q1)),
-        (s * (q1 * q3 - q0 * q2), s * (q2 * q3 + q0 * q1), 1.0 - s * (q1 * q1 + q2 * q2)),
-    )
-    return _matrix(rows)
+    """Return the rotation matrices (..., 3, 3) that take body vectors to NED, of quaternions (..., 4).
+
+    1 + s (q0 [e] + [e] [e]), with the vector part e and s = 2 / |q|^2 (Rodrigues).
+    """
+    quaternion = np.asarray(quaternion, dtype=float)
+    s = 2.0 / np.sum(quaternion**2, axis=-1)[..., None, None]
+    q0 = quaternion[..., :1, None]
+    e = cross_matrix(quaternion[..., 1:])
+    return np.eye(3) + s * (q0 * e + e @ e)
 
 
 def euler_to_matrix(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
@@ -89,27 +101,25 @@ def ned_to_body(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
 
 def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
     """Return d (phi, theta, psi) / d (small body rotation), (..., 3, 3): of body rates it makes Euler angles' rates."""
-    phi, theta = np.broadcast_arrays(np.asarray(phi, dtype=float), np.asarray(theta, dtype=float))
-    sine, cosine = np.sin(phi), np.cos(phi)
-    zero = np.zeros(phi.shape)
-    rows = (
-        (zero + 1.0, sine * np.tan(theta), cosine * np.tan(theta)),
-        (zero, cosine, -sine),
-        (zero, sine / np.cos(theta), cosine / np.cos(theta)),
-    )
-    return _matrix(rows)
+    phi, theta = np.broadcast_arrays(phi, theta)
+    sine = np.sin(phi)
+    cosine = np.cos(phi)
+    tangent = np.tan(theta)
+    roll = _vector(1.0, sine * tangent, cosine * tangent)
+    pitch = _vector(0.0, cosine, -sine)
+    yaw = _vector(0.0, sine, cosine) / np.cos(theta)[..., None]
+    return np.stack([roll, pitch, yaw], axis=-2)
 
 
 def gravity_in_body_axes(
     phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
 ) -> np.ndarray:
     """Return gravity in body axes, g (-sin theta, sin phi cos theta, cos phi cos theta), (..., 3) [m/s^2]."""
-    phi, theta, gravity = (np.asarray(x, dtype=float) for x in (phi, theta, gravity))
-    return _vector(
-        -gravity * np.sin(theta),
-        gravity * np.sin(phi) * np.cos(theta),
-        gravity * np.cos(phi) * np.cos(theta),
-    )
+    x = np.multiply(gravity, -np.sin(theta))
+    across = np.multiply(gravity, np.cos(theta))
+    y = across * np.sin(phi)
+    z = across * np.cos(phi)
+    return _vector(x, y, z)
 
 
 def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,8 +134,11 @@ def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     [30.0, 0.1, -0.05]
     """
     u, v, w = _components(velocity)
+    airspeed = np.sqrt(u * u + v * v + w * w)
+    alpha = np.arctan2(w, u)
     # atan2 keeps beta accurate near 90 degrees and defined at rest, where asin(v / V) is neither.
-    return np.sqrt(u * u + v * v + w * w), np.arctan2(w, u), np.arctan2(v, np.hypot(u, w))
+    beta = np.arctan2(v, np.hypot(u, w))
+    return airspeed, alpha, beta
 
 
 def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray:
@@ -135,25 +148,23 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
     them. Speeds below ``least_speed`` [m/s] count as that, which bounds the slopes.
     """
     u, v, w = _components(velocity)
-    airspeed = np.maximum(np.sqrt(u * u + v * v + w * w), least_speed)
+    speed = np.sqrt(u * u + v * v + w * w)
+    airspeed = np.maximum(speed, least_speed)
     across = np.maximum(np.hypot(u, w), least_speed)
     factor = v / (airspeed**2 * across)
-    rows = (
-        (u / airspeed, v / airspeed, w / airspeed),
-        (-w / across**2, np.zeros(np.shape(u)), u / across**2),
-        (-u * factor, 1 / across - v * factor, -w * factor),
-    )
-    return _matrix(rows)
+    of_airspeed = _vector(u / airspeed, v / airspeed, w / airspeed)
+    of_alpha = _vector(-w / across**2, 0.0, u / across**2)
+    of_beta = _vector(-u * factor, 1 / across - v * factor, -w * factor)
+    return np.stack([of_airspeed, of_alpha, of_beta], axis=-2)
 
 
 def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.ndarray:
     """Return the body velocity relative to the air, V (cos a cos b, sin b, sin a cos b), (..., 3) [m/s]."""
-    airspeed, alpha, beta = (np.asarray(x, dtype=float) for x in (airspeed, alpha, beta))
-    return _vector(
-        airspeed * np.cos(alpha) * np.cos(beta),
-        airspeed * np.sin(beta),
-        airspeed * np.sin(alpha) * np.cos(beta),
-    )
+    in_plane = np.multiply(airspeed, np.cos(beta))
+    u = in_plane * np.cos(alpha)
+    v = np.multiply(airspeed, np.sin(beta))
+    w = in_plane * np.sin(alpha)
+    return _vector(u, v, w)
 
 
 def _components(vector: ArrayLike) -> tuple[Any, ...]:
@@ -168,15 +179,11 @@ def _vector(*components: ArrayLike) -> np.ndarray:
     """Return the components as vectors (..., k)."""
     if all(isinstance(component, float) for component in components):
         return np.array(components)
-    vector = np.empty((*np.broadcast(*components).shape, len(components)))
+    shape = np.broadcast(*components).shape
+    vector = np.empty((*shape, len(components)))
     for k, component in enumerate(components):
         vector[..., k] = component
     return vector
-
-
-def _matrix(rows: Any) -> np.ndarray:
-    """Return the matrices (..., 3, 3) of rows of entries."""
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
@@ -184,25 +191,38 @@ def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
     q0, e1, e2, e3 = quaternion
     x, y, z = _components(vector)
     s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
-    cx, cy, cz = s * (e2 * z - e3 * y), s * (e3 * x - e1 * z), s * (e1 * y - e2 * x)
-    return _vector(
-        x + q0 * cx + e2 * cz - e3 * cy,
-        y + q0 * cy + e3 * cx - e1 * cz,
-        z + q0 * cz + e1 * cy - e2 * cx,
-    )
+    e = (s * e1, s * e2, s * e3)
+    # c = s (e x vector)
+    cx, cy, cz = _cross(e, (x, y, z))
+    dx, dy, dz = _cross((e1, e2, e3), (cx, cy, cz))
+    x = x + q0 * cx + dx
+    y = y + q0 * cy + dy
+    z = z + q0 * cz + dz
+    return _vector(x, y, z)
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Return a x b, (..., 3); numpy.cross takes five times as long on a few vectors."""
-    (a1, a2, a3), (b1, b2, b3) = _components(a), _components(b)
-    return _vector(a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1)
+    return _vector(*_cross(_components(a), _components(b)))
+
+
+def _cross(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the components of a x b."""
+    a1, a2, a3 = a
+    b1, b2, b3 = b
+    x = a2 * b3 - a3 * b2
+    y = a3 * b1 - a1 * b3
+    z = a1 * b2 - a2 * b1
+    return x, y, z
 
 
 def cross_matrix(vector: ArrayLike) -> np.ndarray:
     """Return the matrices (..., 3, 3) of the products v x, of vectors (..., 3)."""
-    x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    x, y, z = _components(vector)
+    first = _vector(0.0, -z, y)
+    second = _vector(z, 0.0, -x)
+    third = _vector(-y, x, 0.0)
+    return np.stack([first, second, third], axis=-2)
 
 
 def wrapped(angle: np.ndarray) -> np.ndarray:
@@ -220,9 +240,11 @@ def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:
     """Return the same attitudes with signs such that neighbours are near each other; NaN rows stay."""
     sampled = np.isfinite(quaternions).all(axis=1)
     rotations = quaternions[sampled]
-    turns = np.cumsum(np.r_[0, (rotations[1:] * rotations[:-1]).sum(axis=1) < 0])
+    changes = np.sum(rotations[1:] * rotations[:-1], axis=1) < 0
+    n_changes = np.cumsum(np.append(0, changes))
+    signs = np.where(n_changes % 2, -1.0, 1.0)
     result = quaternions.copy()
-    result[sampled] = rotations * np.where(turns % 2, -1.0, 1.0)[:, None]
+    result[sampled] = rotations * signs[:, None]
     return result
 
 
@@ -253,7 +275,8 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
         )
     temperature = SEA_LEVEL_TEMPERATURE - LAPSE * np.minimum(altitude, TROPOPAUSE)
     exponent = STANDARD_GRAVITY / (GAS_CONSTANT * LAPSE)
-    pressure = SEA_LEVEL_PRESSURE * (temperature / SEA_LEVEL_TEMPERATURE) ** exponent
-    above = np.maximum(altitude - TROPOPAUSE, 0.0)
-    pressure = pressure * np.exp(-STANDARD_GRAVITY * above / (GAS_CONSTANT * temperature))
-    return pressure / (GAS_CONSTANT * temperature)
+    below = SEA_LEVEL_PRESSURE * (temperature / SEA_LEVEL_TEMPERATURE) ** exponent
+    height = np.maximum(altitude - TROPOPAUSE, 0.0)
+    scale = GAS_CONSTANT * temperature
+    pressure = below * np.exp(-STANDARD_GRAVITY * height / scale)
+    return pressure / scale

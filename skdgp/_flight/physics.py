@@ -24,11 +24,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     EARTH_VELOCITY,
@@ -38,8 +37,9 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
 )
-from skdgp._flight.clock import flight_rows, flight_segments
+from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_matrix
+from skdgp._flight.tables import FlightTable
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,8 @@ class PhysicsSettings:
     response_window: float = 0.1
     # rows slower than this fraction of the median airspeed are on the ground
     flying: float = 0.5
+    # larger angles [rad] are in degrees
+    largest_radians: float = 2.1 * np.pi
     # fewer rows, or fewer effective samples, decide nothing
     least_rows: int = 40
     least_samples: float = 10.0
@@ -64,6 +66,8 @@ class PhysicsSettings:
     least_correlation: float = 0.3
     # a longer lag [s] is a contradiction: LagCorrector corrects 0.3 s, holds of slow GPS add to it
     usual_lag: float = 0.5
+    # spacing of the lags that are tried [s]
+    lag_spacing: float = 0.2
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
     # flights shorter than this [s] are judged together with others only
@@ -87,46 +91,13 @@ class Slope(NamedTuple):
     @property
     def explained(self) -> float:
         """Ratio of explained to unexplained variance."""
-        return self.correlation**2 / max(1 - self.correlation**2, 1e-12)
+        squared = self.correlation**2
+        return squared / max(1 - squared, 1e-12)
 
     def t(self, least: float, most: float) -> float:
         """Return how far the slope is outside of an interval, in standard deviations, 0 inside."""
-        nearest = np.clip(self.value, least, most)
-        return float(self.value - nearest) / max(self.std, 1e-9 * abs(self.value))
-
-
-class Contradiction(NamedTuple):
-    """A check that flights contradict, and its numbers. ``flight`` is None for all flights together."""
-
-    flight: object
-    check: str
-    # channels that may be wrong
-    channels: tuple[str, ...]
-    # "slope", or "lag" [s]; ``slope`` has the value of either
-    quantity: str
-    slope: float
-    std: float
-    # distance from the admissible values, in standard deviations
-    t: float
-    correlation: float
-    n_effective: float
-
-    @property
-    def finding(self) -> Finding:
-        """The finding of the compared signals, y over x, and the numbers."""
-        check = CHECKS[self.check]
-        numbers = {
-            "channels": list(self.channels),
-            "y": check.y,
-            "x": check.x,
-            "expected": check.expected,
-            self.quantity: self.slope,
-            "std": self.std,
-            "t": self.t,
-            "correlation": self.correlation,
-            "effective_samples": self.n_effective,
-        }
-        return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
+        outside = self.value - np.clip(self.value, least, most)
+        return float(outside) / max(self.std, 1e-9 * abs(self.value))
 
 
 @dataclass(frozen=True)
@@ -134,7 +105,7 @@ class Signals:
     """Channels of flights at one rate, and the segment of each row. A missing value is NaN."""
 
     channels: dict[str, Vector]
-    segment: np.ndarray
+    segment: Indices
     step: float
     settings: PhysicsSettings = DEFAULT
 
@@ -143,11 +114,6 @@ class Signals:
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels
-
-    @property
-    def ones(self) -> Vector:
-        """The regressor of an intercept."""
-        return np.ones(len(self.segment))
 
     @property
     def rotation(self) -> Array:
@@ -166,19 +132,20 @@ class Signals:
     def change(self, values: Array, seconds: float | None = None) -> Array:
         """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end."""
         length = self.window_rows(seconds)
-        inside = self.segment[length:] == self.segment[:-length]
+        is_inside = self.segment[length:] == self.segment[:-length]
+        difference = values[length:] - values[:-length]
         change = np.full(values.shape, np.nan)
-        change[:-length][inside] = (values[length:] - values[:-length])[inside]
+        change[:-length][is_inside] = difference[is_inside]
         return change
 
     def integral(self, values: Array, seconds: float | None = None) -> Array:
         """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
-        missing = ~np.isfinite(values)
-        filled = np.where(missing, 0.0, values)
+        is_missing = ~np.isfinite(values)
+        filled = np.where(is_missing, 0.0, values)
         total = np.cumsum(filled, axis=0) - filled / 2
         integral = self.step * self.change(total, seconds)
-        n_missing = self.change(np.cumsum(missing, axis=0, dtype=float), seconds)
-        integral[missing | (n_missing > 0)] = np.nan
+        n_missing = self.change(np.cumsum(is_missing, axis=0, dtype=float), seconds)
+        integral[is_missing | (n_missing > 0)] = np.nan
         return integral
 
     def ahead(self, values: Vector, seconds: float) -> Vector:
@@ -188,7 +155,8 @@ class Signals:
         ahead = np.interp(place, rows, values, left=np.nan, right=np.nan)
         for end in (np.floor(place), np.ceil(place)):
             row = np.clip(end, 0, len(rows) - 1).astype(int)
-            ahead[self.segment[row] != self.segment] = np.nan
+            is_outside = self.segment[row] != self.segment
+            ahead[is_outside] = np.nan
         return ahead
 
 
@@ -199,6 +167,11 @@ class Regression(NamedTuple):
     x: Vector
     others: list[Vector]
 
+    @classmethod
+    def with_intercept(cls, y: Vector, x: Vector, *others: Vector) -> Regression:
+        """Return the regression with an intercept and other regressors."""
+        return cls(y, x, [np.ones(len(y)), *others])
+
 
 # -- kinematics: equal signals
 
@@ -206,34 +179,40 @@ class Regression(NamedTuple):
 def roll(flight: Signals) -> Regression:
     """Return the terms of phi_dot = p + (q sin phi + r cos phi) tan theta."""
     phi = flight["phi"]
-    turn = flight["q"] * np.sin(phi) + flight["r"] * np.cos(phi)
-    coupling = flight.integral(turn * np.tan(flight["theta"]))
-    y = flight.change(phi) - coupling
-    return Regression(y, flight.integral(flight["p"]), [flight.ones])
+    by_pitch = flight["q"] * np.sin(phi)
+    by_yaw = flight["r"] * np.cos(phi)
+    coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
+    y = flight.change(phi) - flight.integral(coupling)
+    x = flight.integral(flight["p"])
+    return Regression.with_intercept(y, x)
 
 
 def pitch(flight: Signals) -> Regression:
     """Return the terms of theta_dot = q cos phi - r sin phi."""
     phi = flight["phi"]
-    coupling = flight.integral(flight["r"] * np.sin(phi))
-    y = flight.change(flight["theta"]) + coupling
-    return Regression(y, flight.integral(flight["q"] * np.cos(phi)), [flight.ones])
+    coupling = flight["r"] * np.sin(phi)
+    y = flight.change(flight["theta"]) + flight.integral(coupling)
+    x = flight.integral(flight["q"] * np.cos(phi))
+    return Regression.with_intercept(y, x)
 
 
 def yaw(flight: Signals) -> Regression:
     """Return the terms of psi_dot = (q sin phi + r cos phi) / cos theta."""
     phi = flight["phi"]
     cosine = np.cos(flight["theta"])
-    coupling = flight.integral(flight["q"] * np.sin(phi) / cosine)
-    y = flight.change(flight["psi"]) - coupling
-    return Regression(y, flight.integral(flight["r"] * np.cos(phi) / cosine), [flight.ones])
+    coupling = flight["q"] * np.sin(phi) / cosine
+    turn = flight["r"] * np.cos(phi) / cosine
+    y = flight.change(flight["psi"]) - flight.integral(coupling)
+    x = flight.integral(turn)
+    return Regression.with_intercept(y, x)
 
 
 def position(flight: Signals, name: str, velocity: str) -> Regression:
     """Return the change of a coordinate and the integral of its velocity."""
     sign = -1.0 if name == "altitude" else 1.0
     y = sign * flight.change(flight[name])
-    return Regression(y, flight.integral(flight[velocity]), [flight.ones])
+    x = flight.integral(flight[velocity])
+    return Regression.with_intercept(y, x)
 
 
 def relative_velocity(flight: Signals, axis: int) -> Regression:
@@ -242,14 +221,15 @@ def relative_velocity(flight: Signals, axis: int) -> Regression:
     Along x the air velocity is V, across it about V beta and V alpha. Gusts move these only, so they
     are the response there.
     """
-    rotation = flight.rotation
     airspeed = flight["airspeed"]
-    ground = np.einsum("nij,ni->nj", rotation, flight.vector(EARTH_VELOCITY))[:, axis]
-    wind = [rotation[:, 0, axis], rotation[:, 1, axis]]
+    # of the axis, in earth axes
+    direction = flight.rotation[:, :, axis]
+    ground = np.sum(direction * flight.vector(EARTH_VELOCITY), axis=1)
+    north, east, _ = direction.T
     if axis == 0:
-        return Regression(ground, airspeed, wind)
+        return Regression(ground, airspeed, [north, east])
     angle = flight["beta"] if axis == 1 else flight["alpha"]
-    return Regression(airspeed * angle, ground, [*wind, airspeed])
+    return Regression(airspeed * angle, ground, [north, east, airspeed])
 
 
 def level_force(flight: Signals, axis: int) -> Regression:
@@ -261,13 +241,13 @@ def level_force(flight: Signals, axis: int) -> Regression:
     force = np.einsum("nij,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
     impulse = flight.integral(force)
     if axis == 2:
-        return Regression(change[:, 2], impulse[:, 2], [flight.ones])
+        return Regression.with_intercept(change[:, 2], impulse[:, 2])
     middle = flight.settings.kinematic_window / 2
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
     y = np.sum(direction * change[:, :2], axis=1)
     x = np.sum(direction * impulse[:, :2], axis=1)
-    return Regression(y, x, [flight.ones])
+    return Regression.with_intercept(y, x)
 
 
 def gravity(flight: Signals) -> Regression:
@@ -303,16 +283,18 @@ def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression
     columns.append(airspeed**2)
     x, *others = [flight.integral(column, window) for column in columns]
     grows = flight.change if name in RATES else flight.integral
-    return Regression(grows(flight[name], window), x, others)
+    y = grows(flight[name], window)
+    return Regression(y, x, others)
 
 
 def thrust(flight: Signals) -> Regression:
     """Return the terms of ax = thrust - parasitic and induced drag."""
     squared = flight["airspeed"] ** 2
     az = flight["az"]
-    others = [flight.integral(drag) for drag in (squared, az, az**2 / squared)]
+    drags = [squared, az, az**2 / squared]
+    y = flight.integral(flight["ax"])
     x = flight.integral(flight["throttle"])
-    return Regression(flight.integral(flight["ax"]), x, [flight.ones, *others])
+    return Regression.with_intercept(y, x, *map(flight.integral, drags))
 
 
 # -- the table of checks
@@ -327,11 +309,13 @@ EXPECTED = {EQUAL: "1", GUSTY: "0 to 1", POSITIVE: "a positive one", NEGATIVE: "
 # specific forces that grow with the angles
 STAND_INS = {"alpha": "az", "beta": "ay"}
 # lags that are tried [s], > 0 where y is late against x
+NO_LAG = (0.0,)
 KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
 SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
 
 
-class Check(NamedTuple):
+@dataclass(frozen=True)
+class Check:
     """A relation of y with x: the compared channels, its signals, and the admissible slopes."""
 
     channels: tuple[str, ...]
@@ -339,140 +323,179 @@ class Check(NamedTuple):
     x: str
     regression: Callable[[Signals], Regression]
     slopes: Interval
-    # error of x [unit of x]: a signal of no larger root mean square decides nothing
-    noise: float
-    lags: tuple[float, ...]
     # other channels that it needs
     uses: tuple[str, ...]
+    # error of x [unit of x]: a signal of no larger root mean square decides nothing
+    noise: float = 0.0
+    lags: tuple[float, ...] = NO_LAG
 
     @property
-    def expected(self) -> str:
-        """The expected slope."""
-        return EXPECTED[self.slopes]
+    def needs(self) -> set[str]:
+        """All channels of the check."""
+        return {*self.channels, *self.uses}
 
 
-def _rate(angle: str, rate: str, regression: Callable, uses: tuple[str, ...]) -> Check:
-    y, x = f"the change of {angle}", f"the integral of {rate}"
-    return Check((angle, rate), y, x, regression, EQUAL, 0.02, KINEMATIC_LAGS, uses)
+def _integral(
+    name: str, rate: str, regression: Callable, uses: tuple[str, ...] = (), noise: float = 0.02
+) -> Check:
+    y = f"the change of {name}"
+    x = f"the integral of {rate}"
+    return Check((name, rate), y, x, regression, EQUAL, uses, noise, KINEMATIC_LAGS)
 
 
 def _position(name: str, velocity: str) -> Check:
     regression = partial(position, name=name, velocity=velocity)
-    return _rate(name, velocity, regression, ())._replace(noise=0.3)
+    return _integral(name, velocity, regression, noise=0.3)
 
 
-def _velocity(name: str, y: str, x: str, axis: int) -> Check:
+def _gust(name: str, y: str, x: str, axis: int) -> Check:
     regression = partial(relative_velocity, axis=axis)
     uses = (*EULER, *EARTH_VELOCITY, "airspeed")
-    return Check((name,), y, x, regression, GUSTY, 0.5, (0.0,), uses)
+    return Check((name,), y, x, regression, GUSTY, uses, noise=0.5)
 
 
-def _force(channels: tuple[str, ...], regression: Callable) -> Check:
-    y, x = "the change of velocity", "the integral of specific force and gravity"
-    uses = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
-    return Check(channels, y, x, regression, EQUAL, 0.5, KINEMATIC_LAGS, uses)
+def _force(channels: tuple[str, ...], axis: int) -> Check:
+    y = "the change of velocity"
+    x = "the integral of specific force and gravity"
+    regression = partial(level_force, axis=axis)
+    return Check(channels, y, x, regression, EQUAL, FORCE_CHANNELS, 0.5, KINEMATIC_LAGS)
 
 
 def _effect(name: str, effects: tuple[str, ...], slopes: Interval) -> Check:
     y = f"the change of {name}" if name in RATES else name
+    x = effects[0]
     regression = partial(response, name=name, effects=effects)
-    lags = SURFACE_LAGS if effects[0] in ALL_SURFACES else (0.0,)
-    channels = (effects[0], name)
-    return Check(channels, y, effects[0], regression, slopes, 0.0, lags, ("airspeed",))
+    lags = SURFACE_LAGS if x in ALL_SURFACES else NO_LAG
+    return Check((x, name), y, x, regression, slopes, ("airspeed",), lags=lags)
 
 
+FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
 # In this order: a check is left out if it uses a channel that an earlier one has found wrong.
-CHECKS: dict[str, Check] = {
-    "roll": _rate("phi", "p", roll, ("q", "r", "theta")),
-    "pitch": _rate("theta", "q", pitch, ("r", "phi")),
-    "yaw": _rate("psi", "r", yaw, ("q", "phi", "theta")),
-    "north": _position("north", "v_north"),
-    "east": _position("east", "v_east"),
-    "down": _position("down", "v_down"),
-    "altitude": _position("altitude", "v_down"),
-    "airspeed": _velocity(
-        "airspeed", "the ground velocity less a steady wind", "airspeed", axis=0
-    )._replace(
+CHECKS = (
+    _integral("phi", "p", roll, ("q", "r", "theta")),
+    _integral("theta", "q", pitch, ("r", "phi")),
+    _integral("psi", "r", yaw, ("q", "phi", "theta")),
+    _position("north", "v_north"),
+    _position("east", "v_east"),
+    _position("down", "v_down"),
+    _position("altitude", "v_down"),
+    Check(
         channels=("airspeed", "psi", "v_north", "v_east"),
+        y="the ground velocity less a steady wind",
+        x="airspeed",
+        regression=partial(relative_velocity, axis=0),
         slopes=EQUAL,
+        uses=(*EULER, *EARTH_VELOCITY),
         noise=3.0,
         lags=KINEMATIC_LAGS,
-        uses=(*EULER, *EARTH_VELOCITY),
     ),
-    "sideslip": _velocity("beta", "V beta", "the lateral ground velocity less a wind", axis=1),
-    "angle of attack": _velocity(
-        "alpha", "V alpha", "the normal ground velocity less a wind", axis=2
-    ),
+    _gust("beta", "V beta", "the lateral ground velocity less a wind", axis=1),
+    _gust("alpha", "V alpha", "the normal ground velocity less a wind", axis=2),
     # without lags: gravity hardly varies, and the vertical force below tells them
-    "gravity": _force(("az",), gravity)._replace(
-        y="the integral of specific force", x="the change of velocity less gravity", lags=(0.0,)
+    Check(
+        channels=("az",),
+        y="the integral of specific force",
+        x="the change of velocity less gravity",
+        regression=gravity,
+        slopes=EQUAL,
+        uses=FORCE_CHANNELS,
+        noise=0.5,
     ),
-    "forward force": _force(("theta", "psi", "v_north", "v_east"), partial(level_force, axis=0)),
-    "sideward force": _force(("phi", "psi", "v_north", "v_east"), partial(level_force, axis=1)),
-    "vertical force": _force(("v_down", "az"), partial(level_force, axis=2)),
-    "lift": _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
-    "side force": _effect("ay", ("beta", "p", "r", "aileron", "rudder"), NEGATIVE),
-    "roll moment": _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
-    "pitch moment": _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
-    "yaw moment": _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
-    "thrust": Check(
-        ("throttle", "ax"), "ax", "throttle", thrust, POSITIVE, 0.01, (0.0,), ("airspeed", "az")
-    ),
-}
+    _force(("theta", "psi", "v_north", "v_east"), axis=0),
+    _force(("phi", "psi", "v_north", "v_east"), axis=1),
+    _force(("v_down", "az"), axis=2),
+    _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
+    _effect("ay", ("beta", "p", "r", "aileron", "rudder"), NEGATIVE),
+    _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
+    _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
+    _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
+    Check(("throttle", "ax"), "ax", "throttle", thrust, POSITIVE, ("airspeed", "az"), 0.01),
+)
 
 # Channels of the checks. Of the commanded ones a repeated value is a new sample.
 COMMANDED = (*ALL_SURFACES, "throttle")
-USED = sorted({*COMMANDED}.union(*((*check.channels, *check.uses) for check in CHECKS.values())))
-# larger angles [rad] are in degrees
-LARGEST_RADIANS = 2.1 * np.pi
+USED = sorted({*COMMANDED}.union(*(check.needs for check in CHECKS)))
 
 
 # -- decisions
 
 
+class Judgement(NamedTuple):
+    """A check of flights, and its numbers. ``flight`` is None for all flights together."""
+
+    check: Check
+    # channels that may be wrong
+    channels: tuple[str, ...]
+    # "slope", or "lag" [s], which is the value of ``slope``
+    quantity: str
+    slope: Slope
+    # distance from the admissible values, in standard deviations; 0 where the signals are equal
+    t: float
+    flight: object = None
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the compared signals, y over x, and the numbers."""
+        numbers = {
+            "channels": list(self.channels),
+            "y": self.check.y,
+            "x": self.check.x,
+            "expected": EXPECTED[self.check.slopes],
+            self.quantity: self.slope.value,
+            "std": self.slope.std,
+            "t": self.t,
+            "correlation": self.slope.correlation,
+            "effective_samples": self.slope.n_effective,
+        }
+        return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
+
+
 def find_contradictions(
-    table: pd.DataFrame, settings: PhysicsSettings = DEFAULT
-) -> list[Contradiction]:
-    """Return the checks that the flights of a table contradict.
+    flights: FlightTable, settings: PhysicsSettings = DEFAULT
+) -> list[Judgement]:
+    """Return the checks that flights contradict.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
-    Raises ValueError if time does not increase within a flight.
     """
-    contradictions = _of_flights(table, None, settings)
-    flights = flight_rows(table["flight"]) if "flight" in table else {}
-    if contradictions or len(flights) < 2:
+    contradictions = _contradictions_of(flights, settings)
+    if contradictions or len(flights.clock.names) < 2:
         return contradictions
-    time = table["time"].to_numpy(float)
-    for name, rows in flights.items():
-        if np.ptp(time[rows]) >= settings.long_flight:
-            contradictions += _of_flights(table.iloc[rows], name, settings)
+    for name, flight in flights.flights.items():
+        if np.ptp(flight.time) >= settings.long_flight:
+            for contradiction in _contradictions_of(flight, settings):
+                contradictions.append(contradiction._replace(flight=name))
     return contradictions
 
 
-def _of_flights(
-    table: pd.DataFrame, flight: object, settings: PhysicsSettings
-) -> list[Contradiction]:
-    """Return the contradictions of all rows of a table."""
-    signals = flight_signals(table, settings)
-    contradictions: list[Contradiction] = []
+def _contradictions_of(flights: FlightTable, settings: PhysicsSettings) -> list[Judgement]:
+    """Return the contradictions of all rows together."""
+    signals = flight_signals(flights, settings)
+    contradictions: list[Judgement] = []
     confirmed: set[str] = set()
-    for name, check in CHECKS.items():
-        if set(signals.channels).issuperset(check.channels + check.uses):
-            contradiction, agrees = _judged(name, check, signals)
-            if contradiction is not None:
-                contradictions.append(contradiction._replace(flight=flight))
-            elif agrees:
-                confirmed.update(check.channels)
-    has_elevons = {*ELEVONS} <= {*table.columns}
-    results = []
-    for reduced in _with_suspects(contradictions, confirmed):
-        is_mixed = has_elevons and reduced.channels[0] in MIXED
-        channels = (*ELEVONS, *reduced.channels[1:]) if is_mixed else reduced.channels
-        results.append(reduced._replace(channels=channels))
-    return results
+    for check in CHECKS:
+        if not check.needs <= signals.channels.keys():
+            continue
+        judgement = _judged(check, signals)
+        if judgement is None:
+            continue
+        if judgement.t:
+            contradictions.append(judgement)
+        else:
+            confirmed.update(check.channels)
+    suspects = _with_suspects(contradictions, confirmed)
+    if not {*ELEVONS} <= {*flights.table.columns}:
+        return suspects
+    return [_of_elevons(contradiction) for contradiction in suspects]
 
 
-def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
+def _of_elevons(contradiction: Judgement) -> Judgement:
+    """Return a contradiction with the elevons in place of the elevator or aileron that they make."""
+    first, *others = contradiction.channels
+    channels = (*ELEVONS, *others) if first in MIXED else contradiction.channels
+    return contradiction._replace(channels=channels)
+
+
+def _with_suspects(contradictions: list[Judgement], confirmed: set[str]) -> list[Judgement]:
     """Return contradictions with only the channels that may be wrong, without those that follow from others.
 
     No other check of equal signals confirms these channels; of several, the most often contradicted
@@ -488,15 +511,15 @@ def _with_suspects(contradictions: list[Contradiction], confirmed: set[str]) -> 
             names = tuple(name for name in names if name not in confirmed)
         most = max(counts[name] for name in names)
         suspects = tuple(name for name in names if counts[name] == most)
-        follows = doubtful.intersection(CHECKS[contradiction.check].uses)
+        follows = doubtful.intersection(contradiction.check.uses)
         if not follows and not doubtful.issuperset(suspects):
             doubtful.update(suspects)
             remaining.append(contradiction._replace(channels=suspects))
     return remaining
 
 
-def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | None, bool]:
-    """Return the contradiction of a check, None if there is none, and whether its signals are equal.
+def _judged(check: Check, signals: Signals) -> Judgement | None:
+    """Return the judgement of a check, None if it is undecided.
 
     Signals are equal if they are at the best lag. A sign is wrong if it is so at all lags that
     explain y about as well as the best one. Under feedback a late servo turns the sign at lag zero.
@@ -504,15 +527,15 @@ def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | 
     settings = signals.settings
     slopes = slopes_by_lag(check, signals)
     if not slopes:
-        return None, False
+        return None
     best = max(slopes.values(), key=lambda slope: slope.explained)
     if best.size <= check.noise or best.n_effective < settings.least_samples:
-        return None, False
+        return None
     least, most = check.slopes
     if check.slopes == EQUAL:
         margin = min(best.value - least, most - best.value)
         if margin > settings.least_t * best.std:
-            return _late(name, check, slopes, settings)
+            return _judged_lag(check, slopes, settings)
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
         least *= 1 - (check.noise / best.size) ** 2
         slope = slopes[0.0]
@@ -520,41 +543,29 @@ def _judged(name: str, check: Check, signals: Signals) -> tuple[Contradiction | 
         enough = settings.possible_lag * best.explained
         possible = [slope for slope in slopes.values() if slope.explained >= enough]
         slope = min(possible, key=lambda slope: abs(slope.t(least, most)))
-    is_weak = check.slopes != EQUAL and abs(slope.correlation) < settings.least_correlation
+        if abs(slope.correlation) < settings.least_correlation:
+            return None
     t = slope.t(least, most)
-    if is_weak or abs(t) < settings.least_t:
-        return None, False
-    return _contradiction(name, check, "slope", slope, t), False
+    if abs(t) < settings.least_t:
+        return None
+    return Judgement(check, check.channels, "slope", slope, t)
 
 
-def _late(
-    name: str, check: Check, slopes: dict[float, Slope], settings: PhysicsSettings
-) -> tuple[Contradiction | None, bool]:
-    """Return a contradiction if the best lag is longer than usual, by a likelihood ratio."""
+def _judged_lag(check: Check, slopes: dict[float, Slope], settings: PhysicsSettings) -> Judgement:
+    """Return the judgement of equal signals: contradicted if the best lag is longer than usual."""
     lag, best = max(slopes.items(), key=lambda item: item[1].explained)
-    usual = max(slopes[late].explained for late in slopes if abs(late) <= settings.usual_lag)
-    # t^2 = n log of the ratio of unexplained variances
-    t = np.sqrt(best.n_effective * np.log((1 + best.explained) / (1 + usual)))
+    usual = 0.0
+    for late, slope in slopes.items():
+        if abs(late) <= settings.usual_lag:
+            usual = max(usual, slope.explained)
+    # likelihood ratio: t^2 = n log of the ratio of unexplained variances
+    ratio = (1 + best.explained) / (1 + usual)
+    t = float(np.sqrt(best.n_effective * np.log(ratio)))
     if abs(lag) <= settings.usual_lag or t < settings.least_t:
-        return None, True
-    spacing = KINEMATIC_LAGS[-1] - KINEMATIC_LAGS[-2]
-    late = best._replace(value=lag, std=spacing / np.sqrt(12))
-    return _contradiction(name, check, "lag", late, float(t)), False
-
-
-def _contradiction(name: str, check: Check, quantity: str, slope: Slope, t: float) -> Contradiction:
-    """Return the record of a contradiction."""
-    return Contradiction(
-        None,
-        name,
-        check.channels,
-        quantity,
-        slope.value,
-        slope.std,
-        t,
-        slope.correlation,
-        slope.n_effective,
-    )
+        t = 0.0
+    # a uniform distribution between the lags that are tried
+    std = settings.lag_spacing / np.sqrt(12)
+    return Judgement(check, check.channels, "lag", best._replace(value=lag, std=std), t)
 
 
 def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
@@ -573,88 +584,101 @@ def estimated_slope(regression: Regression, settings: PhysicsSettings = DEFAULT)
     """Return the slope of y over x beside the other regressors, None if undetermined by the rows."""
     Z = np.column_stack([*regression.others, regression.x, regression.y])
     Z = Z[np.isfinite(Z).all(axis=1)]
-    if len(Z) < settings.least_rows:
+    n = len(Z)
+    if n < settings.least_rows:
         return None
-    scale = np.sqrt(np.mean(Z[:, :-2] ** 2, axis=0))
-    others = Z[:, :-2][:, scale > 0] / scale[scale > 0]
+    others = Z[:, :-2]
     xy = Z[:, -2:]
-    if others.size:
-        xy = xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]
+    scale = np.sqrt(np.mean(others**2, axis=0))
+    others = others / np.where(scale > 0, scale, 1.0)
+    xy = xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]
     x, y = xy.T
     x_size, y_size = np.linalg.norm(xy, axis=0)
-    if not (x_size > 1e-3 * np.linalg.norm(Z[:, -2]) and y_size > 0):
+    is_determined = x_size > 1e-3 * np.linalg.norm(Z[:, -2])
+    if not is_determined or not y_size > 0:
         return None
     slope = x @ y / x_size**2
     products = x * (y - slope * x)
     tau = autocorrelation_time(products)
-    return Slope(
-        value=float(slope),
-        std=float(np.sqrt(tau) * np.linalg.norm(products) / x_size**2),
-        correlation=float(x @ y / (x_size * y_size)),
-        n_effective=len(x) / tau,
-        size=float(x_size / np.sqrt(len(x))),
-    )
+    std = np.sqrt(tau) * np.linalg.norm(products) / x_size**2
+    correlation = x @ y / (x_size * y_size)
+    size = x_size / np.sqrt(n)
+    return Slope(float(slope), float(std), float(correlation), n / tau, float(size))
 
 
 # -- signals of a table
 
 
-def flight_signals(table: pd.DataFrame, settings: PhysicsSettings = DEFAULT) -> Signals:
-    """Return the channels of a flight table at about 20 Hz, without the rows on the ground."""
-    time = table["time"].to_numpy(float)
-    segments = flight_segments(time, table.get("flight"))
-    runs = [run for run in segments if run.stop - run.start > 1]
+def flight_signals(flights: FlightTable, settings: PhysicsSettings = DEFAULT) -> Signals:
+    """Return the channels of flights at about 20 Hz, without the rows on the ground."""
+    time = flights.time
+    runs = [run for run in flights.segments if n_rows(run) > 1]
     if not runs:
         return Signals({}, np.empty(0, int), 1.0, settings)
-    usual = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
-    step = float(usual) * max(1, int(1 / usual // settings.rate))
+    usual = median_step(time, runs)
+    n_averaged = max(1, int(1 / usual // settings.rate))
+    step = usual * n_averaged
     clocks = [_block_clock(time[run], step) for run in runs]
-    segment = np.repeat(np.arange(len(runs)), [len(clock) for clock in clocks])
+    lengths = [len(clock) for clock in clocks]
+    segment = np.repeat(np.arange(len(runs)), lengths)
     channels = {}
-    for name in USED:
-        if name in table and pd.api.types.is_numeric_dtype(table[name]):
-            values = table[name].to_numpy(float, na_value=np.nan)
-            parts = []
-            for run, clock in zip(runs, clocks, strict=True):
-                parts.append(_averaged(name, time[run], values[run], clock))
-            channels[name] = np.concatenate(parts)
-    if set(ELEVONS) <= channels.keys():
-        left, right = (channels[name] for name in ELEVONS)
-        channels["elevator"] = (left + right) / 2
-        channels["aileron"] = (left - right) / 2
-    channels = {name: values for name, values in channels.items() if np.isfinite(values).any()}
-    if "airspeed" in channels:
-        airspeed = channels["airspeed"]
-        on_ground = airspeed < settings.flying * np.nanmedian(airspeed)
-        channels = {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}
+    for name, values in flights.numeric_channels(USED).items():
+        parts = []
+        for run, clock in zip(runs, clocks, strict=True):
+            parts.append(_averaged(name, time[run], values[run], clock, settings))
+        channel = np.concatenate(parts)
+        if np.isfinite(channel).any():
+            channels[name] = channel
+    channels = _in_flight(_mixed(channels), settings)
     return Signals(channels, segment, step, settings)
+
+
+def _mixed(channels: dict[str, Vector]) -> dict[str, Vector]:
+    """Return the channels with elevator and aileron of the elevons."""
+    if not {*ELEVONS} <= channels.keys():
+        return channels
+    left, right = (channels[name] for name in ELEVONS)
+    return channels | {"elevator": (left + right) / 2, "aileron": (left - right) / 2}
+
+
+def _in_flight(channels: dict[str, Vector], settings: PhysicsSettings) -> dict[str, Vector]:
+    """Return the channels without rows on the ground."""
+    if "airspeed" not in channels:
+        return channels
+    airspeed = channels["airspeed"]
+    on_ground = airspeed < settings.flying * np.nanmedian(airspeed)
+    return {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}
 
 
 def _block_clock(time: Vector, step: float) -> Matrix:
     """Return the times of whole blocks (n, k) of ``step`` [s] each, k the samples of a block at the run's own rate."""
-    size = max(1, round(step / np.median(np.diff(time))))
+    n_samples = round(step / np.median(np.diff(time)))
+    size = max(1, n_samples)
     spacing = step / size
     # the tolerance is of rounded clocks
-    n = 1 + int((time[-1] - time[0]) / spacing + 1e-3)
-    points = time[0] + spacing * np.arange(n // size * size)
+    n = 1 + int(np.ptp(time) / spacing + 1e-3)
+    n_blocks = n // size
+    points = time[0] + spacing * np.arange(n_blocks * size)
     return np.minimum(points, time[-1]).reshape(-1, size)
 
 
-def _averaged(name: str, time: Vector, values: Vector, clock: Matrix) -> Vector:
+def _averaged(
+    name: str, time: Vector, values: Vector, clock: Matrix, settings: PhysicsSettings
+) -> Vector:
     """Return means over the blocks of a clock (n, k), linear between samples.
 
     A sensor that repeats its value holds it: only the first is a sample, as the others are late.
     """
     rows = np.flatnonzero(np.isfinite(values))
-    if rows.size:
-        if name not in COMMANDED:
-            is_first = np.diff(values[rows], prepend=np.nan) != 0
-            is_first[-1] = True
-            rows = rows[is_first]
-        samples = values[rows]
-        if name in EULER:
-            period = 360.0 if np.abs(samples).max() > LARGEST_RADIANS else 2 * np.pi
-            samples = np.unwrap(samples, period=period)
-        values = np.interp(clock, time[rows], samples, left=np.nan, right=np.nan)
-        return values.mean(axis=1)
-    return np.full(len(clock), np.nan)
+    if not rows.size:
+        return np.full(len(clock), np.nan)
+    if name not in COMMANDED:
+        is_first = np.diff(values[rows], prepend=np.nan) != 0
+        is_first[-1] = True
+        rows = rows[is_first]
+    samples = values[rows]
+    if name in EULER:
+        is_degrees = np.abs(samples).max() > settings.largest_radians
+        samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
+    sampled = np.interp(clock, time[rows], samples, left=np.nan, right=np.nan)
+    return sampled.mean(axis=1)

@@ -10,31 +10,50 @@ Beyond the last frequency at which signal is as strong as noise, both are made n
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import interpolate, ndimage, optimize, signal
 
 from skdgp._compute.messages import warn
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.checks import check_number
-from skdgp._flight.clock import check_clock, runs_by_flight, uniform_grid
+from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
 
-ORDER = 2  # of the Butterworth filter, run forward and backward
-WINDOW_SECONDS = 6.4  # s, of a periodogram
-SHORTEST_WINDOW = 32  # samples
-LEAST_SAMPLES = 4 * SHORTEST_WINDOW  # of a segment that shows a spectrum
-EVIDENCE = 2.0  # least gain in log likelihood by white noise in a spectrum
-TINY = 1e-300  # avoids the logarithm of zero
-# remarks of `smooth`
+
+@dataclass(frozen=True)
+class SmoothingSettings:
+    """Settings of the smoother; guesses without another source."""
+
+    # of the Butterworth filter, run forward and backward
+    order: int = 2
+    # length of a periodogram [s], and least number of its samples
+    window_seconds: float = 6.4
+    shortest_window: int = 64
+    # least samples of a segment that shows a spectrum
+    least_samples: int = 128
+    # least gain in log likelihood by white noise in a spectrum
+    evidence: float = 2.0
+
+
+SMOOTHING = SmoothingSettings()
+# avoids the logarithm of zero
+TINY = 1e-300
 TOO_SHORT = (
-    f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to tell noise from signal, so "
-    "cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
+    f"A flight has no gap-free stretch of {SMOOTHING.least_samples} samples: too short to tell "
+    "noise from signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
 )
 NO_RATE = (
-    "A segment of a single sample has no rate of change: its derivative is NaN. Drop isolated samples, or "
-    "give the whole flight at its full rate."
+    "A segment of a single sample has no rate of change: its derivative is NaN. Drop isolated "
+    "samples, or give the whole flight at its full rate."
 )
+
+LowPass: TypeAlias = Callable[[Matrix, float], Matrix]
+"""Filter of equidistant channels (n, k) of a rate [Hz]."""
 
 
 def smooth(
@@ -62,18 +81,31 @@ def smooth(
     Raises ValueError if time does not increase or is too irregular, a value is infinite, or the
     cutoff is not below half the sampling rate.
     """
-    columns, times, codes = _checked(values, time, flight)
+    columns, clock = _checked(values, time, flight)
     if cutoff is not None and cutoff != "auto":
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
-    remarks: set[str] = set()
+    is_short = has_no_rate = False
     for rows, channels in _same_rows(columns):
         place = np.ix_(rows, channels)
-        out[place] = _per_flight(
-            columns[place], times[rows], codes[rows], cutoff, joint, derivative, remarks
-        )
-    for remark in sorted(remarks):
-        warn(remark, stacklevel=2)
+        sampled = columns[place]
+        smoothed = np.empty_like(sampled)
+        part = clock.part(rows)
+        for runs in part.segments_by_flight:
+            low_pass: LowPass | None = None
+            if isinstance(cutoff, str):
+                low_pass = _wiener(sampled, part.time, runs, joint)
+                is_short |= low_pass is None
+            elif cutoff is not None:
+                low_pass = partial(_butterworth, cutoff=cutoff)
+            for run in runs:
+                smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
+                has_no_rate |= derivative and n_rows(run) == 1
+        out[place] = smoothed
+    if has_no_rate:
+        warn(NO_RATE, stacklevel=2)
+    if is_short:
+        warn(TOO_SHORT, stacklevel=2)
     return out.reshape(np.shape(values))
 
 
@@ -93,23 +125,36 @@ def noise_level(
 
     Flights are pooled by their number of samples; NaN where all are too short.
     """
-    columns, times, codes = _checked(values, time, flight)
+    columns, clock = _checked(values, time, flight)
     std = np.full(columns.shape[1], np.nan)
     for rows, channels in _same_rows(columns):
-        part = columns[np.ix_(rows, channels)]
-        levels = []
+        sampled = columns[np.ix_(rows, channels)]
+        part = clock.part(rows)
+        variances = []
         weights = []
-        for runs in runs_by_flight(times[rows], codes[rows]):
-            spectrum = _flight_spectrum(part, times[rows], runs)
+        for runs in part.segments_by_flight:
+            spectrum = _flight_spectrum(sampled, part.time, runs)
             if spectrum is not None:
-                levels.append(white_noise(spectrum) * spectrum.frequency[-1])
-                weights.append(sum(run.stop - run.start for run in runs))
-        if levels:
-            std[channels] = np.sqrt(np.average(levels, axis=0, weights=weights))
+                variances.append(white_noise(spectrum) * spectrum.frequency[-1])
+                weights.append(sum(map(n_rows, runs)))
+        if variances:
+            std[channels] = np.sqrt(np.average(variances, axis=0, weights=weights))
     return std.reshape(np.shape(values)[1:])
 
 
-def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _checked(values: Any, time: ArrayLike, flight: ArrayLike | None) -> tuple[Matrix, Clock]:
+    """Return the channels (n, k) and their clock."""
+    columns = np.asarray(values, dtype=float).reshape(len(values), -1)
+    n_infinite = int(np.isinf(columns).sum())
+    if n_infinite:
+        raise ValueError(
+            f"Got {n_infinite} infinite values, but expected finite ones or NaN (not sampled): "
+            "replace them by NaN."
+        )
+    return columns, Clock.of(time, flight)
+
+
+def _same_rows(columns: Matrix) -> list[tuple[Indices, Indices]]:
     """Return rows and channels of each group of channels that were sampled at the same rows."""
     masks, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
     groups = []
@@ -120,108 +165,110 @@ def _same_rows(columns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return groups
 
 
-def _per_flight(columns, time, codes, cutoff, joint, derivative, remarks: set[str]) -> np.ndarray:
-    out = np.empty_like(columns)
-    for runs in runs_by_flight(time, codes):
-        kernel = None
-        if isinstance(cutoff, str):
-            spectrum = _flight_spectrum(columns, time, runs)
-            if spectrum is None:
-                remarks.add(TOO_SHORT)
-            else:
-                gain = _joint_gain if joint else _single_gain
-                kernel = impulse_response(gain(spectrum, white_noise(spectrum)))
-        for run in runs:
-            out[run] = _filter_run(columns[run], time[run], cutoff, kernel, derivative)
-            if derivative and run.stop - run.start == 1:
-                remarks.add(NO_RATE)
-    return out
-
-
-def _filter_run(columns, time, cutoff, kernel, derivative) -> np.ndarray:
-    """Return one run without gaps smoothed on a uniform grid: its values, or slopes, at the run's times."""
+def _filtered(columns: Matrix, time: Vector, low_pass: LowPass | None, derivative: bool) -> Matrix:
+    """Return one run without gaps filtered on a uniform grid: its values, or slopes, at the run's times."""
     if len(time) == 1:
         return np.full_like(columns, np.nan) if derivative else columns
-    grid, jittered = uniform_grid(time)
-    times = time if jittered else grid
-    if cutoff is None or (kernel is None and isinstance(cutoff, str)):
-        return interpolate.CubicSpline(times, columns)(times, 1) if derivative else columns
-    on_grid = interpolate.CubicSpline(time, columns)(grid) if jittered else columns
-    if kernel is None:
-        step = (grid[-1] - grid[0]) / (len(grid) - 1)
-        smoothed = _butterworth(on_grid, 1 / step, cutoff)
-    else:
-        smoothed = convolve(on_grid, kernel)
-    if not (jittered or derivative):
-        return smoothed
-    return interpolate.CubicSpline(grid, smoothed)(times, int(derivative))
+    grid, is_jittered = uniform_grid(time)
+    at = time if is_jittered else grid
+    knots = at
+    if low_pass is not None:
+        knots = grid
+        if is_jittered:
+            columns = interpolate.CubicSpline(time, columns)(grid)
+        rate = (len(grid) - 1) / np.ptp(grid)
+        columns = low_pass(columns, rate)
+    if knots is at and not derivative:
+        return columns
+    return interpolate.CubicSpline(knots, columns)(at, int(derivative))
 
 
-def _butterworth(columns: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
+def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
+    """Return channels through a Butterworth filter, forward and backward."""
     if cutoff > rate / 2 * (1 - 1e-6):
         raise ValueError(
             f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half "
             f"the sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
-    sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
-    padding = min(len(columns) - 1, int(np.ceil(5 * rate / cutoff)))
+    sections = signal.butter(SMOOTHING.order, cutoff, fs=rate, output="sos")
+    transient = int(np.ceil(5 * rate / cutoff))
+    padding = min(len(columns) - 1, transient)
     return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
 
 
-def _checked(values, time, flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the channels (n, k), time (n,) and flight codes (n,)."""
-    columns = np.asarray(values, dtype=float).reshape(len(values), -1)
-    n_infinite = int(np.isinf(columns).sum())
-    if n_infinite:
-        raise ValueError(
-            f"Got {n_infinite} infinite values, but expected finite ones or NaN (not sampled): "
-            "replace them by NaN."
-        )
-    return columns, *check_clock(time, flight)
+def _wiener(columns: Matrix, time: Vector, runs: list[slice], joint: bool) -> LowPass | None:
+    """Return the smoother of a flight's channels by their spectrum; None where no run is long enough."""
+    spectrum = _flight_spectrum(columns, time, runs)
+    if spectrum is None:
+        return None
+    floor = white_noise(spectrum)
+    gain = _joint_gain(spectrum, floor) if joint else _single_gain(spectrum, floor)
+    response = impulse_response(gain)
+    return lambda values, rate: convolve(values, response)
 
 
 class Spectrum(NamedTuple):
     """Welch's estimate over the segments of a flight."""
 
-    frequency: np.ndarray  # (m,) [Hz]
-    power: np.ndarray  # (m, k, k) cross-spectral density
-    averages: float  # independent periodograms in it
-    rounding: np.ndarray  # (k,) white power that rounding makes
+    # (m,) [Hz]
+    frequency: np.ndarray
+    # (m, k, k) cross-spectral density
+    power: np.ndarray
+    # independent periodograms in it
+    averages: float
+    # (k,) white power that rounding makes
+    rounding: np.ndarray
 
     @property
-    def channel_power(self) -> np.ndarray:
+    def channel_power(self) -> Matrix:
         """Power of each channel alone, (m, k)."""
         return np.einsum("mii->mi", self.power).real
 
 
-def _flight_spectrum(columns: np.ndarray, time: np.ndarray, runs: list[slice]) -> Spectrum | None:
+def _flight_spectrum(
+    columns: Matrix, time: Vector, runs: list[slice], settings: SmoothingSettings = SMOOTHING
+) -> Spectrum | None:
     """Return the spectrum of the runs of a flight's channels (n, k); None where none is long enough.
 
     Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
-    longest = max(run.stop - run.start for run in runs)
-    if longest < LEAST_SAMPLES:
+    longest = max(map(n_rows, runs))
+    if longest < settings.least_samples:
         return None
-    step = np.median(np.concatenate([np.diff(time[run]) for run in runs]))
-    size = int(max(WINDOW_SECONDS / step, 2 * SHORTEST_WINDOW))
-    size = 2 * (min(size, longest // 4) // 2)
-    long_runs = [run for run in runs if run.stop - run.start >= size]
-    pieces = np.concatenate([_windows(columns[run], size) for run in long_runs])
+    step = median_step(time, runs)
+    wanted = max(settings.window_seconds / step, settings.shortest_window)
+    half = min(int(wanted), longest // 4) // 2
+    size = 2 * half
+    windows = []
+    for run in runs:
+        if n_rows(run) >= size:
+            windows.append(_windows(columns[run], size))
+    pieces = np.concatenate(windows)
     taper = signal.windows.hann(size)
     tapered = signal.detrend(pieces, axis=-1) * taper
     waves = np.fft.rfft(tapered, axis=-1).transpose(2, 1, 0)
-    unit = 2 * step / (len(pieces) * np.sum(taper**2))  # of a periodogram [1/Hz]
+    # of a periodogram [1/Hz]
+    energy = len(pieces) * np.sum(taper**2)
+    unit = 2 * step / energy
     power = waves @ waves.conj().swapaxes(1, 2) * unit
-    rounding = 2 * step * (1e-9 * np.abs(pieces).max(axis=(0, 2))) ** 2
+    largest = np.abs(pieces).max(axis=(0, 2))
     return Spectrum(
         frequency=np.fft.rfftfreq(size, step),
         power=power,
-        averages=0.375 * len(pieces),  # each sample is in four windows
-        rounding=rounding,
+        # each sample is in four windows
+        averages=0.375 * len(pieces),
+        rounding=2 * step * (1e-9 * largest) ** 2,
     )
 
 
-def white_noise(spectrum: Spectrum) -> np.ndarray:
+def _windows(segment: Matrix, size: int) -> Array:
+    """Return half-overlapping windows (s, k, size), counted from either end so that no sample is left over."""
+    views = np.lib.stride_tricks.sliding_window_view(segment, size, axis=0)
+    half = size // 2
+    return np.concatenate([views[::half], views[::-half]])
+
+
+def white_noise(spectrum: Spectrum) -> Vector:
     """Return the white noise power of each channel, (k,)."""
     floor = np.zeros(len(spectrum.rounding))
     for channel, power in enumerate(spectrum.channel_power.T):
@@ -229,16 +276,54 @@ def white_noise(spectrum: Spectrum) -> np.ndarray:
     return np.where(floor > spectrum.rounding, floor, 0.0)
 
 
-def _single_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
+def _noise_floor(
+    frequency: Vector, power: Vector, averages: float, settings: SmoothingSettings = SMOOTHING
+) -> float:
+    """Return the flat part of the upper half of a spectrum, without the falling part.
+
+    A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
+    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights; the
+    constant stands only if Whittle's log likelihood without it is lower by more than ``evidence``.
+    """
+    top = slice(len(power) // 2, -1)
+    observed = power[top]
+    if not observed.min() > 1e-24 * power.max():
+        return 0.0
+    angle = 0.5 * np.pi * frequency[top] / frequency[-1]
+    fall = np.sin(angle) ** -2
+    shapes = np.column_stack([fall**k for k in (0, 1, 2, 4, 8)])
+    shapes /= shapes.max(axis=0)
+    weights, misfit = _fit_weights(shapes, observed)
+    _, misfit_without = _fit_weights(shapes[:, 1:], observed)
+    gain = averages * (misfit_without - misfit)
+    return weights[0] if gain > settings.evidence else 0.0
+
+
+def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
+    """Return non-negative weights of the shapes, and minus Whittle's log likelihood of one periodogram."""
+    fitted = observed
+    for _ in range(4):
+        relative = shapes / fitted[:, None]
+        weights, _ = optimize.nnls(relative, observed / fitted)
+        fitted = shapes @ weights
+    misfit = np.sum(np.log(fitted) + observed / fitted)
+    return weights, misfit
+
+
+def _single_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
     """Return the smoother of each channel alone, (m, k)."""
     log_power = np.log(spectrum.channel_power + TINY)
-    steady = np.exp(ndimage.gaussian_filter1d(log_power, 1.0, axis=0, mode="nearest"))
-    gain = np.where(floor > 0, np.clip(1 - floor / steady, 0, 1), 1.0)
-    gain[0] = 1.0  # the mean of a channel is signal
+    smoothed = ndimage.gaussian_filter1d(log_power, 1.0, axis=0, mode="nearest")
+    steady = np.exp(smoothed)
+    # h = max(0, 1 - N / P)
+    gain = np.clip(1 - floor / steady, 0, 1)
+    gain[:, floor == 0] = 1.0
+    # the mean of a channel is signal
+    gain[0] = 1.0
     return gain * _falling(gain)
 
 
-def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
+def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
     """Return the smoother of each channel from all, (m, k, k); the row of a noise-free channel is the identity.
 
     In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the
@@ -249,27 +334,46 @@ def _joint_gain(spectrum: Spectrum, floor: np.ndarray) -> np.ndarray:
     # root of the noise power, or of a small power where there is no noise
     small = 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + TINY
     unit = np.sqrt(np.where(floor > 0, floor, small))
-    size, axes = np.linalg.eigh(spectrum.power / (unit[:, None] * unit))
+    scaled = spectrum.power / np.outer(unit, unit)
+    size, axes = np.linalg.eigh(scaled)
     edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
     gains = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
-    gain = np.einsum("mik,mk,mjk->mij", axes, gains, axes.conj()) * (unit[:, None] / unit)
+    # H = (P - N) P^-1
+    in_units = np.einsum("mik,mk,mjk->mij", axes, gains, axes.conj())
+    gain = in_units * (unit[:, None] / unit)
     gain[0] = np.eye(k)
     # power of the signal, in units of noise
     strength = np.einsum("mik,mk->mi", np.abs(axes) ** 2, gains * size)
     strength[0] = np.inf
     falling = _falling(1 / (1 + 1 / np.maximum(strength, 1e-12)))
-    return np.where((floor > 0)[:, None], gain * falling[:, :, None], np.eye(k))
+    gain *= falling[:, :, None]
+    is_exact = floor == 0
+    gain[:, is_exact] = np.eye(k)[is_exact]
+    return gain
 
 
-def impulse_response(gain: np.ndarray) -> np.ndarray:
+def _falling(gain: Matrix) -> Matrix:
+    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
+    is_strong = gain >= 0.5
+    last = len(gain) - 1 - np.argmax(is_strong[::-1], axis=0)
+    is_beyond = np.arange(len(gain))[:, None] > last
+    least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5), axis=0)
+    factor = least / np.maximum(gain, 1e-12)
+    return np.where(is_beyond, factor, 1.0)
+
+
+def impulse_response(gain: Array) -> Array:
     """Return impulse responses of gains, (2 m - 3, ...), Hann-tapered; constants pass unchanged."""
     size = 2 * (len(gain) - 1)
-    taper = signal.windows.hann(size + 1)[1:-1].reshape(-1, *[1] * (gain.ndim - 1))
-    response = np.fft.fftshift(np.fft.irfft(gain, size, axis=0), axes=0)[1:] * taper
-    return response + (gain[0].real - response.sum(axis=0)) * taper / taper.sum()
+    taper = signal.windows.hann(size + 1)[1:-1]
+    taper = taper.reshape(-1, *[1] * (gain.ndim - 1))
+    centred = np.fft.fftshift(np.fft.irfft(gain, size, axis=0), axes=0)
+    response = centred[1:] * taper
+    lacking = gain[0].real - response.sum(axis=0)
+    return response + lacking * taper / taper.sum()
 
 
-def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
+def convolve(columns: Matrix, response: Array) -> Matrix:
     """Return columns (n, k), continued oddly beyond their ends, filtered by (l, k) or joint (l, k, k) responses."""
     half = len(response) // 2
     padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
@@ -280,45 +384,3 @@ def convolve(columns: np.ndarray, response: np.ndarray) -> np.ndarray:
         from_all = signal.oaconvolve(padded, part, mode="valid", axes=0)
         filtered.append(from_all.sum(axis=1))
     return np.stack(filtered, axis=1)
-
-
-def _falling(gain: np.ndarray) -> np.ndarray:
-    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
-    last = len(gain) - 1 - np.argmax(gain[::-1] >= 0.5, axis=0)
-    beyond = np.arange(len(gain))[:, None] > last
-    least = np.minimum.accumulate(np.where(beyond, gain, 0.5), axis=0)
-    return np.where(beyond, least / np.maximum(gain, 1e-12), 1.0)
-
-
-def _windows(segment: np.ndarray, size: int) -> np.ndarray:
-    """Return half-overlapping windows (s, k, size), counted from either end so that no sample is left over."""
-    views = np.lib.stride_tricks.sliding_window_view(segment, size, axis=0)
-    return np.concatenate([views[:: size // 2], views[:: -(size // 2)]])
-
-
-def _noise_floor(frequency: np.ndarray, power: np.ndarray, averages: float) -> float:
-    """Return the flat part of the upper half of a spectrum, without the falling part.
-
-    A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
-    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights; the
-    constant stands only if Whittle's log likelihood without it is lower by more than ``EVIDENCE``.
-    """
-    top = slice(len(power) // 2, -1)
-    observed = power[top]
-    if not observed.min() > 1e-24 * power.max():
-        return 0.0
-    fall = np.sin(0.5 * np.pi * frequency[top] / frequency[-1]) ** -2
-    shapes = np.column_stack([fall**k for k in (0, 1, 2, 4, 8)])
-    shapes /= shapes.max(axis=0)
-    weights, misfit = _fit_weights(shapes, observed)
-    _, misfit_without = _fit_weights(shapes[:, 1:], observed)
-    return weights[0] if averages * (misfit_without - misfit) > EVIDENCE else 0.0
-
-
-def _fit_weights(shapes: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return non-negative weights of the shapes, and minus Whittle's log likelihood of one periodogram."""
-    fitted = observed
-    for _ in range(4):
-        weights, _ = optimize.nnls(shapes / fitted[:, None], observed / fitted)
-        fitted = shapes @ weights
-    return weights, np.sum(np.log(fitted) + observed / fitted)

@@ -15,7 +15,6 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
 )
-from skdgp._flight.checks import check_columns, check_flight, check_table
 from skdgp._flight.faults import (
     POSSIBLE,
     FlightDataWarning,
@@ -23,6 +22,8 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.smoothing import differentiate, smooth
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._rigid_body import (
     dynamic_pressure,
@@ -96,7 +97,7 @@ def aerodynamic_coefficients(
     {'CX': 0.014, 'CY': 0.0, 'CZ': -0.454, 'Cl': 0.0, 'Cm': 0.0, 'Cn': 0.0}
     """
     flight = _measured(flight, ignore)
-    check_flight(flight, ["time", *NEEDED])
+    check_flight(flight, NEEDED)
     measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
@@ -115,9 +116,9 @@ def aerodynamic_coefficients(
 
 def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     """Return the flight with NaN where a needed channel was not measured, and warn."""
-    check_columns(check_table(flight), ["time", *NEEDED])
+    flights = FlightTable.of(flight, NEEDED)
     ignored = {*ignore, *(name for name in POSSIBLE if name not in NEEDED)}
-    faults = [fault for fault in find_faults(flight, ignored) if not fault.is_measured]
+    faults = [fault for fault in find_faults(flights, ignored) if not fault.is_measured]
     if faults:
         numbers = {"faults": [fault.finding for fault in faults]}
         report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning, stacklevel=3)

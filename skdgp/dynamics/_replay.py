@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Indices
 from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
-from skdgp._flight.checks import check_flight
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._rigid_body import (
@@ -75,8 +75,8 @@ def replay(
     """
     if not horizon > 0:
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
-    segments = check_flight(flight, ["time", "airspeed", "density", *STATES])
-    time = flight["time"].to_numpy(float)
+    flights = check_flight(flight, ["airspeed", "density", *STATES])
+    time = flights.time
     measured = table_states(flight)
     _check_coefficients(coefficients, len(flight))
     aerodynamic = aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft)
@@ -86,7 +86,7 @@ def replay(
     has_loads: Any = np.isfinite(loads).all(axis=1)
     is_complete: Any = np.isfinite(measured).all(axis=1)
     windows: list[Indices] = []
-    for segment in segments:
+    for segment in flights.segments:
         for run in true_runs(has_loads[segment]):
             rows = np.arange(segment.start, segment.stop)[run]
             windows += _windows(rows, time[rows], is_complete[rows], float(horizon))

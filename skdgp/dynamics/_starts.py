@@ -23,7 +23,7 @@ from skdgp._flight.channels import (
     POSITION,
     RATES,
 )
-from skdgp._flight.checks import check_names, check_number, check_radians
+from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import (
     air_velocity,
     body_to_ned,
@@ -31,6 +31,7 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
 )
+from skdgp._flight.units import check_radians
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._air import LocalAir
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked

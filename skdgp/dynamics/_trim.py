@@ -15,8 +15,9 @@ from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HAT
-from skdgp._flight.checks import check_names, check_number, degrees_error
+from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
+from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._motion import (

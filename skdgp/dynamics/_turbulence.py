@@ -16,9 +16,10 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
-from skdgp._flight.checks import check_columns, check_number, check_radians, check_table
-from skdgp._flight.clock import flight_segments
+from skdgp._flight.checks import check_columns, check_number, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import check_radians
 from skdgp.dynamics._dryden import dryden_gusts
 
 FEET = 0.3048
@@ -119,11 +120,11 @@ class Turbulence(NamedTuple):
         Turbulence
         """
         columns = ["time", *AIR_DATA, *EULER, *EARTH_VELOCITY]
-        check_columns(check_table(flight, what="flight"), columns, what="flight")
+        flights = FlightTable.of(flight, columns)
         check_radians(flight, (*EULER, "alpha", "beta"))
         winds = []
         airspeeds = []
-        for segment in flight_segments(flight["time"], flight.get("flight")):
+        for segment in flights.segments:
             wind = _wind_of(flight.iloc[segment][columns].dropna())
             if len(wind) > 1 and np.ptp(wind["time"]) >= SPECTRA.duration:
                 winds.append(wind)

@@ -26,8 +26,8 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
-from skdgp._flight.checks import check_columns, check_radians, check_table
-from skdgp._flight.tables import has_values
+from skdgp._flight.tables import FlightTable, has_values
+from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.estimation._air_covariance import (
     add_model_error,
@@ -245,7 +245,7 @@ def estimate_air_motion(
         If no record has 100 samples without a gap, two where ``known`` is given, or the estimate diverges.
     """
     check_aircraft(aircraft)
-    check_columns(check_table(table), ["time", *PATH_CHANNELS, "density"])
+    FlightTable.of(table, [*PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
     table = _with_elevator_and_aileron(table)
     if known is None:

@@ -16,8 +16,7 @@ from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
-from skdgp._flight.checks import numeric
-from skdgp._flight.tables import interpolate_missing
+from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
 from skdgp.estimation._path import estimate_path
 from skdgp.estimation._sensors import (

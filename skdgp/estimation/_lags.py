@@ -24,9 +24,9 @@ from scipy.stats import t as student
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.checks import check_radians, numeric
-from skdgp._flight.clock import check_clock, flight_codes, runs_by_flight, uniform_grid
-from skdgp._flight.tables import has_values, interpolate_missing
+from skdgp._flight.clock import flight_codes, uniform_grid
+from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
+from skdgp._flight.units import check_radians
 from skdgp.estimation._path import estimate_path
 from skdgp.estimation._sensors import (
     GUSTS,
@@ -194,16 +194,16 @@ def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
     """Return the segments that are long and fast enough and have all inertial sensors."""
     if not has_values(table, *INERTIAL):
         return []
-    time, codes = check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
+    flights = FlightTable.of(table)
     segments = []
-    for runs in runs_by_flight(time, codes):
-        for run in runs:
-            part = table.iloc[run]
-            if np.ptp(time[run]) <= settings.shortest or not has_values(part, *INERTIAL):
-                continue
-            low, high = _band_at(_rate_of(uniform_grid(time[run])[0]), settings)
-            if low < high:
-                segments.append(_Segment(time[run], part, settings))
+    for run in flights.segments:
+        time = flights.time[run]
+        part = table.iloc[run]
+        if np.ptp(time) <= settings.shortest or not has_values(part, *INERTIAL):
+            continue
+        low, high = _band_at(_rate_of(uniform_grid(time)[0]), settings)
+        if low < high:
+            segments.append(_Segment(time, part, settings))
     return segments
 
 

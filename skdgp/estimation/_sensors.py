@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
-from skdgp._flight.checks import numeric
-from skdgp._flight.clock import check_clock, flight_rows, runs_by_flight
-from skdgp._flight.tables import has_values, interpolate_missing
+from skdgp._flight.clock import flight_codes
+from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
 FORCE = slice(0, 3)
@@ -157,16 +156,14 @@ def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
 
     Raise ValueError if time does not increase, or one of `PATH_CHANNELS` has no value in a flight.
     """
-    names = np.zeros(len(table), int)
-    if "flight" in table:
-        names = np.asarray(table["flight"], dtype=object)
-    time, codes = check_clock(numeric(table, ["time"])[:, 0], names)
+    checked = FlightTable.of(table)
     flights = []
-    for runs in runs_by_flight(time, codes):
+    for runs in checked.clock.segments_by_flight:
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
         segment = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
-        sensors = _sensors_of(table.iloc[rows], time[rows], segment)
-        flights.append(NamedFlight(names[rows[0]], rows, sensors))
+        name = table["flight"].iloc[rows[0]] if "flight" in table else 0
+        sensors = _sensors_of(table.iloc[rows], checked.time[rows], segment)
+        flights.append(NamedFlight(name, rows, sensors))
     return flights
 
 
@@ -197,10 +194,10 @@ def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSe
 
 def missing_channels(table: pd.DataFrame) -> list[str]:
     """Return the channels needed by a path that are absent, or have no value in some flight."""
-    rows: Any = [slice(None)]
+    flights = [table]
     if "flight" in table:
-        rows = flight_rows(table["flight"]).values()
-    flights = [table.iloc[part] for part in rows]
+        codes, _ = flight_codes(table["flight"])
+        flights = [flight for _, flight in table.groupby(codes)]
     silent = [name for name in PATH_CHANNELS if not all(has_values(t, name) for t in flights)]
     return silent if "time" in table else ["time", *silent]
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from skdgp._compute.typing import Vector
-from skdgp._flight.clock import flight_segments, uniform_grid
+from skdgp._flight.clock import Clock, uniform_grid
 
 PADDING = 64  # continuation of a channel beyond both ends [samples]
 
@@ -39,7 +39,7 @@ def without_lag(
     out = values.copy()
     rows = np.flatnonzero(np.isfinite(values))
     names = None if flight is None else np.asarray(flight)[rows]
-    for run in flight_segments(time[rows], names):
+    for run in Clock.of(time[rows], names).segments:
         run_rows = rows[run]
         n = len(run_rows)
         if n < 2:

@@ -14,7 +14,7 @@ from skdgp.dynamics import aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights
 from skdgp.identification._learn import LearnedModel, named_regressors
 from skdgp.identification._pipeline import FlightPipeline, flight_regressors
-from skdgp.identification._prepare import regressor_columns, usable_flights
+from skdgp.identification._prepare import Tables, regressor_columns, usable_flights
 from skdgp.report import Evaluation
 
 # steps that an evaluation reads
@@ -81,7 +81,7 @@ def _baseline(model: LearnedModel, regressors: Matrix) -> Matrix | None:
     return weights[:, 0] + X @ weights[:, 1:].T
 
 
-def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Flights:
+def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Tables:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
     Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its

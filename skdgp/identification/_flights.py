@@ -6,22 +6,20 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import pandas as pd
-
-from skdgp._flight.checks import check_columns, check_table
-from skdgp._flight.clock import flight_rows
+from skdgp._flight.checks import check_table
+from skdgp._flight.tables import FlightTable
 from skdgp.io import FlightReadError, is_log, read_flight
 
-Flights = dict[str, pd.DataFrame]
+Flights = dict[str, FlightTable]
 
 
 def named_flights(
     flights: Any, *, default: str = "flight", needed: Sequence[str] = (), **reading: Any
 ) -> Flights:
-    """Return one table for each flight by name; a column ``flight`` separates several flights in a table.
+    """Return the flights by name; a column ``flight`` separates several flights in a table.
 
-    Raises the errors of the readers, and ValueError if two flights have the same name, or a flight
-    lacks a column that is needed.
+    Raises the errors of the readers, and ValueError if two flights have the same name, a flight
+    lacks a column that is needed, or its time does not increase.
 
     Parameters
     ----------
@@ -35,9 +33,9 @@ def named_flights(
 
     Returns
     -------
-    dict of str to DataFrame
+    dict of str to FlightTable
     """
-    renaming = {"rename": reading.pop("rename", None)}
+    rename = reading.pop("rename", None)
     items = [("", item) for item in items_of(flights)]
     if isinstance(flights, Mapping):
         items = list(flights.items())
@@ -46,20 +44,22 @@ def named_flights(
     by_name: Flights = {}
     origin: dict[str, object] = {}
     for number, (key, item) in enumerate(items, start=1):
-        is_path = isinstance(item, str | os.PathLike)
-        from_log = is_path and is_log(item)
-        if is_path:
-            table = read_flight(item, **(reading if from_log else renaming))
-        else:
-            table = check_table(item)
-        place = item if is_path else f"table {number}"
-        what = f"log (skdgp inspect {item} says why)" if from_log else "flight"
-        parts = flights_of(table, f"{default} {number}")
+        place: object = f"table {number}"
+        what = "flight"
+        table = item
+        if is_log(item):
+            place = item
+            what = f"log (skdgp inspect {item} says why)"
+            table = read_flight(item, **reading)
+        elif isinstance(item, str | os.PathLike):
+            place = item
+            table = read_flight(item, rename=rename)
+        parts = flights_of(table, f"{default} {number}", needed, what=what)
         if key and len(parts) != 1:
             raise ValueError(
                 f"Got {len(parts)} flights in the table {key!r}, but expected one for each name."
             )
-        for own_name, part in parts.items():
+        for own_name, flight in parts.items():
             name = key or own_name
             if name in by_name:
                 raise FlightReadError(
@@ -67,8 +67,7 @@ def named_flights(
                     "once: name a file once, rename one of two files, change the name in the "
                     "column 'flight', or give a dict of names and tables."
                 )
-            check_columns(part, needed, what=what)
-            by_name[name] = part.assign(flight=name)
+            by_name[name] = flight.named(name)
             origin[name] = place
     return by_name
 
@@ -80,11 +79,12 @@ def items_of(flights: Any) -> list:
     return list(flights) if isinstance(flights, list | tuple) else [flights]
 
 
-def flights_of(table: pd.DataFrame, default: str = "flight") -> Flights:
-    """Return one table for each flight, in their order."""
+def flights_of(
+    table: Any, default: str = "flight", needed: Sequence[str] = (), *, what: str = "flight"
+) -> Flights:
+    """Return each flight of a table, in their order; raise ValueError at a table that is none of flights."""
+    table = check_table(table)
     if "flight" not in table:
         table = table.assign(flight=default)
-    return {
-        name: table.iloc[rows].reset_index(drop=True).assign(flight=name)
-        for name, rows in flight_rows(table["flight"]).items()
-    }
+    flights = FlightTable.of(table, needed, what=what).flights
+    return {name: flight.named(name) for name, flight in flights.items()}

@@ -13,10 +13,10 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import RATES, WIND
-from skdgp._flight.checks import unwrapped
-from skdgp._flight.clock import flight_segments
+from skdgp._flight.clock import n_rows
 from skdgp._flight.frames import wrapped
 from skdgp._flight.smoothing import noise_level
+from skdgp._flight.tables import FlightTable, unwrapped
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -283,8 +283,8 @@ def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
     """Return the segments of a flight without gaps, whose angles do not jump."""
     names = [name for name in (*STATES, "psi") if name in table]
     smooth = table.assign(**dict(zip(names, unwrapped(table, names).T, strict=True)))
-    runs = flight_segments(table["time"].to_numpy(float))
-    return [smooth.iloc[run] for run in runs if run.stop - run.start > 2]
+    runs = FlightTable.of(smooth).segments
+    return [smooth.iloc[run] for run in runs if n_rows(run) > 2]
 
 
 def _part(segment: pd.DataFrame, rows: Vector, half_start: float) -> Part:

@@ -25,9 +25,10 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
 )
 from skdgp._flight.checks import check_columns, suggestions
-from skdgp._flight.clock import flight_segments
+from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import find_contradictions
+from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -38,10 +39,11 @@ from skdgp.dynamics import (
     propeller_speed_of,
     propulsive_loads,
 )
-from skdgp.identification._flights import Flights, flights_of, items_of, named_flights
+from skdgp.identification._flights import Flights, items_of, named_flights
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import FlightCheck
 
+Tables = dict[str, pd.DataFrame]
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
@@ -73,8 +75,8 @@ class PreparedFlights:
         Whether the thrust is part of the coefficients, as nothing gives it.
     """
 
-    train: Flights
-    test: Flights
+    train: Tables
+    test: Tables
     aircraft: Aircraft
     servos: Any
     loads: dict[str, Any]
@@ -117,20 +119,20 @@ def prepare(
     check_controls(train, regressors)
     tested = {} if test is None else named_flights(test, default="test flight", **options)
     train, tested = train_and_test(train, tested)
-    columns = regressor_columns(train.values(), regressors)
-    train = usable_flights(train, regressors, columns)
-    tested = usable_flights(tested, regressors, columns)
-    without_thrust = lacks_thrust(thrust, train.values(), aircraft)
+    columns = regressor_columns([flight.table for flight in train.values()], regressors)
+    learned = usable_flights(train, regressors, columns)
+    evaluated = usable_flights(tested, regressors, columns)
+    without_thrust = lacks_thrust(thrust, learned.values(), aircraft)
     if without_thrust:
         report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
         thrust = None
     if thrust is None:
-        warn_of_engine(train, regressors)
+        warn_of_engine(learned, regressors)
     if reversed_of(servos) is not None:
         report(Finding(Code.FULL_THROWS), stacklevel=3)
     return PreparedFlights(
-        train=train,
-        test=tested,
+        train=learned,
+        test=evaluated,
         aircraft=aircraft,
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},
@@ -169,8 +171,8 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
     Warn of a missing elevator, whose effect other regressors then take.
     """
     columns: dict[str, None] = {}
-    for table in flights.values():
-        columns |= dict.fromkeys(table.columns)
+    for flight in flights.values():
+        columns |= dict.fromkeys(flight.table.columns)
     available = {*columns}
     if available & {*ELEVONS}:
         available |= {*MIXED}
@@ -204,11 +206,13 @@ def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights]:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last), stacklevel=3)
         return {name: train[name] for name in earlier}, {last: train[last]}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last), stacklevel=3)
-    table = train[last]
-    split = round(LEARNED_PART * len(table))
-    learned = table[:split].assign(flight=f"{last}, first three quarters")
-    tested = table[split:].assign(flight=f"{last}, last quarter")
-    return flights_of(learned), flights_of(tested)
+    rows = np.arange(len(train[last].time))
+    split = round(LEARNED_PART * len(rows))
+    first = f"{last}, first three quarters"
+    rest = f"{last}, last quarter"
+    learned = train[last].part(rows[:split]).named(first)
+    tested = train[last].part(rows[split:]).named(rest)
+    return {first: learned}, {rest: tested}
 
 
 def _names(regressors: str | Sequence[str]) -> Sequence[str]:
@@ -231,17 +235,20 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors: str | Sequence
 
 def usable_flights(
     flights: Flights, regressors: str | Sequence[str], columns: Sequence[str]
-) -> Flights:
-    """Return flights without faults, and only rows that a model can learn from or predict.
+) -> Tables:
+    """Return the tables of flights without faults, and only rows that a model can learn from or predict.
 
     Warns of faults, of contradictions of physics, and of the rows that are left out. Raises
     ValueError if a flight lacks one of the columns, which the model's flights have, or none of
     its rows is left.
     """
-    for table in flights.values():
-        check_columns(table, [name for name in columns if name not in INTERCHANGEABLE])
-    checked = {name: FlightCheck().fit_transform(table) for name, table in flights.items()}
-    for contradiction in find_contradictions(pd.concat(checked.values(), ignore_index=True)):
+    needed = [name for name in columns if name not in INTERCHANGEABLE]
+    checked = {}
+    for name, flight in flights.items():
+        check_columns(flight.table, needed)
+        checked[name] = FlightCheck().fit_transform(flight.table)
+    together = FlightTable.of(pd.concat(checked.values(), ignore_index=True))
+    for contradiction in find_contradictions(together):
         report(contradiction.finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
@@ -268,8 +275,8 @@ def _complete_rows(
             "missing": counts,
         }
         report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers), stacklevel=4)
-    segments = flight_segments(complete["time"].to_numpy(float))
-    rows = [np.arange(run.start, run.stop) for run in segments if run.stop - run.start > 1]
+    segments = FlightTable.of(complete).segments
+    rows = [np.arange(run.start, run.stop) for run in segments if n_rows(run) > 1]
     if not rows:
         raise ValueError(
             f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but expected "
@@ -295,7 +302,7 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     return True
 
 
-def warn_of_engine(flights: Flights, regressors: str | Sequence[str]) -> None:
+def warn_of_engine(flights: Tables, regressors: str | Sequence[str]) -> None:
     """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
     table = pd.concat(flights.values(), ignore_index=True)
     varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]

@@ -15,7 +15,8 @@ import pandas as pd
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
-from skdgp._flight.faults import POSSIBLE, RARE
+from skdgp._flight.faults import POSSIBLE
+from skdgp._flight.faults import SETTINGS as FAULTS
 from skdgp._flight.frames import (
     HIGHEST,
     LOWEST,
@@ -36,6 +37,7 @@ from skdgp.io._log import (
     Control,
     Log,
     Rule,
+    Servo,
     Topic,
     full_throws,
     read_servos,
@@ -48,11 +50,16 @@ from skdgp.io._ulog import read_ulog
 
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
-    ".ulg": read_ulog, ".ulog": read_ulog, ".bin": read_dataflash, ".tlog": read_tlog,
-}  # fmt: skip
-SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")  # parameters [m/s]
+    ".ulg": read_ulog,
+    ".ulog": read_ulog,
+    ".bin": read_dataflash,
+    ".tlog": read_tlog,
+}
+# parameters [m/s]
+SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
-LEADERS = ("p", "ax", "qw")  # the clock of a table follows the first of these
+# the clock of a table follows the first of these
+LEADERS = ("p", "ax", "qw")
 
 
 @dataclass(frozen=True)
@@ -153,29 +160,30 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
         )
     turned = reversed_of(servos)
     entries = read_servos(servos) if turned is None else {}
-    with np.errstate(all="ignore"):  # damaged messages may hold any number
+    # damaged messages may hold any number
+    with np.errstate(all="ignore"):
         log = read_log(path)
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
         speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
-        logged = []
-        useless: dict[str, None] = {}  # an ordered set
+        parts = []
+        origin: dict[str, Origin] = {}
+        useless: list[str] = []
         for topics in topics_of_parts:
             sources, unused = find_sources(log, topics, controls)
             if sources:
-                logged.append((topics, sources))
-                useless.update(dict.fromkeys(unused))
-        if not logged:
-            raise FlightReadError(
-                "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: log these topics."
-            )
-        parts = []
-        origin: dict[str, Origin] = {}
-        for topics, sources in logged:
-            table, origins = to_table(sources)
-            origin |= origins
-            parts.append(Part(topics, table, find_segments(table, log, topics, speed)))
-    return FlightLog(log, parts, origin, speed, [*log.remarks, *remarks, *useless])
+                table, origins = to_table(sources)
+                origin |= origins
+                useless += unused
+                parts.append(Part(topics, table, find_segments(table, log, topics, speed)))
+    if not parts:
+        raise FlightReadError(
+            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
+            "log these topics."
+        )
+    return FlightLog(
+        log, parts, origin, speed, list(dict.fromkeys([*log.remarks, *remarks, *useless]))
+    )
 
 
 def find_sources(
@@ -220,12 +228,16 @@ def _source(log: Log, rule: Rule) -> Source | None:
     for field in rule.valid:
         if field in topic:
             valid &= topic[field] > 0
-    fields = " ".join(rule.fields)  # GyrX GyrY GyrZ
-    first = rule.fields[0]
-    if len(rule.fields) > 1 and first.endswith("[0]"):
-        last = rule.fields[-1].split("[")[1]
-        fields = f"{first[:-1]}..{last}"  # q[0..3]
-    return Source(rule.columns, f"{name}.{fields}", topic.time[valid], values[valid], rule.note)
+    words = f"{name}.{_field_words(rule.fields)}"
+    return Source(rule.columns, words, topic.time[valid], values[valid], rule.note)
+
+
+def _field_words(fields: tuple[str, ...]) -> str:
+    """Return the names of fields, of an array q[0..3]."""
+    first, last = fields[0], fields[-1]
+    if len(fields) > 1 and first.endswith("[0]"):
+        return f"{first[:-1]}..{last.split('[')[1]}"
+    return " ".join(fields)
 
 
 def _problem(source: Source, rule: Rule) -> str:
@@ -234,8 +246,10 @@ def _problem(source: Source, rule: Rule) -> str:
         return f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
-    impossible = ((source.values < low) | (source.values > high)).any(axis=1).mean()
-    if impossible > RARE:  # fewer are faults of a sensor
+    is_impossible = (source.values < low) | (source.values > high)
+    impossible = is_impossible.any(axis=1).mean()
+    # fewer are faults of a sensor
+    if impossible > FAULTS.rare:
         columns = ", ".join(rule.columns)
         return f"{source.name} cannot be {columns}: {100 * impossible:.0f} % is impossible"
     return ""
@@ -246,35 +260,55 @@ def _surface(log: Log, name: str, control: Control) -> Source:
     values: Any = 0.0
     largest = 0.0
     for weight, servo in control:
-        values = values + weight * servo.deflection(_channel(log, name, servo.channel))
+        values = values + weight * servo.deflection(_pulses(log, name, servo))
         largest += abs(weight) * max(np.abs(servo.angles))
-    valid = np.isfinite(values)
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
-    channels = [servo.channel for _, servo in control]
-    topic, _, _ = channels[0].partition(".")
-    time = log.topics[topic].time[valid]
-    return Source((name,), " ".join(channels), time, values[valid][:, None], note)
+    servos = [servo for _, servo in control]
+    channels = " ".join(servo.channel for servo in servos)
+    valid = np.isfinite(values)
+    time = log.topics[servos[0].topic].time[valid]
+    return Source((name,), channels, time, values[valid][:, None], note)
 
 
-def _channel(log: Log, name: str, channel: str) -> Vector:
-    """Return the values of a channel; raise FlightReadError if the log has none such."""
-    key, _, field = channel.partition(".")
-    topic = log.topics.get(key, NOTHING)
-    if field not in topic:
-        fields = []
-        for output in log.topics.keys() & set(log.outputs):
-            numbers = log.topics[output].fields.keys() - {"timestamp", "timestamp_sample", "TimeUS"}
-            fields += [f"{output}.{number}" for number in numbers]
-        raise FlightReadError(
-            f"Got channel {channel!r} for {name}, but the log has no such field: expected one of {sorted(fields)[:24]}."
-        )
-    return topic[field]
+def _pulses(log: Log, name: str, servo: Servo) -> Vector:
+    """Return the values of a servo's channel; raise FlightReadError if the log has none such."""
+    topic = log.topics.get(servo.topic, NOTHING)
+    if servo.field in topic:
+        return topic[servo.field]
+    fields = []
+    for output in log.topics.keys() & set(log.outputs):
+        numbers = log.topics[output].fields.keys() - {"timestamp", "timestamp_sample", "TimeUS"}
+        fields += [f"{output}.{number}" for number in numbers]
+    raise FlightReadError(
+        f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one "
+        f"of {sorted(fields)[:24]}."
+    )
 
 
 def to_table(
     sources: list[Source], settings: TableSettings = TABLE
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
+    columns, origin = _on_clock(sources, settings)
+    if "density" not in columns and "altitude" in columns:
+        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
+        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
+    if EQUIVALENT in columns:
+        pitot = origin.pop(EQUIVALENT)
+        columns["airspeed"], note = _true_airspeed(columns.pop(EQUIVALENT), columns.get("density"))
+        origin["airspeed"] = Origin(f"{pitot.words} ({note})", pitot.rate)
+    table = pd.DataFrame(columns)
+    table = table.where(np.isfinite(table))
+    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
+        table, origin = with_specific_force(table, origin, settings)
+    names_in_order = [name for name in CHANNELS if name in table]
+    return table[names_in_order], {name: origin[name] for name in names_in_order if name in origin}
+
+
+def _on_clock(
+    sources: list[Source], settings: TableSettings
+) -> tuple[dict[str, Vector], dict[str, Origin]]:
+    """Return the columns of the sources on the clock of one of them, and where each is from."""
     leader = _leader(sources)
     rate = float(f"{min(settings.highest_rate, leader.rate):.3g}")
     clock = uniform_clock(leader.time, rate)
@@ -289,24 +323,14 @@ def to_table(
             values = resample(source.time, source.values, clock, rate)
         columns |= dict(zip(names, values.T, strict=True))
         origin |= dict.fromkeys(names, source.origin)
-    if "density" not in columns and "altitude" in columns:
-        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
-        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
-    if EQUIVALENT in columns:
-        density = columns.get("density", DENSITY)
-        columns["airspeed"] = columns.pop(EQUIVALENT) * np.sqrt(DENSITY / density)
-        note = "equivalent, taken for true: density unknown"
-        if "density" in columns:
-            note = "equivalent; true by density"
-        pitot = origin.pop(EQUIVALENT)
-        origin["airspeed"] = Origin(f"{pitot.words} ({note})", pitot.rate)
-    table = pd.DataFrame(columns)
-    table = table.where(np.isfinite(table))
-    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
-        table, origin = with_specific_force(table, origin, settings)
-    names_in_order = [name for name in CHANNELS if name in table]
-    origin = {name: origin[name] for name in names_in_order if name in origin}
-    return table[names_in_order], origin
+    return columns, origin
+
+
+def _true_airspeed(equivalent: Vector, density: Vector | None) -> tuple[Vector, str]:
+    """Return the true airspeed of an equivalent one, and what it rests on."""
+    if density is None:
+        return equivalent, "equivalent, taken for true: density unknown"
+    return equivalent * np.sqrt(DENSITY / density), "equivalent; true by density"
 
 
 def _leader(sources: list[Source]) -> Source:
@@ -321,7 +345,8 @@ def _leader(sources: list[Source]) -> Source:
 def _attitude(source: Source, clock: Vector, rate: float) -> Matrix:
     """Return phi, theta, psi of quaternions on a clock."""
     quaternions = resample(source.time, without_sign_changes(source.values), clock, rate)
-    is_attitude = quaternions.any(axis=1, keepdims=True)  # a quaternion of zeros is none
+    # a quaternion of zeros is none
+    is_attitude = quaternions.any(axis=1, keepdims=True)
     return quaternion_to_euler(np.where(is_attitude, quaternions, np.nan))
 
 
@@ -336,9 +361,11 @@ def with_specific_force(
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     velocity = table[list(EARTH_VELOCITY)]
     try:
-        with without_warnings():  # rows that stand alone have no rate of change
+        # rows that stand alone have no rate of change
+        with without_warnings():
             change = differentiate(velocity, table["time"], cutoff=settings.velocity_cutoff * rate)
-    except ValueError:  # the clock of the log is not sound, which coefficients refuse themselves
+    # the clock of the log is not sound, which coefficients refuse themselves
+    except ValueError:
         return table, origin
     change[:, 2] -= STANDARD_GRAVITY
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
@@ -361,17 +388,17 @@ def flight_table(
             pieces.append(part.table)
         else:
             pieces += [_trimmed(part.table.iloc[rows], settings) for rows in part.segments]
-    pieces = [piece for piece in pieces if len(piece)]
-    if not pieces or flown.log.vehicle in NOT_FLYING_ON_WINGS:
+    flights: list[pd.DataFrame] = []
+    for piece in pieces:
+        if len(piece):
+            flight = f"{name}#{len(flights) + 1}" if flights else name
+            flights.append(piece.assign(flight=flight))
+    if not flights or flown.log.vehicle in NOT_FLYING_ON_WINGS:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
-            f"({no_flight_because(flown)}), but expected a fixed wing in the "
-            "air: airborne=False (--airborne all) reads all of it, "
-            "airborne=6.0 (--airborne 6) all above 6 m/s."
+            f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
+            "(--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
         )
-    flights = []
-    for number, piece in enumerate(pieces, start=1):
-        flights.append(piece.assign(flight=name if number == 1 else f"{name}#{number}"))
     return pd.concat(flights, ignore_index=True)
 
 

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfiltfilt
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import GAP
+from skdgp._flight.clock import CLOCK, slices
 from skdgp.io._log import Topic
 
 
@@ -57,28 +56,23 @@ def clock_parts(
 ) -> tuple[list[dict[str, Topic]], list[str]]:
     """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
     order, time = _in_file_order(topics)
-    edges = [0, *_restarts(time, settings), len(time)]
+    restarts = _restarts(time, settings)
     parts = []
-    n_wrong = Counter(dict.fromkeys(topics, 0))
+    n_wrong: Counter[str] = Counter()
     n_disordered = 0
-    for first, last in pairwise(edges):
-        low, high = _valid_times(time[first:last], settings)
+    for run in slices(restarts, len(time)):
+        first, last = order[run][[0, -1]]
+        low, high = _valid_times(time[run], settings)
         part = {}
         for name, topic in topics.items():
-            logged = topic.select((topic.order >= order[first]) & (topic.order <= order[last - 1]))
+            logged = topic.select((topic.order >= first) & (topic.order <= last))
             valid = logged.select((logged.time >= low) & (logged.time <= high))
             n_wrong[name] += len(logged) - len(valid)
             n_disordered += int((np.diff(valid.time) < 0).sum())
             if len(valid):
-                _, increasing = np.unique(valid.time, return_index=True)
-                part[name] = valid.select(increasing)
+                part[name] = _increasing(valid)
         parts.append(part)
-    remarks = []
-    if len(parts) > 1:
-        steps = [f"from {time[edge - 1]:.1f} s to {time[edge]:.1f} s" for edge in edges[1:-1][:4]]
-        remarks.append(
-            f"the clock was set back {len(parts) - 1} times ({', '.join(steps)}): each time a new flight begins"
-        )
+    remarks = _restart_remarks(time, restarts)
     if n_wrong.total():
         name, most = n_wrong.most_common(1)[0]
         remarks.append(
@@ -87,6 +81,22 @@ def clock_parts(
     if n_disordered:
         remarks.append(f"{n_disordered} messages stand out of order in time, and were sorted")
     return parts, remarks
+
+
+def _increasing(topic: Topic) -> Topic:
+    """Return the messages in order of time, each time once."""
+    _, rows = np.unique(topic.time, return_index=True)
+    return topic.select(rows)
+
+
+def _restart_remarks(time: Vector, restarts: list[int]) -> list[str]:
+    """Return a remark on the first restarts of a clock, none without one."""
+    if not restarts:
+        return []
+    steps = [f"from {time[row - 1]:.1f} s to {time[row]:.1f} s" for row in restarts[:4]]
+    return [
+        f"the clock was set back {len(restarts)} times ({', '.join(steps)}): each time a new flight begins"
+    ]
 
 
 def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
@@ -102,7 +112,8 @@ def _restarts(time: Vector, settings: StampSettings) -> list[int]:
     size = settings.block_size
     steady = _steady(time, size)
     restarts = set()
-    for block in np.flatnonzero(np.diff(steady) < -settings.restart_step).tolist():
+    falls = np.flatnonzero(np.diff(steady) < -settings.restart_step)
+    for block in falls.tolist():
         start = max(block - 3, 0) * size
         window = time[start : (block + 5) * size]
         middle = (steady[block] + steady[block + 1]) / 2
@@ -137,7 +148,7 @@ def usual_step(step: Vector, settings: ResamplingSettings = RESAMPLING) -> float
     In bursts, steps longer than gaps are frequent and make up most of the time.
     """
     median = np.median(step)
-    gap = step > GAP * median
+    gap = step > CLOCK.gap * median
     are_bursts = gap.mean() > settings.most_gaps and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
@@ -157,8 +168,7 @@ def uniform_clock(time: Vector, rate: float, settings: ResamplingSettings = RESA
 def _runs(time: Vector, gap: float) -> list[slice]:
     """Return the runs of a channel between steps longer than a gap [s]."""
     starts = np.flatnonzero(np.diff(time) > gap) + 1
-    edges = [0, *starts.tolist(), len(time)]
-    return [slice(first, last) for first, last in pairwise(edges)]
+    return slices(starts, len(time))
 
 
 def resample(
@@ -178,11 +188,10 @@ def resample(
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
     sampled = np.isfinite(values).all(axis=1)
-    time = time[sampled]
-    values = values[sampled]
+    time, values = time[sampled], values[sampled]
     if len(time) < 2:
         return result
-    gap = GAP * usual_step(np.diff(time), settings)
+    gap = CLOCK.gap * usual_step(np.diff(time), settings)
     tolerance = 1e-6 / rate
     for run in _runs(time, gap):
         run_time = time[run]

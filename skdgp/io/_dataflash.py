@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from skdgp._compute.typing import Matrix
+from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._log import (
     DOWN,
@@ -37,10 +38,13 @@ from skdgp.io._log import (
 )
 from skdgp.io._tables import FlightReadError
 
-MARK = b"\xa3\x95"  # a message begins with it
-HEAD = 3  # bytes before the content of a message: the mark and a type
-FMT = 0x80  # type of the messages that define types
-FILLING = b"\x00\xff"  # of unused pages of the memory chip
+# a message begins with a mark and a type
+MARK = b"\xa3\x95"
+HEAD = len(MARK) + 1
+# type of the messages that define types
+FMT = 0x80
+# of unused pages of the memory chip
+FILLING = b"\x00\xff"
 TYPES = {
     "a": "(32,)<i2", "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "f": "<f4", "d": "<f8",
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
@@ -71,18 +75,18 @@ def _attitude(degrees: Matrix) -> Matrix:
 MODELLED = "estimated on board, not measured by a vane"
 STANDARD = "standard atmosphere at the measured pressure"
 RULES = (
-    Rule(("p", "q", "r"), "IMU", ("GyrX", "GyrY", "GyrZ")),
-    Rule(("ax", "ay", "az"), "IMU", ("AccX", "AccY", "AccZ")),
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ")),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ")),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health")),
     Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
     Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
-    Rule(("v_north", "v_east", "v_down"), "XKF1", ("VN", "VE", "VD")),
-    Rule(("v_north", "v_east", "v_down"), "NKF1", ("VN", "VE", "VD")),
-    Rule(("v_north", "v_east", "v_down"), "GPS", ("Spd", "GCrs", "VZ"), _ground_course),
-    Rule(("north", "east", "down"), "XKF1", ("PN", "PE", "PD")),
-    Rule(("north", "east", "down"), "NKF1", ("PN", "PE", "PD")),
+    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD")),
+    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD")),
+    Rule(EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course),
+    Rule(POSITION, "XKF1", ("PN", "PE", "PD")),
+    Rule(POSITION, "NKF1", ("PN", "PE", "PD")),
     Rule(("altitude",), "POS", ("Alt",)),
     Rule(("altitude",), "GPS", ("Alt",)),
     Rule(("density",), "BARO", ("Press",), density_at, note=STANDARD),
@@ -125,13 +129,10 @@ def read_dataflash(path: Path) -> Log:
             "but expected messages: was it cut off, or written before 2015?"
         )
     names = file.texts("PARM", "Name")
-    values = file.numbers("PARM", "Value")
-    parameters = {name: float(value) for name, value in zip(names, values, strict=False)}
-    firmware = "ArduPilot"
-    for text in file.texts("MSG", "Message"):
-        if text.split(" ")[0] in VEHICLES:
-            firmware = text
-            break
+    values = map(float, file.numbers("PARM", "Value"))
+    parameters = dict(zip(names, values, strict=False))
+    programs = [text for text in file.texts("MSG", "Message") if text.split(" ")[0] in VEHICLES]
+    firmware = programs[0] if programs else "ArduPilot"
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
@@ -268,16 +269,13 @@ def controls_of(
     outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, Control]:
     """Return surfaces by SERVOn_FUNCTION, and controls of a V-tail; ``name`` is the channel of output n."""
-    _, _, field = name.partition(".")
-    servos: dict[int, Servo] = {}  # the first logged output of each function
+    # the first logged output of each function
+    servos: dict[int, Servo] = {}
     for n in range(1, MOST_SERVOS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-        if field.format(n) in outputs and function not in servos:
-            ends = [parameters.get(f"SERVO{n}_{key}", pulse) for key, pulse in USUAL_PULSES.items()]
-            is_reversed = bool(parameters.get(f"SERVO{n}_REVERSED", 0.0))
-            _, is_turned = SERVOS.get(function, ("", False))
-            throws = DOWN if is_turned != is_reversed else UP
-            servos[function] = Servo(name.format(n), tuple(ends), throws)
+        servo = _servo(parameters, n, name.format(n), function)
+        if servo.field in outputs:
+            servos.setdefault(function, servo)
     controls: dict[str, Control] = {}
     for function, servo in servos.items():
         if function in SERVOS:
@@ -287,3 +285,14 @@ def controls_of(
         if weights.keys() <= servos.keys():
             controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
     return controls
+
+
+def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int) -> Servo:
+    """Return the servo on output n, which moves the surface of its function, -1 to 1 from end to end."""
+    inputs = []
+    for key, usual in USUAL_PULSES.items():
+        inputs.append(parameters.get(f"SERVO{n}_{key}", usual))
+    is_reversed = bool(parameters.get(f"SERVO{n}_REVERSED", 0.0))
+    _, is_turned = SERVOS.get(function, ("", False))
+    throws = DOWN if is_turned != is_reversed else UP
+    return Servo(channel, tuple(inputs), throws)

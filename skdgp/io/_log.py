@@ -19,9 +19,12 @@ from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
 
-QUATERNION = ("qw", "qx", "qy", "qz")  # of a rule for attitude: body to north-east-down, any length
-EQUIVALENT = "equivalent_airspeed"  # of a rule for equivalent airspeed; the table gets the true one
-NO_PULSE = 500.0  # pulses shorter than this [us] move no servo: an output that is switched off
+# of a rule for attitude: body to north-east-down, any length
+QUATERNION = ("qw", "qx", "qy", "qz")
+# of a rule for equivalent airspeed; the table gets the true one
+EQUIVALENT = "equivalent_airspeed"
+# pulses shorter than this [us] move no servo: an output that is switched off
+NO_PULSE = 500.0
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,8 @@ def numeric_fields(fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
     return numeric
 
 
-NOTHING = Topic(np.empty(0), np.empty(0), {})  # in place of a topic that is not logged
+# in place of a topic that is not logged
+NOTHING = Topic(np.empty(0), np.empty(0), {})
 
 
 class Rule(NamedTuple):
@@ -125,10 +129,22 @@ class Rule(NamedTuple):
 class Servo(NamedTuple):
     """The channel that moves a surface, and the angles of the surface at some values of the channel."""
 
-    channel: str  # topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
-    inputs: tuple[float, ...]  # values of the channel, increasing
+    #: Topic and field, ``RCOU.C2`` or ``actuator_outputs#1.output[0]``
+    channel: str
+    #: Values of the channel, increasing
+    inputs: tuple[float, ...]
     #: Angles there [rad], or parts of the full throw; straight lines between them and beyond
     angles: tuple[float, ...]
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic."""
+        return self.channel.split(".", 1)[0]
+
+    @property
+    def field(self) -> str:
+        """Name of the field of the topic."""
+        return self.channel.removeprefix(f"{self.topic}.")
 
     def deflection(self, values: Vector) -> Vector:
         """Return angles of values of the channel; NaN where no pulse was sent."""
@@ -137,7 +153,9 @@ class Servo(NamedTuple):
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
 
-UP, DOWN = (-1.0, 0.0, 1.0), (1.0, 0.0, -1.0)  # full throws of a servo, and of one that is turned
+# full throws of a servo, and of one that is turned
+UP = (-1.0, 0.0, 1.0)
+DOWN = UP[::-1]
 # Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
@@ -183,15 +201,12 @@ class Log:
 
     def find(self, name: str) -> str | None:
         """Return the name of the first instance of a topic that has messages, or None."""
-        first = None
-        lowest = np.inf
+        instances = []
         for key, topic in self.topics.items():
-            base, _, instance = key.partition("#")
-            number = int(instance or 0)
-            if base == name and len(topic) > 1 and number < lowest:
-                first = key
-                lowest = number
-        return first
+            if key.split("#")[0] == name and len(topic) > 1:
+                instances.append(key)
+        # name, name#1, ..., name#10
+        return min(instances, key=lambda key: (len(key), key), default=None)
 
 
 def scaling(factor: float) -> Callable[[Array], Array]:
@@ -277,10 +292,14 @@ def reversed_of(servos: Any) -> tuple[str, ...] | None:
     >>> reversed_of("full throw, reversed rudder aileron"), reversed_of("full throw"), reversed_of("servo.toml")
     (('rudder', 'aileron'), (), None)
     """
-    if not isinstance(servos, str) or servos.partition(REVERSED)[0] != FULL_THROW:
+    if not isinstance(servos, str):
         return None
-    names = servos.partition(REVERSED)[2].split()
-    if strange := set(names) - set(ALL_SURFACES):
+    words, *reversed_names = servos.split(REVERSED, 1)
+    if words != FULL_THROW:
+        return None
+    names = " ".join(reversed_names).split()
+    strange = {*names} - {*ALL_SURFACES}
+    if strange:
         raise FlightReadError(
             f"Got {sorted(strange)} as reversed, but expected some of {list(ALL_SURFACES)}."
         )
@@ -304,16 +323,21 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     throws = {}
     disordered = []
     for name, control in log.controls.items():
-        for _, servo in control:
-            if list(servo.inputs) != sorted(set(servo.inputs)):
-                disordered.append(f"{name} on {servo.channel} {servo.inputs}")
         throws[name] = _scaled(control, -1.0) if name in turned else control
+        for _, servo in control:
+            if not _increases(servo.inputs):
+                disordered.append(f"{name} on {servo.channel} {servo.inputs}")
     if disordered:
         raise FlightReadError(
-            f"Got min, trim, max of {', '.join(disordered)}, but expected "
-            "them in this order: write the servo file by hand."
+            f"Got min, trim, max of {', '.join(disordered)}, but expected them in this order: "
+            "write the servo file by hand."
         )
     return throws
+
+
+def _increases(inputs: ArrayLike) -> bool:
+    """Return whether each value is more than the one before it."""
+    return bool((np.diff(inputs) > 0).all())
 
 
 def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Control]:
@@ -354,23 +378,19 @@ def _servo(name: str, entry: Any) -> Servo | float:
         raise FlightReadError(
             f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".'
         )
-    if set(entry) - KEYS:
-        raise FlightReadError(
-            f"Got {sorted(set(entry) - KEYS)} for {name}, but expected only {sorted(KEYS)}."
-        )
-    try:
-        pairs = np.array(sorted([float(value), float(angle)] for value, angle in entry["points"]))
-    except (KeyError, TypeError, ValueError, OverflowError):
-        pairs = np.empty((0, 2))
-    if len(pairs) < 2:
+    unknown = sorted(set(entry) - KEYS)
+    if unknown:
+        raise FlightReadError(f"Got {unknown} for {name}, but expected only {sorted(KEYS)}.")
+    points = _points(entry)
+    if len(points) < 2:
         raise FlightReadError(
             f"Got {entry} for {name}, but expected points, pairs of numbers "
             "(channel, angle) as in [[1100, -0.35], [1900, 0.35]]."
         )
-    inputs, angles = pairs.T
-    if not np.isfinite(pairs).all() or (np.diff(inputs) <= 0).any():
+    inputs, angles = points.T
+    if not np.isfinite(points).all() or not _increases(inputs):
         raise FlightReadError(
-            f"Got {pairs.tolist()} (channel, angle) for {name}, but expected finite numbers, each value "
+            f"Got {points.tolist()} (channel, angle) for {name}, but expected finite numbers, each value "
             "of the channel once: measure the angle of the surface at these values, in rad."
         )
     largest = np.abs(angles).max()
@@ -379,6 +399,15 @@ def _servo(name: str, entry: Any) -> Servo | float:
             f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
     return Servo(entry["channel"], tuple(inputs.tolist()), tuple(angles.tolist()))
+
+
+def _points(entry: Mapping[str, Any]) -> Matrix:
+    """Return the pairs of channel and angle (n, 2) in order of the channel; none if they are no numbers."""
+    try:
+        pairs = [[float(value), float(angle)] for value, angle in entry["points"]]
+        return np.array(sorted(pairs))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return np.empty((0, 2))
 
 
 def _throw(name: str, text: str) -> float:

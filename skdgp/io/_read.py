@@ -19,15 +19,17 @@ from skdgp._compute.wording import grouped_faults, reason_of
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
-    check_units,
     suggestions,
     unknown_columns,
     unknown_columns_message,
 )
-from skdgp._flight.clock import check_clock, flight_codes
+from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning, find_faults
 from skdgp._flight.physics import find_contradictions
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import check_units
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
+from skdgp.io._log import Topic
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
@@ -41,9 +43,12 @@ from skdgp.io._tables import (
 UNKNOWN = "unknown_columns"
 # Readers of tables by suffix, functions of path and new names; another format is one more entry
 TABLES: dict[str, Callable[..., pd.DataFrame]] = {
-    ".csv": read_csv, ".parquet": read_parquet, ".pq": read_parquet,
-}  # fmt: skip
-WIDTH = 110  # of the printed summary of a log [characters]
+    ".csv": read_csv,
+    ".parquet": read_parquet,
+    ".pq": read_parquet,
+}
+# of the printed summary of a log [characters]
+WIDTH = 110
 PathLike: TypeAlias = "str | os.PathLike[str]"
 
 
@@ -119,15 +124,12 @@ def read_flight(
         if is_log(path):
             if rename:
                 raise FlightReadError(
-                    f"Got rename={dict(rename)} for a log of an autopilot, but expected it "
-                    "only with tables: its columns follow from its messages."
+                    f"Got rename={dict(rename)} for a log of an autopilot, but expected it only "
+                    "with tables: its columns follow from its messages."
                 )
             return _from_autopilot(path, flight, servos, airborne)
-        refused = []
-        if servos is not None:
-            refused.append("servos")
-        if airborne is not True:
-            refused.append("airborne")
+        is_given = {"servos": servos is not None, "airborne": airborne is not True}
+        refused = [name for name, given in is_given.items() if given]
         if refused:
             raise FlightReadError(
                 f"Got {refused} for a table, but expected these only with logs of autopilots."
@@ -151,9 +153,8 @@ def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.Da
     kind = path.suffix.lower()
     if kind not in TABLES:
         raise FlightReadError(
-            f"Got the suffix {path.suffix!r}, but expected one of "
-            f"{sorted(TABLES | AUTOPILOTS)}: convert it, in "
-            "MATLAB by writetable, or rename it."
+            f"Got the suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: "
+            "convert it, in MATLAB by writetable, or rename it."
         )
     table = _renamed(TABLES[kind](path, rename), rename)
     if flight is not None or "flight" not in table:
@@ -188,18 +189,18 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
         warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=4)
     if "time" not in table:
         raise FlightReadError(
-            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename a column, "
-            "as by --rename t=time, or compute it; its unit stands in the header ('t [ms]')."
+            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
+            "a column, as by --rename t=time, or compute it; its unit stands in the header "
+            "('t [ms]')."
         )
     try:
         check_table(table)
         table = table.assign(**_as_numbers(table), flight=_flight_names(table["flight"]))
-        time = table["time"].to_numpy()
-        if np.isnan(time).any():
-            row = int(np.argmax(np.isnan(time)))
+        is_missing = table["time"].isna().to_numpy()
+        if is_missing.any():
+            row = int(np.argmax(is_missing))
             raise FlightReadError(f"Got no time at row {row}, but expected it in every row [s].")
-        check_clock(time, table["flight"])
-        check_units(table)
+        check_units(FlightTable.of(table))
     except ValueError as error:
         raise FlightReadError(*error.args) from error
     channels = [name for name in table.columns if name not in ("time", "flight")]
@@ -297,12 +298,13 @@ class LogSummary:
         for begin, end, airspeed in self.flights.to_numpy():
             flights.append(f"flight from {begin:.1f} s to {end:.1f} s at {airspeed:.1f} m/s")
         remarks = [f"! {remark}" for remark in self.remarks]
-        paragraphs = []
-        for lines in ([head], topics, columns, flights, remarks):
-            if lines:
-                filled = [fill(line, WIDTH, subsequent_indent="    ") for line in lines]
-                paragraphs.append("\n".join(filled))
-        return "\n\n".join(paragraphs)
+        paragraphs = map(_paragraph, ([head], topics, columns, flights, remarks))
+        return "\n\n".join(filter(None, paragraphs))
+
+
+def _paragraph(lines: list[str]) -> str:
+    """Return lines of the printed width."""
+    return "\n".join(fill(line, WIDTH, subsequent_indent="    ") for line in lines)
 
 
 def inspect_log(
@@ -338,20 +340,25 @@ def inspect_log(
     except FlightReadError as error:
         table = longest.table[:0].assign(flight="")
         faults = [str(error)]
-    topics = {}
-    for name, topic in longest.topics.items():
-        seconds = max(np.ptp(topic.time), 1e-9)
-        topics[name] = (len(topic), (len(topic) - 1) / seconds)
     return LogSummary(
         path=str(path),
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
-        topics=pd.DataFrame.from_dict(topics, orient="index", columns=["messages", "rate"]),
+        topics=_topics(longest.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
         remarks=(*flown.remarks, *faults),
     )
+
+
+def _topics(topics: Mapping[str, Topic]) -> pd.DataFrame:
+    """Return the number of messages of each topic, and their mean rate [Hz]."""
+    rows = {}
+    for name, topic in topics.items():
+        seconds = max(np.ptp(topic.time), 1e-9)
+        rows[name] = (len(topic), (len(topic) - 1) / seconds)
+    return pd.DataFrame.from_dict(rows, orient="index", columns=["messages", "rate"])
 
 
 def names_servos(path: PathLike) -> bool:
@@ -392,9 +399,10 @@ def _flights(table: pd.DataFrame) -> pd.DataFrame:
 
 def _faults(table: pd.DataFrame) -> list[str]:
     """Return faults and contradictions of flights; no contradiction if their clocks are too irregular to filter."""
-    faults = grouped_faults(fault.finding for fault in find_faults(table))
+    flights = FlightTable.of(table)
+    faults = grouped_faults(fault.finding for fault in find_faults(flights))
     try:
-        contradictions = find_contradictions(table)
+        contradictions = find_contradictions(flights)
     except ValueError:
         return faults
     return faults + [reason_of(contradiction.finding) for contradiction in contradictions]

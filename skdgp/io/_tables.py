@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,18 @@ from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
 
-MOST_COLUMNS = 10_000
-ROOM = 2**28  # bytes that any file may take when unpacked
-ROOM_PER_BYTE = 100  # bytes more for each byte of the file
+
+@dataclass(frozen=True)
+class TableLimits:
+    """Limits of files, above those of any flight; guesses."""
+
+    most_columns: int = 10_000
+    # bytes that any file may take when unpacked, and more for each byte of the file
+    room: int = 2**28
+    room_per_byte: int = 100
+
+
+LIMITS = TableLimits()
 TO_SI = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
@@ -62,10 +72,10 @@ def reading(path: str | os.PathLike) -> Iterator[None]:
 
 def check_width(n_columns: int) -> None:
     """Raise a FlightReadError if a table has too many columns."""
-    if n_columns > MOST_COLUMNS:
+    if n_columns > LIMITS.most_columns:
         raise FlightReadError(
-            f"Got {n_columns} columns, but expected at most {MOST_COLUMNS}: "
-            "keep those of the flight, with a row for each sample."
+            f"Got {n_columns} columns, but expected at most {LIMITS.most_columns}: keep those of "
+            "the flight, with a row for each sample."
         )
 
 
@@ -94,17 +104,20 @@ def to_floats(column: pd.Series) -> np.ndarray:
         column = pd.Series(np.asarray(column), name=column.name)
     if pd.api.types.is_numeric_dtype(column):
         return column.to_numpy(dtype=float, na_value=np.nan)
-    if column.dtype.kind in "mM":  # times
-        values = np.full(len(column), np.nan)
+    # times are no numbers
+    if column.dtype.kind in "mM":
+        numbers = pd.Series(np.nan, index=column.index)
     else:
-        values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=float, na_value=np.nan)
+        numbers = pd.to_numeric(column, errors="coerce")
+    values = numbers.to_numpy(dtype=float, na_value=np.nan)
     bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
     if bad.size:
+        row = bad[0]
         unit = CHANNELS[base_name(str(column.name))].unit
         raise FlightReadError(
-            f"Got {column.iloc[bad[0]]!r} in column {column.name!r} at row {bad[0]} ({bad.size} rows are not numbers), "
-            f"but expected numbers [{unit}]: leave missing values empty, write no separators of thousands, and one "
-            "decimal mark."
+            f"Got {column.iloc[row]!r} in column {column.name!r} at row {row} ({bad.size} rows are "
+            f"not numbers), but expected numbers [{unit}]: leave missing values empty, write no "
+            "separators of thousands, and one decimal mark."
         )
     return values
 
@@ -154,24 +167,35 @@ def read_csv(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
 def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataFrame:
     lines = io.StringIO(text).readlines()
-    above = 0
-    while above < len(lines) and ABOVE.match(lines[above]):
-        above += 1
-    if above == len(lines):
+    n_above = 0
+    while n_above < len(lines) and ABOVE.match(lines[n_above]):
+        n_above += 1
+    if n_above == len(lines):
         raise FlightReadError(
             "Got a file that is empty, but expected a header line, and a row for each sample under it."
         )
-    lines = lines[above:]
+    lines = lines[n_above:]
     separator = max(",;\t", key=lambda mark: _n_names(lines, mark))
     records = _records(lines, separator)
     names, units = _split_headings(next(records), rename)
     check_width(len(names))
-    named = [name for name in names if name]
-    check_names(named)
+    check_names(name for name in names if name)
     rows = "".join(lines[records.line_num :])
-    cut = _check_rows(records, names, above, separator)
+    cut = _check_rows(records, names, n_above, separator)
+    table = _parsed(rows, names, separator)
+    if cut:
+        remark = f"{file_name}: {cut}, so it was cut off and is left out."
+        warn(remark, FlightDataWarning, stacklevel=5)
+        table = table.iloc[:-1]
+    # one piece of memory instead of one for each column
+    return to_si(table.copy(), units)
+
+
+def _parsed(rows: str, names: list[str], separator: str) -> pd.DataFrame:
+    """Return the columns that have a name; the file does not say which decimal mark it has."""
+    named = [name for name in names if name]
     numbers = [name for name in named if is_number(name)]
-    for decimal in "." if separator == "," else ",.":  # the file does not say which mark it has
+    for decimal in "." if separator == "," else ",.":
         table = pd.read_csv(
             io.StringIO(rows),
             sep=separator,
@@ -186,11 +210,7 @@ def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataF
         )
         if all(map(pd.api.types.is_numeric_dtype, table[numbers].dtypes)):
             break
-    if cut:
-        remark = f"{file_name}: {cut}, so it was cut off and is left out."
-        warn(remark, FlightDataWarning, stacklevel=5)
-        table = table.iloc[:-1]
-    return to_si(table.copy(), units)  # one piece of memory instead of one for each column
+    return table
 
 
 def _records(lines: list[str], separator: str) -> Any:
@@ -231,8 +251,9 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
     uneven = ""
     is_longer = followed = False
     for cells in records:
-        if len(cells) < 2 and not "".join(cells).strip():
-            continue  # an empty line
+        is_empty = len(cells) < 2 and not "".join(cells).strip()
+        if is_empty:
+            continue
         if uneven:
             followed = True
             break
@@ -248,7 +269,8 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
     return uneven
 
 
-INDEX = "__index_level_"  # begin of the name that pandas gives to an index without one
+# the names that pandas gives to an index without one
+INDEX = re.compile(r"__index_level_\d+__")
 
 
 def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
@@ -284,7 +306,7 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
         nested = {}
         columns = []
         for field in schema:
-            if not field.name.startswith(INDEX):
+            if not INDEX.match(field.name):
                 columns.append(field.name)
                 if not _has_one_value(field.type, pyarrow.types):
                     nested[field.name] = str(field.type)
@@ -302,11 +324,12 @@ def _check_room(metadata: Any, n_columns: int, size: int) -> None:
     """Raise FlightReadError if a Parquet file of this size takes too much memory when unpacked."""
     unpacked = sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
     needed = max(8 * metadata.num_rows * n_columns, unpacked)
-    room = ROOM + ROOM_PER_BYTE * size
+    room = LIMITS.room + LIMITS.room_per_byte * size
     if needed > room:
         raise FlightReadError(
-            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most {room / 2**20:.0f} "
-            f"MiB (256 MiB and {ROOM_PER_BYTE} times its size): write each flight into a file of its own."
+            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most "
+            f"{room / 2**20:.0f} MiB (256 MiB and {LIMITS.room_per_byte} times its size): write "
+            "each flight into a file of its own."
         )
 
 

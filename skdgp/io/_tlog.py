@@ -18,6 +18,7 @@ import pandas as pd
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
+from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import controls_of
 from skdgp.io._log import (
@@ -39,13 +40,18 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import MAV_TYPES
 
-STAMP = 8  # bytes of the arrival
-SIGNATURE = 13  # bytes of a signature
-MAVLINK_1 = 0xFE  # first byte of a message of version 1
+# bytes of the arrival, and of a signature
+STAMP = 8
+SIGNATURE = 13
+# first byte of a message of version 1, and 2
+MAVLINK_1 = 0xFE
 MAVLINK_2 = 0xFD
-OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}  # bytes of a message beside its payload
-PX4 = 12  # MAV_AUTOPILOT
-INT32 = 6  # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
+# bytes of a message beside its payload
+OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
+# MAV_AUTOPILOT
+PX4 = 12
+# MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
+INT32 = 6
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 # seconds from the clock of ATTITUDE beyond which the place in the file counts, as where there is none
 LARGEST_DIFFERENCE = 60.0
@@ -73,18 +79,18 @@ ACCELEROMETERS = ("xacc", "yacc", "zacc")
 milli_g = scaling(1e-3 * STANDARD_GRAVITY)
 AIRSPEED = "of a sensor, or estimated on board"
 RULES = (
-    Rule(("p", "q", "r"), "HIGHRES_IMU", GYROS),
-    Rule(("p", "q", "r"), "RAW_IMU", GYROS, milli),
-    Rule(("p", "q", "r"), "SCALED_IMU", GYROS, milli),
-    Rule(("p", "q", "r"), "ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(("ax", "ay", "az"), "HIGHRES_IMU", ACCELEROMETERS),
-    Rule(("ax", "ay", "az"), "RAW_IMU", ACCELEROMETERS, milli_g),
-    Rule(("ax", "ay", "az"), "SCALED_IMU", ACCELEROMETERS, milli_g),
+    Rule(RATES, "HIGHRES_IMU", GYROS),
+    Rule(RATES, "RAW_IMU", GYROS, milli),
+    Rule(RATES, "SCALED_IMU", GYROS, milli),
+    Rule(RATES, "ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed")),
+    Rule(SPECIFIC_FORCE, "HIGHRES_IMU", ACCELEROMETERS),
+    Rule(SPECIFIC_FORCE, "RAW_IMU", ACCELEROMETERS, milli_g),
+    Rule(SPECIFIC_FORCE, "SCALED_IMU", ACCELEROMETERS, milli_g),
     Rule(QUATERNION, "ATTITUDE", ("roll", "pitch", "yaw"), _attitude),
     Rule((EQUIVALENT,), "VFR_HUD", ("airspeed",), valid=("airspeed",), note=AIRSPEED),
-    Rule(("v_north", "v_east", "v_down"), "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
-    Rule(("v_north", "v_east", "v_down"), "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), centi),
-    Rule(("north", "east", "down"), "LOCAL_POSITION_NED", ("x", "y", "z")),
+    Rule(EARTH_VELOCITY, "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
+    Rule(EARTH_VELOCITY, "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), centi),
+    Rule(POSITION, "LOCAL_POSITION_NED", ("x", "y", "z")),
     Rule(("altitude",), "GLOBAL_POSITION_INT", ("alt",), milli),
     Rule(("density",), "SCALED_PRESSURE", ("press_abs",), _density),
     Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
@@ -100,24 +106,17 @@ def read_tlog(path: Path) -> Log:
     """Return a telemetry log; raise FlightReadError if it is none, ImportError without pymavlink."""
     mavlink = extra("pymavlink.dialects.v20.ardupilotmega", "logs")
     messages, skipped = _messages(path.read_bytes(), mavlink)
-    systems = Counter(
-        message.get_srcSystem() for message in messages if message.get_type() == "ATTITUDE"
-    )
-    if not systems:
+    flown = [each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE"]
+    if not flown:
         raise FlightReadError(
             "Got a file without a message ATTITUDE of MAVLink, but expected the "
             "telemetry of an aircraft: is it empty, or of another kind?"
         )
-    system, _ = systems.most_common(1)[0]
-    by_name: defaultdict[str, dict[int, Any]] = defaultdict(dict)  # by place in the file
-    for place, message in enumerate(messages):
-        if message.get_srcSystem() == system:
-            by_name[_name(message)][place] = message
-    vehicle = None
-    is_px4 = False
-    for beat in by_name.pop("HEARTBEAT", {}).values():
-        is_px4 |= beat.autopilot == PX4
-        vehicle = vehicle or MAV_TYPES.get(beat.type)
+    system, _ = Counter(flown).most_common(1)[0]
+    by_name = _by_name(messages, system)
+    beats = by_name.pop("HEARTBEAT", {}).values()
+    is_px4 = any(beat.autopilot == PX4 for beat in beats)
+    vehicles = [MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES]
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
@@ -129,7 +128,7 @@ def read_tlog(path: Path) -> Log:
         rules=RULES,
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
-        vehicle=vehicle,
+        vehicle=vehicles[0] if vehicles else None,
         remarks=damage(skipped),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
@@ -168,6 +167,15 @@ def _size_and_number(data: bytes, start: int) -> tuple[int, int]:
     if first == MAVLINK_2 and is_signed:
         size += SIGNATURE
     return size, int.from_bytes(data[start + 7 : start + 10], "little")
+
+
+def _by_name(messages: list[Any], system: int) -> dict[str, dict[int, Any]]:
+    """Return the messages of a system by the name of their topic and their place in the file."""
+    by_name: defaultdict[str, dict[int, Any]] = defaultdict(dict)
+    for place, message in enumerate(messages):
+        if message.get_srcSystem() == system:
+            by_name[_name(message)][place] = message
+    return by_name
 
 
 def _name(message: Any) -> str:

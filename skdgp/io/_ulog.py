@@ -10,6 +10,7 @@ import io
 from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ELEVONS
+from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE
 from skdgp.io._log import (
     DOWN,
     NOTHING,
@@ -38,16 +39,35 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
-SPARE_READS = 1000  # beyond one for each byte: a sound file has two for each message
-HEAD_SIZE = 3  # bytes before each message
-MOST_FIELDS = 2**16  # of one message, whose length has 16 bits
-MOST_FIELDS_IN_ALL = 2**18  # of all topics of a log, at most one for each byte; a VTOL's has 4,000
-NO_NAME = b":"  # of a topic; pyulog skips a subscription of it
-LATEST = 1_000_000  # microseconds from sampling to publishing, at most
+# bytes before each message
+HEAD_SIZE = 3
+# of a topic; pyulog skips a subscription of it
+NO_NAME = b":"
+
+
+@dataclass(frozen=True)
+class ULogLimits:
+    """Limits of what damaged bytes may ask of memory and time."""
+
+    # beyond one read for each byte: a sound file has two for each message
+    spare_reads: int = 1000
+    # fields of one message, whose length has 16 bits
+    most_fields: int = 2**16
+    # of all topics of a log, at most one for each byte; a VTOL's has 4,000
+    most_fields_in_all: int = 2**18
+    # microseconds from sampling to publishing, at most
+    latest: int = 1_000_000
+
+
+LIMITS = ULogLimits()
 MAV_TYPES = {
-    1: "fixed wing", 10: "rover", 11: "boat", 12: "submarine",
-    **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"), **dict.fromkeys(range(19, 26), "VTOL"),
-}  # fmt: skip
+    1: "fixed wing",
+    10: "rover",
+    11: "boat",
+    12: "submarine",
+    **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"),
+    **dict.fromkeys(range(19, 26), "VTOL"),
+}
 VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
 
 
@@ -55,26 +75,25 @@ def _xyz(name):
     return tuple(f"{name}[{i}]" for i in range(3))
 
 
+HORIZONTAL = ("v_north", "v_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
 RULES = (
-    Rule(("p", "q", "r"), "vehicle_angular_velocity", _xyz("xyz")),
-    Rule(("p", "q", "r"), "sensor_combined", _xyz("gyro_rad")),
-    Rule(("p", "q", "r"), "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(("p", "q", "r"), "sensor_gyro", ("x", "y", "z")),
-    Rule(("ax", "ay", "az"), "vehicle_acceleration", _xyz("xyz")),
-    Rule(("ax", "ay", "az"), "sensor_combined", _xyz("accelerometer_m_s2")),
-    Rule(("ax", "ay", "az"), "sensor_accel", ("x", "y", "z")),
+    Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
+    Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
+    Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
+    Rule(RATES, "sensor_gyro", ("x", "y", "z")),
+    Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
+    Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
+    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z")),
     Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
     Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid=PITOT_VALID),
     Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    Rule(("v_north", "v_east"), "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
-    Rule(("v_north", "v_east"), "vehicle_global_position", ("vel_n", "vel_e")),
-    Rule(
-        ("v_north", "v_east"), "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID
-    ),
+    Rule(HORIZONTAL, "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
+    Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
+    Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID),
     Rule(("v_down",), "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
     Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
     Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=GPS_VALID),
@@ -122,11 +141,13 @@ def read_ulog(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
-            "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, or of another kind?"
+            "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, "
+            "or of another kind?"
         )
     file = _File(data)
     try:
-        with redirect_stdout(io.StringIO()):  # where pyulog tells of damage
+        # where pyulog tells of damage
+        with redirect_stdout(io.StringIO()):
             log = pyulog.ULog(file)
             version = log.get_version_info_str() or "development"
     except (pyulog.ULogException, EOFError, RecursionError, TypeError) as error:
@@ -138,7 +159,8 @@ def read_ulog(path: Path) -> Log:
             topics[name] = _topic(data_set, file.places[data_set.msg_id])
     if not topics:
         raise FlightReadError(
-            f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut off?"
+            f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut "
+            "off?"
         )
     remarks = damage(len(data) - file.end, file.cut)
     if log.file_corruption:
@@ -172,14 +194,15 @@ class _Definitions:
         """Add a definition "name:type field;type[n] field"; pyulog ignores those after the first topic."""
         if self._complete:
             return
-        name, _, text = content.decode(errors="ignore").partition(":")
+        name, *texts = content.decode(errors="ignore").split(":")
         fields = []
         try:
-            for field in filter(None, text.split(":")[0].split(";")):
+            for field in filter(None, texts[0].split(";")):
                 kind, label = field.split(" ")[:2]
-                kind, _, size = kind.partition("[")
-                fields.append((kind, int(size.removesuffix("]")) if size else 1, label))
-        except ValueError:
+                kind, *size = kind.split("[")
+                n = int(size[0].removesuffix("]")) if size else 1
+                fields.append((kind, n, label))
+        except (IndexError, ValueError):
             fields = []
         self._fields[name] = fields
 
@@ -191,14 +214,14 @@ class _Definitions:
             return False
         n_fields = self.n_fields(name)
         self._total += n_fields
-        return n_fields <= MOST_FIELDS and self._total <= self._most
+        return n_fields <= LIMITS.most_fields and self._total <= self._most
 
     def n_fields(self, name: str) -> int:
-        """Return the fields of a message with those of its parts, more than MOST_FIELDS if it holds itself."""
+        """Return the fields of a message with those of its parts, more than the limit if it holds itself."""
         if name not in self._fields:
             return 1
         if name not in self._counts:
-            self._counts[name] = MOST_FIELDS + 1
+            self._counts[name] = LIMITS.most_fields + 1
             sizes = [max(n, 1) * self.n_fields(kind) for kind, n, _ in self._fields[name]]
             self._counts[name] = sum(sizes)
         return self._counts[name]
@@ -215,9 +238,9 @@ class _File(io.BytesIO):
         self.places: defaultdict[int, list[int]] = defaultdict(list)
         self.end = 0
         self.cut = False
-        self._reads_left = len(data) + SPARE_READS
+        self._reads_left = len(data) + LIMITS.spare_reads
         self._head = b""
-        self._definitions = _Definitions(min(MOST_FIELDS_IN_ALL, len(data)))
+        self._definitions = _Definitions(min(LIMITS.most_fields_in_all, len(data)))
         self._topics: dict[int, bool] = {}
 
     def read(self, size: int | None = -1) -> bytes:
@@ -261,7 +284,7 @@ def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     if "timestamp_sample" not in fields or name.startswith("actuator"):
         return published
     sampled = fields["timestamp_sample"]
-    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
+    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LIMITS.latest)
     return np.where(believed, sampled, published)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -14,25 +15,17 @@ from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
 from skdgp._compute.wording import text_of
-from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.checks import (
-    WRAPPED,
-    check_airspeed,
-    check_columns,
-    check_radians,
-    check_table,
-    numeric,
-    unwrapped,
-)
-from skdgp._flight.clock import check_clock, flight_segments
+from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES, WRAPPED
+from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
-    Fault,
     FlightDataWarning,
     find_faults,
     usual_spacing,
     without_faults,
 )
 from skdgp._flight.smoothing import differentiate, smooth
+from skdgp._flight.tables import FlightTable, numeric, unwrapped
+from skdgp._flight.units import check_airspeed, check_radians
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 
 LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
@@ -80,11 +73,9 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     >>> inspect_flight(flight)[["channel", "kind", "start", "end", "n_samples"]].round(3).values.tolist()
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
-    check_columns(check_table(flight), ["time"])
     columns = ["flight", "channel", "kind", "start", "end", "n_samples", "message"]
-    return pd.DataFrame(
-        [_row(fault.finding) for fault in _inspect(flight, ignore)], columns=columns
-    )
+    faults = find_faults(FlightTable.of(flight), ignore)
+    return pd.DataFrame([_row(fault.finding) for fault in faults], columns=columns)
 
 
 def _row(fault: Finding) -> dict[str, Any]:
@@ -134,45 +125,35 @@ class FlightCheck(TableTransformer):
         self.ignore = ignore
 
     def _fit_table(self, table):
-        check_columns(table, ["time"])
+        FlightTable.of(table)
         self._check_any(table, BRIDGED)
-        check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
 
     def _transform_table(self, table):
-        check_columns(table, ["time"])
-        faults = _inspect(table, self.ignore)
+        flights = FlightTable.of(table)
+        faults = find_faults(flights, self.ignore)
         # gaps in time are no error
         findings = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
         if findings:
             numbers = {"faults": findings, "longest_bridge": LONGEST_BRIDGE}
             finding = Finding(Code.FAULTS_BRIDGED, numbers=numbers)
             report(finding, FlightDataWarning, stacklevel=4)
-        table = without_faults(table, faults)
-        check_airspeed(table)
-        return with_columns(table, self._bridged(table))
+        measured = replace(flights, table=without_faults(table, faults))
+        check_airspeed(measured.column("airspeed"))
+        return with_columns(measured.table, self._bridged(measured))
 
-    def _bridged(self, table: pd.DataFrame) -> dict[str, Vector]:
-        """Return the columns that have missing values, with short gaps interpolated."""
-        time = numeric(table, ["time"])[:, 0]
+    def _bridged(self, flights: FlightTable) -> dict[str, Vector]:
+        """Return the channels that have missing values, with short gaps interpolated."""
         new = {}
-        for name in _present(BRIDGED, table):
-            column = table[name]
-            is_numeric = pd.api.types.is_numeric_dtype(column)
-            if name in self.ignore or not is_numeric or not column.isna().any():
+        for name, values in flights.numeric_channels(BRIDGED).items():
+            if name in self.ignore or not np.isnan(values).any():
                 continue
-            values = unwrapped(table, [name])[:, 0]
-            for segment in flight_segments(time, table.get("flight")):
-                values[segment] = _interpolated(time[segment], values[segment])
+            filled = unwrapped(flights.table, [name])[:, 0]
+            for segment in flights.segments:
+                filled[segment] = _interpolated(flights.time[segment], filled[segment])
             if name in WRAPPED:
-                values = wrapped_near(values, column.ffill().bfill())
-            new[name] = values
+                filled = wrapped_near(filled, flights.table[name].ffill().bfill())
+            new[name] = filled
         return new
-
-
-def _inspect(table: pd.DataFrame, ignore: Iterable[str]) -> list[Fault]:
-    """Return the faults of a table whose time increases within each flight."""
-    check_clock(numeric(table, ["time"])[:, 0], table.get("flight"))
-    return find_faults(table, ignore)
 
 
 def _interpolated(time: Vector, values: Vector) -> Vector:

@@ -26,8 +26,10 @@ from skdgp._flight.channels import (
     VANES,
     rate_factor,
 )
-from skdgp._flight.checks import check_airspeed, check_columns, numeric
+from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.tables import numeric
+from skdgp._flight.units import check_airspeed
 from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
 
 RATED = (*VANES, *RATES)
@@ -201,7 +203,7 @@ class RateNondimensionalizer(TableTransformer):
     def _non_dimensional(self, table):
         check_columns(table, ["airspeed", *self.rates_])
         airspeed = numeric(table, ["airspeed"])[:, 0]
-        check_airspeed(table)
+        check_airspeed(airspeed)
         lengths = {"span": self.span, "chord": self.chord}
         rates = {}
         for name, rate in zip(self.rates_, numeric(table, self.rates_).T, strict=True):

@@ -16,9 +16,9 @@ from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices, Vector
 from skdgp._compute.wording import reason_of
 from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, EULER, RATES, VANES
-from skdgp._flight.checks import check_columns, check_radians, numeric
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.tables import has_values
+from skdgp._flight.tables import FlightTable, has_values, numeric
+from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft
 from skdgp.estimation import (
     CALIBRATED,
@@ -323,7 +323,7 @@ class FlightPathReconstruction(TableTransformer):
         return names + [name for name in (*RECONSTRUCTED, "gust") if name not in names]
 
     def _check(self, table):
-        check_columns(table, ["time", *PATH_CHANNELS])
+        FlightTable.of(table, PATH_CHANNELS)
         check_radians(table, (*EULER, *RATES, *VANES))  # roll and heading may be unwrapped
 
     def _estimated_paths(

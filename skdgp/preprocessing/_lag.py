@@ -10,8 +10,16 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
-from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, EARTH_VELOCITY, EULER, POSITION
-from skdgp._flight.checks import WRAPPED, check_columns, numeric, unwrapped
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    WRAPPED,
+)
+from skdgp._flight.checks import check_columns
+from skdgp._flight.tables import numeric, unwrapped
 from skdgp.estimation import Lag, LagSettings, estimate_lags, removable, without_lag
 from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
 

@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, measure
+from skdgp.datasets._autopilot import COMMANDS
+from skdgp.datasets._example_flights import measure
+from skdgp.datasets._plans import FLIGHT_PLANS
 from skdgp.dynamics import (
     Aircraft,
     air_velocity,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from skdgp._flight.channels import COEFFICIENTS, LATERAL
-from skdgp.datasets._example_flights import REGRESSORS, brumby_coefficients, brumby_derivatives
+from skdgp.datasets._brumby import REGRESSORS, brumby_coefficients, brumby_derivatives
 
 SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
 

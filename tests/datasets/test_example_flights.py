@@ -11,7 +11,8 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS
 from skdgp.datasets import _example_flights, load_example_flights
-from skdgp.datasets._example_flights import SENSOR_NOISE, brumby_motion, measure
+from skdgp.datasets._brumby import brumby_motion
+from skdgp.datasets._example_flights import SENSOR_NOISE, measure
 from skdgp.dynamics import (
     aerodynamic_coefficients,
     air_data,

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp._flight.frames import air_data_slopes
-from skdgp.datasets._example_flights import (
+from skdgp.datasets._brumby import (
     BRUMBY,
     REGRESSORS,
     brumby_coefficients,

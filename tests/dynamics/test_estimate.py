@@ -8,7 +8,7 @@ import scipy.linalg
 from numpy.testing import assert_allclose
 
 from skdgp._flight.channels import RATE_LENGTHS
-from skdgp.datasets._example_flights import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
     Aerodynamics,
     Air,

@@ -8,7 +8,7 @@ from pandas.testing import assert_frame_equal
 from scipy.optimize import brentq
 from scipy.signal import find_peaks, lsim
 
-from skdgp.datasets._example_flights import brumby_motion
+from skdgp.datasets._brumby import brumby_motion
 from skdgp.dynamics import (
     Aerodynamics,
     Air,

@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from skdgp._flight.checks import check_flight
-from skdgp._flight.clock import flight_codes, flight_rows, flight_segments, true_runs
-from skdgp._flight.faults import find_faults
+from skdgp._flight.clock import Clock, flight_codes, true_runs
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import check_flight
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._flights import flights_of
 from skdgp.io import FlightReadError, inspect_log, read_flight
@@ -56,9 +56,9 @@ def holed(missing):
 
 # What asks for the flight of each row. A new one has a line here.
 ASKING = {
-    "flight_segments": lambda flights: flight_segments(flights["time"], flights["flight"]),
-    "find_faults": find_faults,
-    "check_flight": lambda flights: check_flight(flights, ["time"]),
+    "Clock": lambda flights: Clock.of(flights["time"], flights["flight"]),
+    "FlightTable": FlightTable.of,
+    "check_flight": lambda flights: check_flight(flights, []),
     "aerodynamic_coefficients": lambda flights: aerodynamic_coefficients(flights, None),
     "inspect_flight": inspect_flight,
     "FlightCheck": lambda flights: FlightCheck().fit_transform(flights),
@@ -97,18 +97,18 @@ def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
 
 
 def test_rows_of_flights_that_take_turns():
-    assert {name: rows.tolist() for name, rows in flight_rows(["b", "a", "b", "a"]).items()} == {
-        "b": [0, 2],
-        "a": [1, 3],
-    }
-    assert flight_rows([]) == {}
+    clock = Clock.of([0.0, 0.0, 1.0, 1.0], ["b", "a", "b", "a"])
+    rows = {name: part.tolist() for name, part in clock.rows.items()}
+    assert rows == {"b": [0, 2], "a": [1, 3]}
+    assert clock.part([1, 3]).names == ["a"]
+    assert Clock.of([], []).rows == {}
 
 
 def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_path):
     """Neighbours of different flights say nothing of it."""
     table = pd.DataFrame({"time": [0.0, 1.0, 0.0, 0.5, 1.0], "flight": list("aabab"), "alpha": 0.1})
     with pytest.raises(ValueError, match=r"Got time 0\.5 s after 1 s at row 3"):
-        flight_segments(table["time"], table["flight"])
+        Clock.of(table["time"], table["flight"])
     table.to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(FlightReadError, match=r"Got time 0\.5 s after 1 s at row 3"):
         read_flight(tmp_path / "log.csv")
@@ -123,4 +123,4 @@ def test_runs_of_good_rows():
 def test_rows_that_a_shuffled_kfold_left_out_are_named_as_such():
     rows = np.sort(np.random.default_rng(0).permutation(400)[:320])
     with pytest.raises(ValueError, match="shuffled KFold: hold out whole flights"):
-        flight_segments(0.02 * rows)
+        Clock.of(0.02 * rows).segments  # noqa: B018

@@ -7,8 +7,10 @@ from scipy import signal
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.wording import reason_of
+from skdgp._flight import physics
 from skdgp._flight.frames import STANDARD_GRAVITY, gravity_in_body_axes
-from skdgp._flight.physics import Regression, estimated_slope, find_contradictions
+from skdgp._flight.physics import Regression, estimated_slope
+from skdgp._flight.tables import FlightTable
 from skdgp.datasets import load_example_flights
 from skdgp.identification._prepare import usable_flights
 from skdgp.io import inspect_log, read_flight
@@ -18,6 +20,10 @@ ELEVONS = {"elevon_left", "elevon_right"}
 ATTITUDE = ("phi", "theta", "psi")
 FORCES = ("ax", "ay", "az")
 DEGREES = 180 / np.pi
+
+
+def find_contradictions(table):
+    return physics.find_contradictions(FlightTable.of(table))
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +155,7 @@ def test_a_fault_is_found_in_its_channel(flight, fault):
     assert {name for each in found for name in each.channels} == channels
     assert all(each.quantity == "slope" and abs(each.t) > 5 for each in found)
     if slope is not None:
-        assert found[0].slope == pytest.approx(slope, rel=0.1)
+        assert found[0].slope.value == pytest.approx(slope, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -165,7 +171,7 @@ def test_a_lag_is_found(flight, names, channels):
     found = find_contradictions(late(0.8, *names)(flight))
     assert {each.quantity for each in found} == {"lag"}
     assert {name for each in found for name in each.channels} <= channels
-    assert abs(found[0].slope) == pytest.approx(0.8, abs=0.1)
+    assert abs(found[0].slope.value) == pytest.approx(0.8, abs=0.1)
     assert find_contradictions(late(0.2, *names)(flight)) == []
 
 
@@ -291,7 +297,9 @@ def test_inspect_and_identify_say_so_and_turn_nothing(flight, tmp_path):
     assert any(remark.startswith("az is probably wrong") for remark in inspect_log(path).remarks)
     table = read_flight(path)
     with pytest.warns(FlightDataWarning, match="Contradiction in the flights: az is probably"):
-        usable = usable_flights({"latlon": table}, ["alpha", "q_hat"], ["alpha", "q"])
+        usable = usable_flights(
+            {"latlon": FlightTable.of(table)}, ["alpha", "q_hat"], ["alpha", "q"]
+        )
     assert usable["latlon"]["az"].equals(table["az"])
 
 

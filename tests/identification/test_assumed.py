@@ -9,6 +9,7 @@ import pytest
 from skdgp import DependentGPRegressor
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.wording import text_of
+from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import portable_model, write_c
 from skdgp.identification import _prepare, identify, load_model, validate
@@ -184,20 +185,20 @@ TABLE = pd.DataFrame({"time": [0.0, 0.1]}).assign(alpha=0.0, q=0.0, aileron=0.0,
 
 def test_another_name():
     with pytest.raises(ValueError, match=r"did you mean 'de'\?.*--rename de=elevator"):
-        check_controls({"a": TABLE.assign(de=0.0)}, "quasi-steady")
+        check_controls({"a": FlightTable.of(TABLE.assign(de=0.0))}, "quasi-steady")
 
 
 def test_no_elevator():
     with pytest.warns(UserWarning, match="without an elevator"):
-        check_controls({"a": TABLE}, "quasi-steady")
+        check_controls({"a": FlightTable.of(TABLE)}, "quasi-steady")
 
 
 @pytest.mark.parametrize("given", ["elevator", "elevon_left"])
 def test_what_needs_none(given):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_controls({"a": TABLE.assign(**{given: 0.0})}, "quasi-steady")
-        check_controls({"a": TABLE.assign(de=0.0)}, ["alpha", "aileron"])
+        check_controls({"a": FlightTable.of(TABLE.assign(**{given: 0.0}))}, "quasi-steady")
+        check_controls({"a": FlightTable.of(TABLE.assign(de=0.0))}, ["alpha", "aileron"])
 
 
 def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_minute):
@@ -207,5 +208,5 @@ def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_min
     surfaces = {"elevator": (left + right) / 2 / 0.4, "aileron": (right - left) / 2 / 0.4}
     reversed_aileron = flight.assign(**surfaces)
     with pytest.warns(FlightDataWarning, match="Contradiction in the flights: aileron"):
-        usable = usable_flights({"one": reversed_aileron}, ["aileron"], ["aileron"])
+        usable = usable_flights({"one": FlightTable.of(reversed_aileron)}, ["aileron"], ["aileron"])
     assert usable["one"]["aileron"].equals(reversed_aileron["aileron"])

@@ -322,7 +322,7 @@ class TestIdentify:
         assert np.isfinite(flown["airspeed"]).all()
 
     def test_names_tables_that_have_no_names(self, example):
-        bare = example[1].drop(columns="flight")
+        bare = example[2].drop(columns="flight")
         assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
         assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
 

@@ -123,15 +123,15 @@ class TestCommand:
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
         (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
         flights = named_flights([whole, tmp_path / "table.csv"], servos=SERVOS)
-        assert set(SERVOS) <= set(flights["whole"].columns)
-        assert set(flights["table"].columns) == {"time", "flight", "alpha"}
+        assert set(SERVOS) <= set(flights["whole"].table.columns)
+        assert set(flights["table"].table.columns) == {"time", "flight", "alpha"}
 
     def test_identify_is_told_what_of_a_log_is_a_flight(self, whole, tmp_path, capsys):
         flown, everything = (
             named_flights([whole], airborne=airborne)["whole"] for airborne in (True, False)
         )
-        assert len(flown) == len(read_flight(whole))
-        assert len(everything) == len(read_flight(whole, airborne=False)) > 0
+        assert len(flown.table) == len(read_flight(whole))
+        assert len(everything.table) == len(read_flight(whole, airborne=False)) > 0
         (tmp_path / "uav.json").write_text(
             json.dumps(
                 {"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5}

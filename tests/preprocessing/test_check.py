@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
 from skdgp._flight.faults import find_faults, without_faults
+from skdgp._flight.tables import FlightTable
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._prepare import usable_flights
@@ -153,7 +154,7 @@ class TestFaults:
         ) as said:
             FlightCheck().fit_transform(table)
         assert len(said) == 1
-        out = without_faults(table, find_faults(table))
+        out = without_faults(table, find_faults(FlightTable.of(table)))
         gone = np.zeros(len(table), bool)
         gone[list(rows)] = True
         assert out[channel].isna().to_numpy().tolist() == gone.tolist()
@@ -246,13 +247,12 @@ class TestDownstream:
         )
 
     def test_identify_warns_of_them_and_leaves_their_rows_out(self):
+        flight = FlightTable.of(held(log(), "alpha", 700, 712))
         with (
             pytest.warns(FlightDataWarning, match="alpha is stuck"),
             pytest.warns(UserWarning, match="12 of 2400 rows are left out"),
         ):
-            flights = usable_flights(
-                {"sortie": held(log(), "alpha", 700, 712)}, ["alpha"], ["alpha"]
-            )
+            flights = usable_flights({"sortie": flight}, ["alpha"], ["alpha"])
         assert len(flights["sortie"]) == 2388
 
     def test_single_lost_samples_leave_no_rows_out(self):
@@ -262,8 +262,9 @@ class TestDownstream:
         for name in sparse.columns.difference(["time", "flight"]):
             lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)
             sparse.loc[lost, name] = np.nan
+        flights = {"sortie": FlightTable.of(sparse)}
         with pytest.warns(FlightDataWarning, match="gaps up to 0.25 s are interpolated"):
-            found = usable_flights({"sortie": sparse}, ["alpha", "q"], ["alpha", "q"])["sortie"]
+            found = usable_flights(flights, ["alpha", "q"], ["alpha", "q"])["sortie"]
         assert len(found) == len(table)
         assert found.notna().all(axis=None)
 

@@ -75,6 +75,13 @@ def table(
     return f'<div class="scroll"><table class="{classes}">{content}</table></div>'
 
 
+def section(title: str, *parts: str, classes: str = "") -> str:
+    """Return a section of ready HTML, empty without parts."""
+    body = "".join(parts)
+    kind = f' class="{classes}"' if classes else ""
+    return f"<section{kind}><h2>{title}</h2>{body}</section>" if body else ""
+
+
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> str:
     """Return the document; title and kind are text, the rest is HTML."""
     return PAGE.substitute(

@@ -14,7 +14,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix
-from skdgp._display.page import number, percent, table, text
+from skdgp._display.page import number, percent, section, table, text
 from skdgp.dynamics import Aerodynamics, Aircraft, stability_derivatives
 
 
@@ -122,7 +122,7 @@ class PlanCheck:
             f"promised by the plan, and found in this model. Geometric mean, of those before: "
             f"{ratios}."
         )
-        return f"<section><h2>The plan and this model</h2>{errors_table(self.errors, caption)}</section>"
+        return section("The plan and this model", errors_table(self.errors, caption))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""

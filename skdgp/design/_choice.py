@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-
-# Least increase of the gain that justifies an exchange of manoeuvres
-WORTH_EXCHANGE = 1e-6
-# Rounding of sums of seconds
-ROUNDING = 1e-6
 
 
 def information(X: Matrix) -> Matrix:
@@ -48,6 +44,10 @@ class Choice:
     known: Matrix
     places: Sequence[int]
     time: float
+    #: Least increase of the gain that justifies an exchange of manoeuvres
+    worth_exchange: ClassVar[float] = 1e-6
+    #: Rounding of sums of seconds
+    rounding: ClassVar[float] = 1e-6
 
     def gain(self, chosen: Sequence[int]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal."""
@@ -61,7 +61,7 @@ class Choice:
 
     def fits(self, chosen: Sequence[int]) -> bool:
         """Return whether a sequence fits into the time."""
-        return bool(self.seconds[list(chosen)].sum() <= self.time + ROUNDING)
+        return bool(self.seconds[list(chosen)].sum() <= self.time + self.rounding)
 
     def filled(self, chosen: list[int]) -> list[int]:
         """Return manoeuvres, and more with the largest gain per second until the time is used."""
@@ -79,7 +79,7 @@ class Choice:
     def exchanged(self, chosen: list[int]) -> list[int]:
         """Return the best sequence with one manoeuvre replaced by another."""
         best = chosen
-        largest = self.gain(chosen) + WORTH_EXCHANGE
+        largest = self.gain(chosen) + self.worth_exchange
         for place in range(len(chosen)):
             for k in range(len(self.seconds)):
                 exchanged = [*chosen[:place], k, *chosen[place + 1 :]]

@@ -21,6 +21,7 @@ from skdgp._display.page import (
     number,
     percent,
     render_page,
+    section,
     table,
     text,
     units_shown,
@@ -193,26 +194,19 @@ def _sections(content: ReportContent) -> list[str]:
     if draw and content.effects is not None:
         effects = content.effects.html(EFFECTS)
     sections = [_verdict(content), _next_flight(content), *content.sections]
-    sections.append(_section("Further warnings", further))
-    sections.append(_section("What was assumed", _list(content.assumed)))
+    sections.append(section("Further warnings", further))
+    sections.append(section("What was assumed", _list(content.assumed)))
     if not draw:
         sections.append(_note(NO_FIGURES))
     sections.append(_mechanics(content.mechanics))
     sections.append(_simulation(content.mechanics, draw))
     sections += _flights(content, draw)
-    sections.append(_section("Effects", effects))
+    sections.append(section("Effects", effects))
     if draw:
         sections.append(_flown(content))
-    sections.append(_section("What was done", rows, SIGN))
-    sections.append(_section("How to read", HOW_TO_READ))
+    sections.append(section("What was done", rows, SIGN))
+    sections.append(section("How to read", HOW_TO_READ))
     return sections
-
-
-def _section(title: str, *parts: str, classes: str = "") -> str:
-    """Return a section of ready HTML, empty without parts."""
-    kind = f' class="{classes}"' if classes else ""
-    body = "".join(parts)
-    return f"<section{kind}><h2>{title}</h2>{body}</section>" if body else ""
 
 
 def _with_contents(sections: Iterable[str]) -> str:
@@ -249,7 +243,7 @@ def _verdict(content: ReportContent) -> str:
         parts.append(_note("No warning arose."))
     if len(content.test) > 1:
         parts.append(_errors_by_flight(content.test))
-    return _section("Verdict", *parts)
+    return section("Verdict", *parts)
 
 
 def _error_and_coverage(verdict: Verdict) -> str:
@@ -302,7 +296,7 @@ def _next_flight(content: ReportContent) -> str:
             manoeuvre = axis + _manoeuvre(axis, mechanics)
             rows.append([manoeuvre, _weak_names(excited.head(MOST_NAMED)), str(len(excited))])
     if not rows:
-        return _section("What to fly next", _note("Every derivative is known to half its size."))
+        return section("What to fly next", _note("Every derivative is known to half its size."))
     flown = Extent.of(list(content.train.values())).seconds
     reach = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
@@ -312,7 +306,7 @@ def _next_flight(content: ReportContent) -> str:
         "on the model proposes manoeuvres, their seconds and the errors that they leave."
     )
     head = ["excite", "weak derivatives", "in all"]
-    return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
+    return section("What to fly next", table(head, rows, caption=caption, classes="words"))
 
 
 def _weak_names(derivatives: pd.DataFrame) -> str:
@@ -354,7 +348,7 @@ def _mechanics(mechanics: FlightMechanics) -> str:
         parts.append(_note(OF_AIRCRAFT if "std_aircraft" in mechanics.derivatives else ""))
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
-    return _section("Trim, derivatives and modes", *parts)
+    return section("Trim, derivatives and modes", *parts)
 
 
 def _trim(trim: Trim) -> str:
@@ -448,7 +442,7 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
         parts.append(_simulation_errors(mechanics.simulation))
     if draw and mechanics.simulated is not None:
         parts.append(mechanics.simulated.html(SIMULATED))
-    return _section("Simulation", *parts)
+    return section("Simulation", *parts)
 
 
 def _simulation_errors(errors: pd.DataFrame) -> str:
@@ -489,7 +483,7 @@ def _flights(content: ReportContent, draw: bool) -> list[str]:
         body = _errors(result)
         if draw and (len(errors) <= MOST_OPEN or not error < max(errors)):
             body += _figures(result)
-        parts.append(_section(f"Test flight {text(result.name)}", body, classes="flight"))
+        parts.append(section(f"Test flight {text(result.name)}", body, classes="flight"))
     return parts
 
 
@@ -559,4 +553,4 @@ def _flown(content: ReportContent) -> str:
     for name, flight in flights.items():
         inputs = TimeHistoryDisplay.from_inputs(flight, ax=False)
         parts.append(inputs.html(f"Inputs of {text(name)}."))
-    return _section("What was flown", *parts)
+    return section("What was flown", *parts)

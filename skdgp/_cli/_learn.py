@@ -308,83 +308,66 @@ LEARNING: dict[str, dict[str, Any]] = {
         "help": "latents that the outputs share (default: 2)",
     },
     "--max-iter": {"metavar": "N", "type": opt.at_least(1), "help": "iterations of the fit"},
-    "--seed": opt.SHARED["--seed"],
+    **opt.shared("--seed"),
 }
+SIZE_OPTIONS = {}
+for name, text in SIZES.items():
+    option = f"--{name.replace('_', '-')}"
+    SIZE_OPTIONS[option] = {"metavar": "X", "type": opt.size, "help": text}
+for name, text in ENGINE.items():
+    SIZE_OPTIONS[f"--{name}"] = {"metavar": "AxB", "type": opt.factors, "help": text}
+
 COMMANDS: opt.Commands = {
     inspect: {
         "": {
             "log": {"metavar": "LOG", "help": "the log"},
-            "--servos": opt.SHARED["--servos"],
-            "--rename": opt.SHARED["--rename"],
+            **opt.shared("--servos", "--rename"),
         },
     },
     demo: {
         "": {
-            "--horizons": opt.SHARED["--horizons"],
-            "--output": opt.SHARED["--output"]
-            | {"default": "skdgp-demo", "help": "folder (default: skdgp-demo)"},
+            **opt.shared("--horizons"),
+            **opt.shared("--output", default="skdgp-demo", help="folder (default: skdgp-demo)"),
         },
-        "model": {
-            **LEARNING,
-        },
+        "model": LEARNING,
     },
     identify: {
         "": {
             "train": {"metavar": "TRAIN", "nargs": "+", "help": "flights to learn from"},
-            "--aircraft": opt.SHARED["--aircraft"]
-            | {"help": "the aircraft, JSON or TOML (or --mass and --span)"},
+            **opt.shared("--aircraft", help="the aircraft, JSON or TOML (or --mass and --span)"),
             "--test": {
                 "metavar": "TEST",
                 "nargs": "+",
-                "help": (
-                    "flights to judge the model on (default: the last of several, or the last "
-                    "quarter of one, is held out)"
-                ),
+                "help": "flights to judge the model on (default: the last of several, or the last "
+                "quarter of one, is held out)",
             },
-            "--thrust": opt.SHARED["--thrust"] | {"default": "auto"},
-            "--external-forces": opt.SHARED["--external-forces"] | {"default": []},
-            **opt.LOG,
-            "--horizons": opt.SHARED["--horizons"],
-            "--output": opt.SHARED["--output"]
-            | {
-                "default": "skdgp-results",
-                "help": "folder for the outputs (default: skdgp-results)",
-            },
-            **{
-                f"--{name.replace('_', '-')}": {"metavar": "X", "type": opt.size, "help": text}
-                for name, text in SIZES.items()
-            },
-            **{
-                f"--{name}": {"metavar": "AxB", "type": opt.factors, "help": text}
-                for name, text in ENGINE.items()
-            },
+            **opt.shared("--thrust", default="auto"),
+            **opt.shared("--external-forces", default=[]),
+            **opt.shared(*opt.LOG, "--horizons"),
+            **opt.shared(
+                "--output",
+                default="skdgp-results",
+                help="folder for the outputs (default: skdgp-results)",
+            ),
         },
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": {
+            **SIZE_OPTIONS,
             "--kind": {
                 "choices": list(KINDS),
                 "help": "kind of the aircraft, for the estimates (default: conventional)",
             },
         },
-        "model": {
-            **LEARNING,
-        },
+        "model": LEARNING,
     },
     validate: {
         "": {
-            "model": opt.SHARED["model"],
-            "flight": opt.SHARED["flight"],
-            "--aircraft": opt.SHARED["--aircraft"],
-            **opt.LOG,
-            "--horizons": opt.SHARED["--horizons"],
-            "--output": opt.SHARED["--output"],
+            **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizons", "--output"),
             "--plan": {
                 "metavar": "FILE",
-                "help": (
-                    "plan.json of a flight that the model learned from: compares its promises with this model"
-                ),
+                "help": "plan.json of a flight that the model learned from: compares its promises "
+                "with this model",
             },
-            "--thrust": opt.SHARED["--thrust"],
-            "--external-forces": opt.SHARED["--external-forces"],
+            **opt.shared("--thrust", "--external-forces"),
         },
     },
 }

@@ -23,7 +23,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._free_flight import simulated_flight, simulation_errors
+from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._pipeline import reconstruction_of
 from skdgp.report import FlightMechanics
 
@@ -65,8 +65,9 @@ def flight_mechanics(
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
     try:
         flown_states = [reconstructed(pipeline, table) for table in test]
-        results["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
-        results["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
+        free = FreeFlight(pipeline, aircraft, flown_states, settings)
+        results["simulation"] = free.errors()
+        results["simulated"] = free.example()
     except ValueError as error:
         results["simulation_note"] = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
     return FlightMechanics(notes=tuple(notes), **results)

@@ -31,7 +31,6 @@ from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
 from skdgp.dynamics import Trim
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import (
-    HONEST,
     THRESHOLDS,
     Evaluation,
     Extent,
@@ -49,11 +48,11 @@ REGRESSORS = {
 
 
 def coverage(value: float) -> str:
-    """Return a coverage in percent, marked when it is not near 95 %."""
+    """Return a coverage in percent, marked when it is below the threshold or above 99 %."""
     shown = percent(value)
-    if value < HONEST[0]:
+    if value < THRESHOLDS.coverage:
         return f'<span class="off" title="too sure">▼ {shown}</span>'
-    if value > HONEST[1]:
+    if value > 0.99:
         return f'<span class="off" title="too wide">▲ {shown}</span>'
     return shown
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -174,7 +174,7 @@ class Multisine:
         x = np.asarray(time, dtype=float) / self.duration
         return self._periodic(x) * ((x >= 0) & (x < 1))
 
-    def _periodic(self, x: ArrayLike) -> Array:
+    def _periodic(self, x: Any) -> Any:
         """Return the deviation at times in units of the period, without end."""
         angles = 2.0 * np.pi * np.multiply.outer(x, self.harmonics) + self.phases
         return np.sin(angles) @ self.amplitudes

@@ -169,7 +169,7 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
 
 def _by_output(statistic: Callable, values: Matrix) -> Vector:
     """Return a statistic of the observed values of each output; NaN, with a warning, where there are none."""
-    never = np.isnan(values).all(axis=0)
+    never: Mask = np.all(np.isnan(values), axis=0)
     if never.any():
         _warn_undefined(never, "is never observed", "it cannot be scored")
     result = np.full(len(never), np.nan)

@@ -107,9 +107,9 @@ def _limits(plan: Plan) -> str:
 def _order(plan: Plan) -> str:
     """Return the manoeuvres in the order of flight."""
     rows = []
-    for k, row in plan.manoeuvres.iterrows():
+    for k, row in enumerate(plan.manoeuvres.to_dict("records"), start=1):
         times = [number(row["start"], ".1f"), number(row["duration"], ".1f")]
-        rows.append([f"{k + 1}. {text(row['name'])}", *times, percent(row["scale"], ".0f"), "☐"])
+        rows.append([f"{k}. {text(row['name'])}", *times, percent(row["scale"], ".0f"), "☐"])
     rows.append(["<b>the flight</b>", "", number(plan.seconds, ".1f"), "", ""])
     head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>limit]", "flown"]
     return section("Order of flight", table(head, rows, caption="Order of flight."))

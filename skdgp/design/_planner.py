@@ -117,8 +117,8 @@ class Plan:
     def abort_limits(self) -> pd.DataFrame:
         """The ``low`` and ``high`` ends of the quantities."""
         limits = self.limits.reindex(QUANTITIES)
-        if not limits.loc["airspeed", "low"] > 0:
-            limits.loc["airspeed", "low"] = -np.inf
+        slowest = limits["low"]["airspeed"]
+        limits.loc["airspeed", "low"] = slowest if slowest > 0 else -np.inf
         return limits
 
     def to_dict(self) -> dict[str, Any]:

@@ -315,10 +315,10 @@ def with_thrust_errors(
     is_sampled = np.isfinite(missing).all(axis=1) & np.isfinite(regressors).all(axis=1)
     missing = missing[is_sampled]
     linear = LinearRegression().fit(regressors[is_sampled], missing)
-    errors = pd.DataFrame(linear.coef_, index=[*COEFFICIENTS], columns=regressors.columns)
-    errors.columns = [f"_{str(name).removesuffix(HAT)}" for name in errors]
-    errors.insert(0, "", missing.mean(axis=0))  # at the mean of the regressors
-    added = {coefficient + name: slope for (coefficient, name), slope in errors.stack().items()}
+    added = dict(zip(COEFFICIENTS, missing.mean(axis=0).tolist(), strict=True))  # at the mean
+    for name, slopes in zip(regressors, linear.coef_.T.tolist(), strict=True):
+        for coefficient, slope in zip(COEFFICIENTS, slopes, strict=True):
+            added[f"{coefficient}_{str(name).removesuffix(HAT)}"] = slope
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
     return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
 

@@ -82,7 +82,7 @@ def _score_text(against: Mapping[str, pd.DataFrame], names: list[str]) -> str:
         truth = pd.concat([against["truth"], group_means(against["truth"])])
         shown["rel. error of truth [%]"] = 100 * truth["median_relative_error"]
         shown["NRMSE of truth"] = truth["normalized_rmse"]
-    form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in shown}
+    form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in map(str, shown)}
     return shown.to_string(formatters=form)
 
 

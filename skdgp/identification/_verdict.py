@@ -78,7 +78,7 @@ def judge(
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
     """Return the doubts of the fit, and further ones of the test flights, one of each code."""
-    doubts = {}
+    doubts: dict[Code, Finding] = {}
     for finding in [*fit.doubts, *findings]:
         if finding.severity is Severity.DOUBT:
             doubts.setdefault(finding.code, finding)

@@ -294,7 +294,7 @@ def _scores(
     """Return coefficients by metrics against a reference."""
     expected = np.concatenate(reference)
     mean = np.concatenate([flight.mean for flight in flights])
-    each = {"multioutput": "raw_values"}
+    each: dict[str, Any] = {"multioutput": "raw_values"}
     table = pd.DataFrame(index=list(COEFFICIENTS))
     table["median_relative_error"] = median_relative_error(expected, mean, **each)
     table["normalized_rmse"] = normalized_rmse(expected, mean, **each)

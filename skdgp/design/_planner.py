@@ -227,19 +227,24 @@ def plan(
     # a quarter of Lanchester's phugoid, sqrt(2) pi V / g
     quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
     pause = max(settings.response, quarter)
+    time = seconds - settings.response
     rehearsal = Rehearsal(model, aircraft, trim, amplitudes, envelope, thrust, settings)
     with one_blas_thread(), without_warnings(SimulationWarning):
         notify("planning: library", 0, 0.0)
         modes = linearize(model, aircraft, trim, thrust=thrust).modes()
         bands = input_bands(modes, amplitudes, settings.band)
-        manoeuvres = library(bands, amplitudes, settings)
-        available = rehearsal.inside(manoeuvres, seconds - settings.response, pause)
+        available = rehearsal.inside(library(bands, amplitudes, settings), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
         rows = [_rows(item, aircraft, aerodynamics, settings) for item in available]
-        durations = np.array([item.duration for item in available])
-        time = seconds - settings.response
-        chosen = _choice(aerodynamics, rows, durations + pause, time, goal, settings)
-        if not chosen:
+        choice = Choice(
+            informations=[information(X) for X in rows],
+            seconds=np.array([item.duration for item in available]) + pause,
+            known=_known(aerodynamics, rows, settings),
+            places=_slopes(aerodynamics, goal),
+            time=time,
+        )
+        chosen = choice.best()
+        if choice.gain(chosen) - choice.gain([]) < settings.worth:
             raise ValueError(
                 f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their "
                 f"limits lower its errors too little: move other axes, raise their limits, or ask for "
@@ -247,16 +252,16 @@ def plan(
             )
         notify("planning: promise", 0, 0.0)
         added = np.concatenate([rows[k] for k in chosen])
-        errors = _errors(model, aircraft, trim, thrust, added).reindex(goal)
+        errors = _errors(model, aircraft, trim, thrust, added)
     flown = [available[k] for k in chosen]
-    inputs = [item.inputs for item in flown]
-    flights = [item.flight.assign(flight=k) for k, item in enumerate(flown)]
     return Plan(
-        train=wavetrain(inputs, pause=pause, limits=amplitudes),
+        train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
         manoeuvres=_timetable(flown, pause, settings.response),
-        flight=pd.concat(flights, ignore_index=True),
-        errors=errors,
+        flight=pd.concat(
+            [item.flight.assign(flight=k) for k, item in enumerate(flown)], ignore_index=True
+        ),
+        errors=errors.reindex(goal),
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
         aircraft=aircraft,
         margin=envelope.margin,
@@ -373,25 +378,19 @@ def _rows(
     return np.column_stack([np.interp(times, time, column) for column in X.T])
 
 
-def _choice(
-    model: Aerodynamics,
-    rows: Sequence[Matrix],
-    seconds: np.ndarray,
-    time: float,
-    goal: Sequence[str],
-    settings: PlanSettings,
-) -> list[int]:
-    """Return the sequence of manoeuvres that reduces the errors most; none if it hardly does."""
-    informations = [information(X) for X in rows]
-    largest = np.max([np.diag(matrix) for matrix in informations], axis=0)
-    known = settings.vague * np.diag(np.maximum(largest, settings.unmoved))
+def _known(model: Aerodynamics, rows: Sequence[Matrix], settings: PlanSettings) -> Matrix:
+    """Return the information of the training rows, and a little of everything that a manoeuvre moves."""
+    moved = np.max([np.diag(information(X)) for X in rows], axis=0)
+    known = settings.vague * np.diag(np.maximum(moved, settings.unmoved))
     if model.training_rows is not None:
         known += information(model.training_rows())
+    return known
+
+
+def _slopes(model: Aerodynamics, goal: Sequence[str]) -> list[int]:
+    """Return the places of the slopes of a goal, behind the constant."""
     places = _derivative_places(model)
-    slopes = [1 + places[name] for name in goal]
-    choice = Choice(informations, seconds, known, slopes, time)
-    chosen = choice.best()
-    return chosen if choice.gain(chosen) - choice.gain([]) >= settings.worth else []
+    return [1 + places[name] for name in goal]
 
 
 def _errors(

@@ -62,67 +62,63 @@ class Rehearsal:
         self, manoeuvres: Mapping[str, Inputs], seconds: float, pause: float
     ) -> list[Rehearsed]:
         """Return the manoeuvres that fit into the time with a pause, each as large as the limits allow."""
-        full = {}
-        for name, inputs in manoeuvres.items():
-            if duration_of(inputs) + pause <= seconds:
-                full[name] = inputs
+        full = {name: x for name, x in manoeuvres.items() if duration_of(x) + pause <= seconds}
         if not full:
             raise ValueError(
                 f"Got {seconds:g} s for manoeuvres and pauses, but none with a pause of {pause:.3g} s "
                 f"is that short: give more seconds."
             )
         centre = self._centre()
-        least = self.settings.least_scale
         scales = dict.fromkeys(full, 1.0)
         inside = []
         cause = ""
         while scales:
             sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
-            flights = self.flights(sized)
-            for name, inputs in sized.items():
-                factors = self._factors(inputs, flights[name], centre)
-                factor = factors.min()
-                if factor >= 1.0:
-                    inside.append(Rehearsed(name, inputs, scales.pop(name), flights[name]))
+            for name, flight in self.flights(sized).items():
+                factors = self._factors(sized[name], flight, centre)
+                scale = scales.pop(name)
+                if factors.min() >= 1.0:
+                    inside.append(Rehearsed(name, sized[name], scale, flight))
                     continue
                 # responses are nearly proportional to inputs
-                scales[name] *= float(np.clip(factor, *self.settings.shrink))
-                if scales[name] < least:
-                    del scales[name]
-                    cause = str(factors.idxmin())
+                scale *= float(np.clip(factors.min(), *self.settings.shrink))
+                cause = str(factors.idxmin())
+                if scale >= self.settings.least_scale:
+                    scales[name] = scale
         if not inside:
             raise ValueError(
-                f"Got an envelope that every manoeuvre leaves even at {least:.0%} of the limits; the "
-                f"last one leaves it by {cause} ({option_of(cause)}): widen this limit, or fly another "
-                f"airspeed or altitude."
+                f"Got an envelope that every manoeuvre leaves even at {self.settings.least_scale:.0%} "
+                f"of the limits; the last one leaves it by {cause} ({option_of(cause)}): widen this "
+                f"limit, or fly another airspeed or altitude."
             )
         return inside
 
     def flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of manoeuvres, each with its response after it."""
         settings = self.settings
-        ends = {name: duration_of(x) + settings.response for name, x in manoeuvres.items()}
-        longest = max(ends.values())
+        trains = {}
+        for name, inputs in manoeuvres.items():
+            trains[name] = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
+        longest = max(train.duration for train in trains.values()) + settings.response
         tables = []
-        for inputs in manoeuvres.values():
-            train = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
+        for train in trains.values():
             pause = longest - train.duration
             tables.append(train.table(settings.rate, trim=self.trim.controls, pause=pause))
-        step = settings.row_step
         flown = simulate(
             self.model,
             self.aircraft,
             [self.trim] * len(tables),
             tables,
-            step,
-            duration=step * np.floor(longest / step + ROUNDING),
+            settings.row_step,
+            duration=settings.row_step * np.floor(longest / settings.row_step + ROUNDING),
             thrust=self.thrust,
         )
         rows = np.array_split(np.arange(len(flown)), len(tables))
         flights = {}
-        for (name, end), k in zip(ends.items(), rows, strict=True):
+        for (name, train), k in zip(trains.items(), rows, strict=True):
             flight = flown.iloc[k]
-            flights[name] = flight[flight["time"] <= end + ROUNDING].reset_index(drop=True)
+            is_recorded = flight["time"] <= train.duration + settings.response + ROUNDING
+            flights[name] = flight[is_recorded].reset_index(drop=True)
         return flights
 
     def _channels(self, flight: pd.DataFrame) -> pd.DataFrame:

@@ -34,7 +34,6 @@ ENGINE = {
     "motor": "rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it "
     "was not logged",
 }
-INCH = 0.0254
 CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model"}
 
 
@@ -110,29 +109,37 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    names = ("aircraft", *SIZES, "kind", *ENGINE)
-    arguments = _given({name: vars(options)[name] for name in names})
-    if [*arguments] == ["aircraft"]:
+    sizes = _given({name: vars(options)[name] for name in (*SIZES, "kind")})
+    engine = _given({"--propeller": options.propeller, "--motor": options.motor})
+    if options.aircraft is not None and not sizes and not engine:
         return options.aircraft
-    if "aircraft" in arguments or not {"mass", "span"} <= {*arguments}:
-        got = " ".join(f"--{name.replace('_', '-')}" for name in arguments) or "no aircraft"
+    if options.aircraft is not None or not {"mass", "span"} <= sizes.keys():
+        got = [f"--{name.replace('_', '-')}" for name in sizes] + list(engine)
+        if options.aircraft is not None:
+            got.insert(0, "--aircraft")
         options.parser.error(
-            f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
-            "estimated"
+            f"got {' '.join(got) or 'no aircraft'}, but expected --aircraft FILE, or --mass and "
+            "--span, of which the rest is estimated"
         )
     if options.motor and not options.propeller:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    sizes = {name: value for name, value in arguments.items() if name not in ENGINE}
     if options.propeller:
-        motor = {}
-        if options.motor:
-            rpm_per_volt, voltage = options.motor
-            motor = {"motor_constant": rpm_per_volt * np.pi / 30, "voltage": voltage}
-        diameter, pitch = options.propeller
-        sizes["propeller"] = Propeller.from_size(INCH * diameter, INCH * pitch, **motor)
+        sizes["propeller"] = _propeller(options.propeller, options.motor)
     return Aircraft.estimate(**sizes, name=Path(options.train[0]).stem)
+
+
+def _propeller(
+    inches: tuple[float, float], rpm_per_volt_and_volts: tuple[float, float] | None
+) -> Propeller:
+    """Return the propeller of a diameter and a pitch, on a motor if there is one."""
+    diameter, pitch = 0.0254 * np.array(inches)  # [m]
+    if rpm_per_volt_and_volts is None:
+        return Propeller.from_size(diameter, pitch)
+    rpm_per_volt, voltage = rpm_per_volt_and_volts
+    motor_constant = rpm_per_volt * np.pi / 30
+    return Propeller.from_size(diameter, pitch, motor_constant=motor_constant, voltage=voltage)
 
 
 def demo(run: Run) -> None:

@@ -19,6 +19,7 @@ from skdgp._compute.messages import listening, warn
 from skdgp._excitation import AXES
 from skdgp.design import (
     Envelope,
+    Plan,
     PlanSettings,
     ardupilot_script,
     surface_mixes,
@@ -161,16 +162,16 @@ def derivatives(run: Run) -> None:
     run.console.stage("modes")
     modes = {}
     points = []
-    texts = []
     for k, point in enumerate(trims):
-        linear = linearize(model.pipeline, model.aircraft, point, **spread).modes()
-        modes[point.airspeed] = linear.drop(columns="eigenvalue")
-        at_trim = FlightMechanics(trim=point, derivatives=table.loc[k], modes=linear)
-        points.append(at_trim.to_dict())
-        texts.append(_derivatives_text(at_trim))
-    numbers = {"model": options.model, "points": points}
+        linear = linearize(model.pipeline, model.aircraft, point, **spread)
+        modes[point.airspeed] = linear.modes()
+        points.append(
+            FlightMechanics(trim=point, derivatives=table.loc[k], modes=modes[point.airspeed])
+        )
+    numbers = {"model": options.model, "points": [point.to_dict() for point in points]}
+    texts = [_derivatives_text(point) for point in points]
     if run.folder is not None:
-        named = pd.concat(modes, names=["airspeed", "mode"])
+        named = pd.concat(modes, names=["airspeed", "mode"]).drop(columns="eigenvalue")
         files = {
             "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
             "modes.csv": csv_writer(named.reset_index()),
@@ -284,6 +285,14 @@ def plan(run: Run) -> None:
             envelope=envelope,
             thrust=thrust,
         )
+    numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
+    writers = _plan_writers(planned, full)
+    files = run.write(writers, "plan.json", numbers, stale="plan.lua")
+    run.print("\n".join([_plan_text(planned, full), *map(str, files)]), numbers)
+
+
+def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
+    """Return the writers of the files of a plan, with a script where there are full deflections."""
     writers: dict[str, Writer] = {
         "plan.csv": csv_writer(planned.train.table(PlanSettings.rate)),
         "card.html": partial(write_flight_card, plan=planned, full=full),
@@ -294,15 +303,18 @@ def plan(run: Run) -> None:
             script = ardupilot_script(planned.train, PlanSettings.rate, full)
             writers["plan.lua"] = text_writer(script)
         except ValueError as error:  # the plan is kept
-            warn(f"No script for ArduPilot: {error}", stacklevel=2)
-    numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
-    files = run.write(writers, "plan.json", numbers, stale="plan.lua")
+            warn(f"No script for ArduPilot: {error}", stacklevel=3)
+    return writers
+
+
+def _plan_text(planned: Plan, full: dict[str, float]) -> str:
+    """Return manoeuvres and standard deviations as tables."""
     lines = [_table(planned.manoeuvres[["start", "name", "scale"]]), "", _table(planned.errors), ""]
     if np.isinf(planned.abort_limits).all(axis=None):
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not full:
         lines.append("no script for ArduPilot: --full gives the full deflections that it needs")
-    run.print("\n".join([*lines, *map(str, files)]), numbers)
+    return "\n".join(lines)
 
 
 def _table(table: pd.DataFrame) -> str:

@@ -174,10 +174,23 @@ def display_unit(name: str) -> tuple[float, str]:
     """Return the factor from SI to the displayed unit, and that unit. Only pictures use degrees."""
     if name in _UNITS.get():
         return 1.0, _UNITS.get()[name]
-    unit = CHANNELS[name].unit if name in CHANNELS else ""
+    channel = "phi" if name == "bank" else name
+    unit = CHANNELS[channel].unit if channel in CHANNELS else ""
     if unit.startswith("rad") and name != "propeller_speed":
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     return 1.0, unit
+
+
+def heading(name: str) -> str:
+    """Return a column's name in words, with its unit beneath."""
+    unit = display_unit(name)[1]
+    return text(name.replace("_", " ")) + (f"<br>[{unit}]" if unit else "")
+
+
+def shown(name: str, value: float) -> str:
+    """Return a value of a column in the displayed unit, a dash where there is none."""
+    factor, unit = display_unit(name)
+    return number(factor * value, ".1f" if unit else ".2f") if np.isfinite(value) else DASH
 
 
 def symbol(name: str) -> str:

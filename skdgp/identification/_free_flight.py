@@ -11,7 +11,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import without_warnings
-from skdgp._compute.typing import Array, Vector
+from skdgp._compute.typing import Array, Indices, Vector
 from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.checks import unwrapped
 from skdgp._flight.clock import flight_segments
@@ -117,24 +117,21 @@ class FreeFlight:
         measured = np.array([_at(elapsed, part.flown) for part in self.parts])
         # an infinite error where a simulation ended
         squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
-        turbulence = self._unknown_gusts()
         by_gusts = np.zeros(squares.shape)
         gusts = 0.0
+        turbulence = self._unknown_gusts()
         if turbulence is not None:
             by_gusts = self._squares_by(turbulence, simulated)
             gusts = float(np.sqrt(np.mean(np.square(turbulence.intensity))))
-
-        # means over parts of the time
         edges = np.unique(np.arange(self.constants.parts) * len(elapsed) // self.constants.parts)
-        counts = np.diff([*edges, len(elapsed)])
-        total = np.add.reduceat(squares, edges, axis=1) / counts
-        explained = np.add.reduceat(by_gusts, edges, axis=1) / counts
+        total = _means_between(squares, edges)
+        explained = _means_between(by_gusts, edges)
         ends = np.append(elapsed[edges], elapsed[-1])
 
         deviations = [np.nanstd(unwrapped(table, STATES), axis=0) for table in self.tables]
         spread = np.median(deviations, axis=0)
         limit = np.maximum(THRESHOLDS.error * spread, 3 * _noise(self.tables))
-        errors = pd.DataFrame({"spread": spread, "limit": limit}, index=list(STATES))
+        errors = pd.DataFrame({"spread": spread, "limit": limit}, index=[*STATES])
         errors["error"] = np.sqrt(total[:, -1])
         errors["lasts"] = _first_beyond(total, limit, ends)
         errors["lasts_without_gusts"] = _first_beyond(total - explained, limit, ends)
@@ -218,6 +215,12 @@ def _by_state(flown: pd.DataFrame, n_runs: int) -> Array:
     """Return simulated states (n_runs, n_states, n_times)."""
     values = flown[list(STATES)].to_numpy()
     return values.reshape(n_runs, -1, len(STATES)).swapaxes(1, 2)
+
+
+def _means_between(squares: Array, edges: Indices) -> Array:
+    """Return means (n_states, n_parts) over the parts of the time that begin at the edges."""
+    counts = np.diff([*edges, squares.shape[1]])
+    return np.add.reduceat(squares, edges, axis=1) / counts
 
 
 def _noise(tables: Sequence[pd.DataFrame]) -> Vector:

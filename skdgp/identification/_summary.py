@@ -135,16 +135,23 @@ def facts_of_fit(
         facts["Samples"] = f"{fit.training.samples:,} of {fit.training.samples_available:,}"
         facts["Time of the fit"] = f"{fit.training.seconds:.1f} s"
     sources = thrust_sources(settings["thrust"], [*train.values(), *tested.values()])
-    facts["Thrust"] = " or ".join(THRUSTS[name] for name in sources)
+    facts["Thrust"] = " or ".join([THRUSTS[name] for name in sources])
     if fit.reconstruction is not None:
         facts["Flight paths"] = text_of(fit.reconstruction)
-    late = [f"{name} {lag['applied']:.3g} s" for name, lag in fit.lags.items() if lag["applied"]]
-    facts["Lags"] = ", ".join(late) or "none to correct"
+    facts["Lags"] = _lags(fit)
     facts["Other loads"] = ", ".join(settings["external_forces"])
     if fit.interrupted:
         facts["Fit"] = "interrupted; this is the best model until then"
     facts["Versions"] = ", ".join(f"{name} {n}" for name, n in software_versions().items())
     return facts
+
+
+def _lags(fit: FitRecord) -> str:
+    late = []
+    for name, lag in fit.lags.items():
+        if lag["applied"]:
+            late.append(f"{name} {lag['applied']:.3g} s")
+    return ", ".join(late) or "none to correct"
 
 
 def _durations(flights: Mapping[str, pd.DataFrame]) -> str:

@@ -146,17 +146,14 @@ ROLES = {
 }
 
 _SYMBOLS = {
-    **{name: f"C_{name[1:]}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")},
-    **{name: rf"\{name}" for name in ("alpha", "beta", "phi", "theta", "psi")},
-    **{f"{name}_dot": rf"\dot{{\{name}}}" for name in ("alpha", "beta")},
-    **{name: name for name in "pqruvw"},
-    **{f"{name}_dot": rf"\dot{{{name}}}" for name in "pqr"},
-    **{f"{name}_hat": rf"\hat{{{name}}}" for name in "pqr"},
-    **{f"a{axis}": f"a_{axis}" for axis in "xyz"},
-    **{f"v_{way}": f"v_{way[0].upper()}" for way in ("north", "east", "down")},
-    "airspeed": "V",
-    "altitude": "h",
-}
+    "CX": "C_X", "CY": "C_Y", "CZ": "C_Z", "Cl": "C_l", "Cm": "C_m",
+    "Cn": "C_n", "alpha": r"\alpha", "beta": r"\beta", "phi": r"\phi", "theta": r"\theta",
+    "psi": r"\psi", "alpha_dot": r"\dot{\alpha}", "beta_dot": r"\dot{\beta}", "p": "p", "q": "q",
+    "r": "r", "u": "u", "v": "v", "w": "w", "p_dot": r"\dot{p}",
+    "q_dot": r"\dot{q}", "r_dot": r"\dot{r}", "p_hat": r"\hat{p}", "q_hat": r"\hat{q}", "r_hat": r"\hat{r}",
+    "ax": "a_x", "ay": "a_y", "az": "a_z", "v_north": "v_N", "v_east": "v_E",
+    "v_down": "v_D", "airspeed": "V", "altitude": "h",
+}  # fmt: skip
 _UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
 
 

@@ -97,7 +97,8 @@ class FreeFlight:
         loads = settings["external_forces"]
         if loads:
             raise ValueError(f"the flights have loads that a simulation lacks: {', '.join(loads)}")
-        lacking = [name for name in STATES if not all(name in table for table in tables)]
+        common = set.intersection(*map(set, tables))
+        lacking = [name for name in STATES if name not in common]
         if lacking:
             raise ValueError(
                 f"the flights lack {', '.join(lacking)}, from which a simulation starts"

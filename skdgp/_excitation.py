@@ -299,22 +299,15 @@ def orthogonal_multisines(
     >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
     ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
     """
-    low, high = map(float, band)
-    most = Multisine.most_periods
-    if not (limits and 0 < low < high and 0 < high * duration <= most):
-        raise ValueError(
-            f"Got {len(limits)} axes, {duration:g} s and a band of {low:g} to {high:g} Hz, but "
-            f"expected an axis, 0 < lowest < highest and at most {most} periods."
-        )
-    first = int(np.ceil(low * duration - ROUNDING))
-    last = int(np.floor(high * duration + ROUNDING))
-    available = np.arange(first, last + 1)
+    available = _harmonics_in(band, duration)
     n_axes = len(limits)
-    n_each = len(available) // n_axes if n_tones is None else n_tones
-    if n_each < 1 or n_each * n_axes > len(available):
+    n_each = n_tones
+    if n_tones is None and n_axes:
+        n_each = max(1, len(available) // n_axes)
+    if not n_each or not 0 < n_each * n_axes <= len(available):
         raise ValueError(
             f"Got {n_axes} axes with {n_tones or 'at least 1'} tones each, but there are "
-            f"{len(available)} harmonics of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: "
+            f"{len(available)} harmonics of {1.0 / duration:.3g} Hz in the band {band} Hz: give an axis, "
             f"fly longer, widen the band or use fewer tones."
         )
     inputs = {}
@@ -323,6 +316,20 @@ def orthogonal_multisines(
         signal = multisine(duration, harmonics.tolist(), rms=1.0).from_zero()
         inputs[axis] = signal.scaled(limit / signal.peak)
     return inputs
+
+
+def _harmonics_in(band: tuple[float, float], duration: float) -> np.ndarray:
+    """Return the harmonics of a duration [s] inside a band [Hz]."""
+    low, high = map(float, band)
+    most = Multisine.most_periods
+    if not (0 < low < high and 0 < high * duration <= most):
+        raise ValueError(
+            f"Got {duration:g} s and a band of {low:g} to {high:g} Hz, but expected 0 < lowest < "
+            f"highest and at most {most} periods."
+        )
+    first = int(np.ceil(low * duration - ROUNDING))
+    last = int(np.floor(high * duration + ROUNDING))
+    return np.arange(first, last + 1)
 
 
 def _dealt(harmonics: np.ndarray, m: int, n: int, least_coverage: float = 0.7) -> list[np.ndarray]:

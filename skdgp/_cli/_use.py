@@ -147,14 +147,7 @@ def derivatives(run: Run) -> None:
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
     run.console.stage("trimming")
-    trims: Any = trim(
-        model.pipeline,
-        model.aircraft,
-        sorted(set(options.airspeed)),
-        altitude=options.altitude,
-        climb=climb_of(thrust),
-        thrust=thrust,
-    )
+    trims = _trimmed(model, sorted(set(options.airspeed)), options.altitude, thrust)
     _warn_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
@@ -181,9 +174,12 @@ def derivatives(run: Run) -> None:
     run.print("\n\n".join(texts), numbers)
 
 
-def climb_of(thrust: str | None) -> float | None:
-    """Return the climb of a trim [m/s]: level, or None without a thrust, where it follows."""
-    return None if thrust is None else 0.0
+def _trimmed(model: Bunch, airspeed: Any, altitude: float, thrust: str | None) -> Any:
+    """Return steady level flight at one or several airspeeds; without a thrust the climb follows."""
+    climb = None if thrust is None else 0.0
+    return trim(
+        model.pipeline, model.aircraft, airspeed, altitude=altitude, climb=climb, thrust=thrust
+    )
 
 
 def _warn_beyond(trims: list[Trim]) -> None:
@@ -265,19 +261,11 @@ def plan(run: Run) -> None:
     altitude = options.altitude
     if altitude is None:  # the highest of the training flights
         altitude = envelope.altitudes(model.pipeline)[1]
-    point: Any = trim(
-        model.pipeline,
-        model.aircraft,
-        options.airspeed,
-        altitude=altitude,
-        climb=climb_of(thrust),
-        thrust=thrust,
-    )
     with listening(run.console.progress):
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
-            point,
+            _trimmed(model, options.airspeed, altitude, thrust),
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,

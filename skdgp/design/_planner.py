@@ -236,13 +236,10 @@ def plan(
         available = rehearsal.inside(library(bands, amplitudes, settings), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
         rows = [_rows(item, aircraft, aerodynamics, settings) for item in available]
-        choice = Choice(
-            informations=[information(X) for X in rows],
-            seconds=np.array([item.duration for item in available]) + pause,
-            known=_known(aerodynamics, rows, settings),
-            places=_slopes(aerodynamics, goal),
-            time=time,
-        )
+        durations = np.array([item.duration for item in available])
+        known = _known(aerodynamics, rows, settings)
+        slopes = _slopes(aerodynamics, goal)
+        choice = Choice([information(X) for X in rows], durations + pause, known, slopes, time)
         chosen = choice.best()
         if choice.gain(chosen) - choice.gain([]) < settings.worth:
             raise ValueError(

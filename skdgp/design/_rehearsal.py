@@ -62,12 +62,7 @@ class Rehearsal:
         self, manoeuvres: Mapping[str, Inputs], seconds: float, pause: float
     ) -> list[Rehearsed]:
         """Return the manoeuvres that fit into the time with a pause, each as large as the limits allow."""
-        full = {name: x for name, x in manoeuvres.items() if duration_of(x) + pause <= seconds}
-        if not full:
-            raise ValueError(
-                f"Got {seconds:g} s for manoeuvres and pauses, but none with a pause of {pause:.3g} s "
-                f"is that short: give more seconds."
-            )
+        full = _that_last(manoeuvres, seconds - pause)
         centre = self._centre()
         scales = dict.fromkeys(full, 1.0)
         inside = []
@@ -149,3 +144,14 @@ class Rehearsal:
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = response.rdiv(1.0) * np.where(response > 0, high, low)
         return factors.where(np.isfinite(factors), np.inf).min()
+
+
+def _that_last(manoeuvres: Mapping[str, Inputs], longest: float) -> dict[str, Inputs]:
+    """Return the manoeuvres of at most a duration [s]; raise ValueError if there is none."""
+    short = {name: inputs for name, inputs in manoeuvres.items() if duration_of(inputs) <= longest}
+    if not short:
+        raise ValueError(
+            f"Got {longest:.3g} s for a manoeuvre between its pauses, but none is that short: give "
+            f"more seconds."
+        )
+    return short

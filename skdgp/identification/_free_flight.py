@@ -129,8 +129,7 @@ class FreeFlight:
         explained = _means_between(by_gusts, edges)
         ends = np.append(elapsed[edges], elapsed[-1])
 
-        deviations = [np.nanstd(unwrapped(table, STATES), axis=0) for table in self.tables]
-        spread = np.median(deviations, axis=0)
+        spread = _spread(self.tables)
         limit = np.maximum(THRESHOLDS.error * spread, 3 * _noise(self.tables))
         errors = pd.DataFrame({"spread": spread, "limit": limit}, index=[*STATES])
         errors["error"] = np.sqrt(total[:, -1])
@@ -222,6 +221,12 @@ def _means_between(squares: Array, edges: Indices) -> Array:
     """Return means (n_states, n_parts) over the parts of the time that begin at the edges."""
     counts = np.diff([*edges, squares.shape[1]])
     return np.add.reduceat(squares, edges, axis=1) / counts
+
+
+def _spread(tables: Sequence[pd.DataFrame]) -> Vector:
+    """Return the standard deviation of each state in the flights."""
+    deviations = [np.nanstd(unwrapped(table, STATES), axis=0) for table in tables]
+    return np.median(deviations, axis=0)
 
 
 def _noise(tables: Sequence[pd.DataFrame]) -> Vector:

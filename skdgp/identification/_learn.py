@@ -81,11 +81,10 @@ def learn(
     began = time.monotonic()
     X = pipeline.fit_regressors(table, targets)
     seconds = round(time.monotonic() - began, 3)
-    is_learned = targets.notna()
     training = TrainingRecord(
-        samples=int(is_learned.any(axis=1).sum()),
+        samples=int(targets.notna().any(axis=1).sum()),
         samples_available=int(Y.notna().any(axis=1).sum()),
-        values=int(is_learned.to_numpy().sum()),
+        values=int(targets.notna().to_numpy().sum()),
         seconds=seconds,
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),

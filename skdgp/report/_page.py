@@ -410,6 +410,17 @@ def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
     is_known = pd.Series(True, index=derivatives.index)
     if "std" in derivatives:
         is_known = derivatives["std"] <= SETTINGS.known * derivatives["value"].abs()
+    caption = _derivatives_caption(derivatives, plane)
+    numbers = ""
+    if is_known.any():
+        rows = shown[is_known].to_numpy().tolist()
+        numbers = table([*shown], rows, caption=caption, classes="numbers named")
+    unknown = ", ".join(shown.loc[~is_known, ""])
+    note = _note(f"Not determined by these flights: {unknown}." if unknown else "")
+    return f"<div>{numbers}{note}</div>"
+
+
+def _derivatives_caption(derivatives: pd.DataFrame, plane: str) -> str:
     caption = (
         f"{plane} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
         "deviations. ▼: the 95 % band holds both signs."
@@ -418,13 +429,7 @@ def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
         caption += " Derivatives by q and r include the effect of alpha_dot and beta_dot."
     if "per" in derivatives and derivatives["per"].eq("full throw").any():
         caption += " Those by surfaces are by their full throw."
-    numbers = ""
-    if is_known.any():
-        rows = shown[is_known].to_numpy().tolist()
-        numbers = table([*shown], rows, caption=caption, classes="numbers named")
-    unknown = ", ".join(shown.loc[~is_known, ""])
-    note = _note(f"Not determined by these flights: {unknown}." if unknown else "")
-    return f"<div>{numbers}{note}</div>"
+    return caption
 
 
 def _value(row: pd.Series) -> str:

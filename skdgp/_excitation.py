@@ -441,6 +441,20 @@ class Wavetrain:
         ValueError: Got a rate of 10 Hz, but an input of the elevator has periods of 0.2 s: expected
         at least 50 Hz, or a lower band or longer pulses.
         """
+        self._check_rate(rate, pause)
+        n_steps = int(np.ceil((self.duration + pause) * rate - ROUNDING))
+        table = pd.DataFrame({"time": np.arange(n_steps + 1) / rate})
+        for axis in self.inputs:
+            table[axis] = self(axis, table["time"])
+            self._check_peak(f"overlapping inputs of the {axis}", axis, table[axis].abs().max())
+        if trim is None:
+            return table
+        check_names(self.inputs, trim, "controls of the trim")
+        controls = table.reindex(columns=[*trim], fill_value=0.0) + pd.Series(trim)
+        return table[["time"]].join(controls)
+
+    def _check_rate(self, rate: float, pause: float) -> None:
+        """Raise ValueError if the rate [Hz] is too low for an input, or the pause [s] is none."""
         if not (0 < rate < np.inf and 0 <= pause < np.inf):
             raise ValueError(
                 f"Got rate={rate} Hz and pause={pause} s, but expected a rate > 0 and a pause "
@@ -454,16 +468,6 @@ class Wavetrain:
                     f"{signal.period:.3g} s: expected at least {lowest:.3g} Hz, or a lower band or "
                     f"longer pulses."
                 )
-        n_steps = int(np.ceil((self.duration + pause) * rate - ROUNDING))
-        table = pd.DataFrame({"time": np.arange(n_steps + 1) / rate})
-        for axis in self.inputs:
-            table[axis] = self(axis, table["time"])
-            self._check_peak(f"overlapping inputs of the {axis}", axis, table[axis].abs().max())
-        if trim is None:
-            return table
-        check_names(self.inputs, trim, "controls of the trim")
-        controls = table.reindex(columns=[*trim], fill_value=0.0) + pd.Series(trim)
-        return table[["time"]].join(controls)
 
 
 def wavetrain(

@@ -147,24 +147,28 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
         raise ValueError(
             "Got infinite values in y_true, but expected finite ones or NaN (not observed)."
         )
-    n = len(target)
-    scored = [target.reshape(n, -1)]
+    scored = [target.reshape(len(target), -1)]
     for name, prediction in zip(("y_pred", "y_std"), predicted, strict=False):
         values = np.asarray(prediction, dtype=float)
-        if values.size != target.size or len(values) != n:
-            raise ValueError(
-                f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
-            )
-        n_finite = np.isfinite(values).sum()
-        if n_finite < values.size:
-            raise ValueError(
-                f"Got {values.size - n_finite} values of {name} that are not finite, but a "
-                "prediction must be: look for NaN among the regressors."
-            )
-        if name == "y_std" and not (values > 0).all():
-            raise ValueError(f"Got y_std down to {values.min():g}, but expected positive values.")
-        scored.append(values.reshape(n, -1))
+        _check_predicted(name, values, target)
+        scored.append(values.reshape(len(target), -1))
     return scored
+
+
+def _check_predicted(name: str, values: np.ndarray, target: np.ndarray) -> None:
+    """Raise ValueError if predicted means or deviations do not fit the target, or are no numbers of their kind."""
+    if values.size != target.size or len(values) != len(target):
+        raise ValueError(
+            f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
+        )
+    n_finite = np.isfinite(values).sum()
+    if n_finite < values.size:
+        raise ValueError(
+            f"Got {values.size - n_finite} values of {name} that are not finite, but a "
+            "prediction must be: look for NaN among the regressors."
+        )
+    if name == "y_std" and not (values > 0).all():
+        raise ValueError(f"Got y_std down to {values.min():g}, but expected positive values.")
 
 
 def _by_output(statistic: Callable, values: Matrix) -> Vector:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -339,14 +340,19 @@ def export(run: Run) -> None:
             writers[name] = partial(shutil.copyfile, file)
             sizes[name] = Path(file).stat().st_size
         run.write(writers)
-    lines = [
-        f"{size / 1024:>9.1f} kB  {Path(options.output, name)}" for name, size in sizes.items()
-    ]
-    if facts.get("loss"):
-        loss = pd.DataFrame.from_dict(facts["loss"], orient="index")
-        lines += ["", "loss, root mean square, in posterior deviations", _table(loss)]
     numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
-    run.print("\n".join(lines), numbers)
+    run.print(_export_text(options.output, numbers), numbers)
+
+
+def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
+    """Return the files with their sizes, and the loss of a model of fewer basis functions."""
+    lines = []
+    for name, size in numbers["files"].items():
+        lines.append(f"{size / 1024:>9.1f} kB  {Path(folder, name)}")
+    if numbers.get("loss"):
+        loss = pd.DataFrame.from_dict(numbers["loss"], orient="index")
+        lines += ["", "loss, root mean square, in posterior deviations", _table(loss)]
+    return "\n".join(lines)
 
 
 RANGE: dict[str, Any] = {"metavar": ("LOW", "HIGH"), "type": opt.number(), "nargs": 2}

@@ -114,12 +114,16 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float]) -> str:
         draw(figure)
         file = StringIO()
         canvas.print_svg(file, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    svg = file.getvalue()
+    source = quote(_compact(file.getvalue()), safe=" /:;=,.()'!*@$&?[]|+")
+    return f'<img alt="{escape(label)}" src="data:image/svg+xml,{source}">'
+
+
+def _compact(svg: str) -> str:
+    """Return a picture without comments, with fonts of the reader's machine and short coordinates."""
     svg = re.sub(r"<!.*?>|<\?.*?>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", svg)
-    svg = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, re.sub(r"\s*\n\s*", " ", svg))
-    source = quote(svg, safe=" /:;=,.()'!*@$&?[]|+")
-    return f'<img alt="{escape(label)}" src="data:image/svg+xml,{source}">'
+    svg = re.sub(r"\s*\n\s*", " ", svg)
+    return re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, svg)
 
 
 def _shortened(match: re.Match) -> str:

@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.files import plain
 from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.checks import check_names, check_number
@@ -237,11 +237,8 @@ def plan(
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
         rows = [_rows(item, aircraft, aerodynamics, settings) for item in available]
         durations = np.array([item.duration for item in available])
-        known = _known(aerodynamics, rows, settings)
-        slopes = _slopes(aerodynamics, goal)
-        choice = Choice([information(X) for X in rows], durations + pause, known, slopes, time)
-        chosen = choice.best()
-        if choice.gain(chosen) - choice.gain([]) < settings.worth:
+        chosen = _chosen(aerodynamics, rows, durations + pause, time, goal, settings)
+        if not chosen:
             raise ValueError(
                 f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their "
                 f"limits lower its errors too little: move other axes, raise their limits, or ask for "
@@ -255,9 +252,7 @@ def plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
         manoeuvres=_timetable(flown, pause, settings.response),
-        flight=pd.concat(
-            [item.flight.assign(flight=k) for k, item in enumerate(flown)], ignore_index=True
-        ),
+        flight=_numbered([item.flight for item in flown]),
         errors=errors.reindex(goal),
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
         aircraft=aircraft,
@@ -375,19 +370,25 @@ def _rows(
     return np.column_stack([np.interp(times, time, column) for column in X.T])
 
 
-def _known(model: Aerodynamics, rows: Sequence[Matrix], settings: PlanSettings) -> Matrix:
-    """Return the information of the training rows, and a little of everything that a manoeuvre moves."""
-    moved = np.max([np.diag(information(X)) for X in rows], axis=0)
+def _chosen(
+    model: Aerodynamics,
+    rows: Sequence[Matrix],
+    seconds: Vector,
+    time: float,
+    goal: Sequence[str],
+    settings: PlanSettings,
+) -> list[int]:
+    """Return the sequence of manoeuvres that lowers the errors of the goal most; none if it hardly does."""
+    informations = [information(X) for X in rows]
+    moved = np.max([np.diag(matrix) for matrix in informations], axis=0)
     known = settings.vague * np.diag(np.maximum(moved, settings.unmoved))
     if model.training_rows is not None:
         known += information(model.training_rows())
-    return known
-
-
-def _slopes(model: Aerodynamics, goal: Sequence[str]) -> list[int]:
-    """Return the places of the slopes of a goal, behind the constant."""
     places = _derivative_places(model)
-    return [1 + places[name] for name in goal]
+    slopes = [1 + places[name] for name in goal]  # behind the constant
+    choice = Choice(informations, seconds, known, slopes, time)
+    chosen = choice.best()
+    return chosen if choice.gain(chosen) - choice.gain([]) >= settings.worth else []
 
 
 def _errors(
@@ -411,3 +412,9 @@ def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataF
         start += item.duration + pause
     rows[-1]["pause"] = end
     return pd.DataFrame(rows).assign(scale=[item.scale for item in flown])
+
+
+def _numbered(flights: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return flights in one table, with their numbers in the column ``flight``."""
+    parts = [flight.assign(flight=k) for k, flight in enumerate(flights)]
+    return pd.concat(parts, ignore_index=True)

@@ -92,8 +92,7 @@ def ardupilot_script(
     >>> "SRV_Channels" in script
     True
     """
-    period = int(1000.0 / rate)  # ArduPilot counts milliseconds
-    if not (period >= 1 and switch in SWITCHES):
+    if not (0.0 < rate <= 1000.0 and switch in SWITCHES):
         raise ValueError(
             f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most 1000 Hz and an "
             f"RCn_OPTION of {SWITCHES[0]} to {SWITCHES[-1]}."
@@ -105,7 +104,7 @@ def ardupilot_script(
     _check_room(train.table(rate), mixes, full)
     plan = {
         "switch": switch,
-        "period": period,
+        "period": int(1000.0 / rate),  # ArduPilot counts milliseconds
         "duration": train.duration,
         "labels": ",".join(["t", *train.inputs]),
         "format": "f" * (1 + len(train.inputs)),

@@ -51,23 +51,32 @@ def flight_mechanics(
     state_and_inputs: tuple = _median_state(flown)
     try:
         climb = None if thrust is None else 0.0
-        steady = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
-        results["trim"] = steady
-        state_and_inputs = (steady,)
+        results["trim"] = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
+        state_and_inputs = (results["trim"],)
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
     try:
         results |= _derivatives(pipeline, aircraft, state_and_inputs, conditions, least_squares)
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
+    results |= _simulations(pipeline, aircraft, test, settings)
+    return FlightMechanics(notes=tuple(notes), **results)
+
+
+def _simulations(
+    pipeline: Pipeline | Aerodynamics,
+    aircraft: Aircraft,
+    test: Sequence[pd.DataFrame],
+    settings: dict,
+) -> dict[str, Any]:
+    """Return errors of simulations of test flights and one of these, or why there is none."""
     try:
         flown_states = [reconstructed(pipeline, table) for table in test]
         free = FreeFlight(pipeline, aircraft, flown_states, settings)
-        results["simulation"] = free.errors()
-        results["simulated"] = free.example()
+        return {"simulation": free.errors(), "simulated": free.example()}
     except ValueError as error:
-        results["simulation_note"] = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
-    return FlightMechanics(notes=tuple(notes), **results)
+        finding = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
+        return {"simulation_note": finding}
 
 
 def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:

@@ -119,8 +119,7 @@ def facts_of_fit(
     """Return the facts of a fit as text; empty where a fact does not apply."""
     regressor = pipeline[-1]
     facts = {
-        "Aircraft": f"{aircraft.name}, {aircraft.mass:g} kg, wing area {aircraft.wing_area:.4g} m², "
-        f"span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m",
+        "Aircraft": _sizes(aircraft),
         "Learned from": _durations(train),
         "Tested on": _durations(tested),
         "Regressors": ", ".join(fit.regressors),
@@ -144,6 +143,13 @@ def facts_of_fit(
         facts["Fit"] = "interrupted; this is the best model until then"
     facts["Versions"] = ", ".join(f"{name} {n}" for name, n in software_versions().items())
     return facts
+
+
+def _sizes(aircraft: Aircraft) -> str:
+    return (
+        f"{aircraft.name}, {aircraft.mass:g} kg, wing area {aircraft.wing_area:.4g} m², "
+        f"span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m"
+    )
 
 
 def _lags(fit: FitRecord) -> str:

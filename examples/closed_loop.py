@@ -35,9 +35,15 @@ from skdgp.dynamics import (
 AXES = {"elevator": 0.08, "aileron": 0.12, "rudder": 0.16}  # limits [rad]
 GOAL = ["Cm_alpha", "Cm_q", "Cm_elevator", "Cl_p", "Cl_aileron", "Cn_beta", "Cn_r", "Cn_rudder"]
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-NOISE = dict.fromkeys(("alpha", "beta", "phi", "theta", "psi"), 0.005) | dict.fromkeys("pqr", 0.002)
-NOISE |= dict.fromkeys(("ax", "ay", "az"), 0.05) | {"airspeed": 0.3}
-SPEED, ALTITUDE, PAUSE = 35.0, 200.0, 3.0
+NOISE = {
+    **dict.fromkeys(("alpha", "beta", "phi", "theta", "psi"), 0.005),
+    **dict.fromkeys(("p", "q", "r"), 0.002),
+    **dict.fromkeys(("ax", "ay", "az"), 0.05),
+    "airspeed": 0.3,
+}
+SPEED = 35.0
+ALTITUDE = 200.0
+PAUSE = 3.0
 ENVELOPE = Envelope(bank=1.0, airspeed=(28.0, 42.0), altitude=120.0, growth=0.5)
 
 
@@ -46,25 +52,19 @@ def fly(truth, aircraft, train, seconds, seed):
     steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
 
     def controls(time, state):
-        held = {
-            "elevator": 0.2 * (state["theta"] - steady.theta) + 0.1 * state["q"],
-            "aileron": -0.06 * state["phi"] - 0.02 * state["p"],
-        }
-        return {
-            name: value + held.get(name, 0.0) + train(name, time)
-            for name, value in steady.controls.items()
-        }
+        commands = {name: value + train(name, time) for name, value in steady.controls.items()}
+        commands["elevator"] += 0.2 * (state["theta"] - steady.theta) + 0.1 * state["q"]
+        commands["aileron"] -= 0.06 * state["phi"] + 0.02 * state["p"]
+        return commands
 
     wind = dryden_wind(seconds, SPEED, 140.0, wind_at_6m=4.0, span=aircraft.span, random_state=seed)
-    flight = simulate(
-        truth, aircraft, steady, FlightComputer(controls), 0.025, duration=seconds, air=wind
-    )
+    autopilot = FlightComputer(controls)
+    flight = simulate(truth, aircraft, steady, autopilot, 0.025, duration=seconds, air=wind)
+    flight["propeller_speed"] = aircraft.propeller.speed_at(flight["throttle"])
     rng = np.random.default_rng(seed)
-    noisy = {
-        name: flight[name] + std * rng.standard_normal(len(flight)) for name, std in NOISE.items()
-    }
-    speed = aircraft.propeller.speed_at(flight["throttle"])
-    return flight.assign(flight=f"flight {seed}", propeller_speed=speed, **noisy)
+    for name, std in NOISE.items():
+        flight[name] += std * rng.standard_normal(len(flight))
+    return flight.assign(flight=f"flight {seed}")
 
 
 def learn(flights, aircraft):
@@ -77,18 +77,10 @@ def learn(flights, aircraft):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--rounds", type=int, default=2, help="planned flights (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--seconds", type=float, default=30.0, help="of each (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--output", default="closed_loop.png", help="the picture (default: %(default)s)"
-    )
+    parser = argparse.ArgumentParser(description="Explore, learn, plan, fly, and learn again.")
+    parser.add_argument("--rounds", type=int, default=2, help="planned flights")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of each planned flight")
+    parser.add_argument("--output", default="closed_loop.png", help="the picture")
     options = parser.parse_args(arguments)
 
     example = load_example_flights(turbulence=0.0)
@@ -98,20 +90,28 @@ def main(arguments=None):
     truth = Aerodynamics(example.aerodynamics, names)
 
     gentle = [{axis: doublet(0.5, 0.4 * limit)} for axis, limit in AXES.items()] * 2
-    train = wavetrain(gentle, pause=PAUSE)
-    flights, trains, found = [fly(truth, aircraft, train, 32.0, 0)], [], []
-    for number in range(options.rounds + 1):
+    flights = [fly(truth, aircraft, wavetrain(gentle, pause=PAUSE), 32.0, 0)]
+    steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
+    model = learn(flights, aircraft)
+    found = [stability_derivatives(model, aircraft, steady).loc[GOAL]]
+    trains = []
+    for number in range(1, options.rounds + 1):
+        point = trim(model, aircraft, SPEED, altitude=ALTITUDE)
+        planned = plan(
+            model,
+            aircraft,
+            point,
+            seconds=options.seconds,
+            axes=list(AXES),
+            goal=GOAL,
+            limits=AXES,
+            envelope=ENVELOPE,
+        )
+        print(planned.manoeuvres[["start", "name", "scale"]].round(2))
+        trains.append(planned.train)
+        flights.append(fly(truth, aircraft, planned.train, options.seconds, number))
         model = learn(flights, aircraft)
-        steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
-        found.append(stability_derivatives(model, aircraft, steady).loc[GOAL, ["value", "std"]])
-        if number < options.rounds:
-            planned = plan(
-                model, aircraft, trim(model, aircraft, SPEED, altitude=ALTITUDE), seconds=options.seconds,
-                axes=list(AXES), goal=GOAL, limits=AXES, envelope=ENVELOPE,
-            )  # fmt: skip
-            print(planned.manoeuvres[["start", "name", "scale"]].round(2))
-            trains.append(planned.train)
-            flights.append(fly(truth, aircraft, trains[-1], options.seconds, number + 1))
+        found.append(stability_derivatives(model, aircraft, steady).loc[GOAL])
 
     exact = stability_derivatives(truth, aircraft, steady)["value"]
     draw(trains, found, exact).savefig(options.output, dpi=120)
@@ -122,25 +122,20 @@ def draw(trains, found, exact):
     """Return the picture: inputs above, derivatives below."""
     figure = Figure(figsize=(10, 6.5), layout="constrained")
     above, below = figure.subfigures(2, 1)
-    for k, (ax, train) in enumerate(
-        zip(np.atleast_1d(above.subplots(1, len(trains))), trains, strict=True)
-    ):
+    panels = above.subplots(1, len(trains), squeeze=False)[0]
+    for k, (ax, train) in enumerate(zip(panels, trains, strict=True), start=1):
         time = np.arange(0.0, train.duration + PAUSE, 0.02)
         for axis in AXES:
             ax.plot(time, np.rad2deg(train(axis, time)), label=axis, linewidth=0.8)
-        ax.set(title=f"planned flight {k + 1}", xlabel="time [s]", ylabel="from trim [deg]")
-    ax.legend(frameon=False, fontsize="small", loc="upper right")
+        ax.set(title=f"planned flight {k}", xlabel="time [s]", ylabel="from trim [deg]")
+    panels[0].legend(frameon=False, fontsize="small", loc="upper right")
     for ax, name in zip(below.subplots(2, 4).ravel(), GOAL, strict=True):
         values = [table.loc[name, "value"] for table in found]
         deviations = [2 * table.loc[name, "std"] for table in found]
         ax.errorbar(range(len(found)), values, deviations, fmt="o")
         ax.axhline(exact[name], color="black", linewidth=0.8)
-        ax.set(
-            title=name,
-            xlabel="planned flights",
-            xticks=range(len(found)),
-            xlim=(-0.5, len(found) - 0.5),
-        )
+        ax.set(title=name, xlabel="planned flights", xticks=range(len(found)))
+        ax.margins(x=0.2)
     return figure
 
 

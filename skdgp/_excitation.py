@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,18 +15,8 @@ from scipy.optimize import newton
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.checks import check_names, check_number
 
-# A sample this little before a step counts as after it [s]: clocks are rounded
-EDGE = 1e-5
 # Relative excess over a limit that is rounding
 ROUNDING = 1e-9
-# Periods of a multisine: 100 s at 50 Hz
-MOST_PERIODS = 5000
-# Samples per period of the highest harmonic for a peak
-PEAK_SAMPLES = 200
-# Fraction of a band that evenly spaced harmonics cover, or else they are uneven
-LEAST_COVERAGE = 0.7
-# In the shortest period: held for one sample, a signal is late by a twentieth of the period
-SAMPLES_PER_PERIOD = 10
 AXES = (
     "elevator",
     "aileron",
@@ -56,13 +46,15 @@ class Steps:
 
     durations: Sequence[float]
     levels: Sequence[float]
+    #: A sample this little before a step counts as after it [s]: clocks are rounded
+    edge: ClassVar[float] = 1e-5
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "durations", tuple(map(float, self.durations)))
         object.__setattr__(self, "levels", tuple(map(float, self.levels)))
-        numbers = np.array([*self.durations, *self.levels])
         is_complete = 0 < len(self.levels) == len(self.durations)
-        if not (is_complete and np.isfinite(numbers).all() and min(self.durations) > 0):
+        is_finite = np.isfinite([*self.durations, *self.levels]).all()
+        if not (is_complete and is_finite and min(self.durations) > 0):
             raise ValueError(
                 f"Got durations {self.durations} [s] of levels {self.levels}, but expected one "
                 f"finite level for each duration > 0."
@@ -70,8 +62,8 @@ class Steps:
 
     def __call__(self, time: ArrayLike) -> Array:
         held = np.array([0.0, *self.levels, 0.0])
-        since = np.asarray(time, dtype=float)
-        return held[np.searchsorted(self.edges, since + EDGE, side="right")]
+        since = np.asarray(time, dtype=float) + self.edge
+        return held[np.searchsorted(self.edges, since, side="right")]
 
     @property
     def edges(self) -> Vector:
@@ -86,7 +78,7 @@ class Steps:
     @property
     def peak(self) -> float:
         """Largest deviation, to either side."""
-        return max(map(abs, self.levels))
+        return float(np.abs(self.levels).max())
 
     @property
     def period(self) -> float:
@@ -152,32 +144,40 @@ class Multisine:
     harmonics: Sequence[int]
     amplitudes: Sequence[float]
     phases: Sequence[float]
+    #: Largest number of periods: 100 s at 50 Hz
+    most_periods: ClassVar[int] = 5000
+    #: Samples per period of the highest harmonic, for the peak
+    samples_per_period: ClassVar[int] = 200
 
     def __post_init__(self) -> None:
-        harmonics = np.asarray(self.harmonics)
-        is_whole = len(harmonics) > 0 and bool((harmonics == harmonics.astype(int)).all())
-        if not (is_whole and harmonics.min() > 0 and harmonics.max() <= MOST_PERIODS):
+        orders = np.asarray(self.harmonics)
+        is_whole = orders.size > 0 and (orders == orders.astype(int)).all()
+        if not (is_whole and orders.min() > 0 and orders.max() <= self.most_periods):
             raise ValueError(
                 f"Got harmonics {list(self.harmonics)}, but expected integers from 1 to "
-                f"{MOST_PERIODS}: choose a shorter signal or lower frequencies."
+                f"{self.most_periods}: choose a shorter signal or lower frequencies."
             )
-        numbers = np.array([self.duration, *self.amplitudes, *self.phases])
-        n = len({*harmonics})
-        is_complete = n == len(harmonics) == len(self.amplitudes) == len(self.phases)
+        n = len(np.unique(orders))
+        is_complete = n == len(orders) == len(self.amplitudes) == len(self.phases)
+        numbers = [self.duration, *self.amplitudes, *self.phases]
         if not (is_complete and np.isfinite(numbers).all() and self.duration > 0):
             raise ValueError(
                 f"Got duration {self.duration}, amplitudes {self.amplitudes} and phases "
                 f"{self.phases} of {n} distinct harmonics, but expected a duration > 0 and a finite "
                 f"amplitude and phase for each."
             )
-        object.__setattr__(self, "harmonics", tuple(map(int, self.harmonics)))
+        object.__setattr__(self, "harmonics", tuple(map(int, orders)))
         object.__setattr__(self, "amplitudes", tuple(map(float, self.amplitudes)))
         object.__setattr__(self, "phases", tuple(map(float, self.phases)))
 
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration
+        return self._periodic(x) * ((x >= 0) & (x < 1))
+
+    def _periodic(self, x: Any) -> Any:
+        """Return the deviation at times in units of the period, without end."""
         angles = 2.0 * np.pi * np.multiply.outer(x, self.harmonics) + self.phases
-        return (np.sin(angles) @ self.amplitudes) * ((x >= 0) & (x < 1))
+        return np.sin(angles) @ self.amplitudes
 
     @property
     def rms(self) -> float:
@@ -210,28 +210,21 @@ class Multisine:
     def from_zero(self) -> Self:
         """Return it shifted in time to its zero of least slope, so that it begins and ends at zero."""
         signal = self._sampled()
+        n = len(signal)
         following = np.roll(signal, -1)
         is_crossing = (signal > 0) != (following > 0)
         rise = np.where(is_crossing, np.abs(following - signal), np.inf)
-        nearest = int(np.argmin(rise)) / len(signal)
-        turn = 2.0 * np.pi * np.array(self.harmonics)
-
-        def value(shift: float) -> float:
-            return float(np.sin(turn * shift + self.phases) @ self.amplitudes)
-
-        def slope(shift: float) -> float:
-            return float((turn * np.cos(turn * shift + self.phases)) @ self.amplitudes)
-
-        shift = newton(value, nearest, slope)
-        phases = np.mod(self.phases + turn * shift, 2.0 * np.pi)
-        return replace(self, phases=phases.tolist())
+        before = int(np.argmin(rise))
+        zero = newton(self._periodic, before / n, x1=(before + 1) / n)
+        phases = self.phases + 2.0 * np.pi * zero * np.array(self.harmonics)
+        return replace(self, phases=np.mod(phases, 2.0 * np.pi).tolist())
 
     def _sampled(self) -> Vector:
         """Return it over one period."""
-        n = PEAK_SAMPLES * max(self.harmonics)
+        n = self.samples_per_period * max(self.harmonics)
         spectrum = np.zeros(n // 2 + 1, dtype=complex)
-        waves = np.asarray(self.amplitudes) * np.exp(1j * np.asarray(self.phases))
-        spectrum[list(self.harmonics)] = -0.5j * n * waves
+        waves = np.multiply(self.amplitudes, np.exp(1j * np.asarray(self.phases)))
+        spectrum[[*self.harmonics]] = -0.5j * n * waves
         return irfft(spectrum, n)
 
 
@@ -306,20 +299,15 @@ def orthogonal_multisines(
     >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
     ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
     """
-    low, high = map(float, band)
-    if not (limits and 0 < low < high and 0 < high * duration <= MOST_PERIODS):
-        raise ValueError(
-            f"Got {len(limits)} axes, {duration:g} s and a band of {low:g} to {high:g} Hz, but "
-            f"expected an axis, 0 < lowest < highest and at most {MOST_PERIODS} periods."
-        )
-    first = int(np.ceil(low * duration - ROUNDING))
-    available = np.arange(first, int(np.floor(high * duration + ROUNDING)) + 1)
+    available = _harmonics_in(band, duration)
     n_axes = len(limits)
-    n_each = len(available) // n_axes if n_tones is None else n_tones
-    if n_each < 1 or n_each * n_axes > len(available):
+    n_each = n_tones
+    if n_tones is None and n_axes:
+        n_each = max(1, len(available) // n_axes)
+    if not n_each or not 0 < n_each * n_axes <= len(available):
         raise ValueError(
             f"Got {n_axes} axes with {n_tones or 'at least 1'} tones each, but there are "
-            f"{len(available)} harmonics of {1.0 / duration:.3g} Hz between {low:g} and {high:g} Hz: "
+            f"{len(available)} harmonics of {1.0 / duration:.3g} Hz in the band {band} Hz: give an axis, "
             f"fly longer, widen the band or use fewer tones."
         )
     inputs = {}
@@ -330,24 +318,36 @@ def orthogonal_multisines(
     return inputs
 
 
-def _dealt(harmonics: np.ndarray, m: int, n: int) -> list[np.ndarray]:
-    """Return n of the harmonics for each of m axes, evenly spaced if they then cover most of the band: peaks are lower.
+def _harmonics_in(band: tuple[float, float], duration: float) -> np.ndarray:
+    """Return the harmonics of a duration [s] inside a band [Hz]."""
+    low, high = map(float, band)
+    most = Multisine.most_periods
+    if not (0 < low < high and 0 < high * duration <= most):
+        raise ValueError(
+            f"Got {duration:g} s and a band of {low:g} to {high:g} Hz, but expected 0 < lowest < "
+            f"highest and at most {most} periods."
+        )
+    first = int(np.ceil(low * duration - ROUNDING))
+    last = int(np.floor(high * duration + ROUNDING))
+    return np.arange(first, last + 1)
 
-    With a spacing d for each axis, the axes begin d // m apart.
+
+def _dealt(harmonics: np.ndarray, m: int, n: int, least_coverage: float = 0.7) -> list[np.ndarray]:
+    """Return n of the harmonics for each of m axes.
+
+    They are evenly spaced, so that peaks are lower, if they then cover ``least_coverage`` of the
+    band. With a spacing d for each axis, the axes begin d // m apart.
     """
     last = len(harmonics) - 1
-    widest = m
-    covered = 0
-    for spacing in range(m, last + 2):
-        reach = spacing * (n - 1) + spacing // m * (m - 1)
-        if reach <= last:
-            widest = spacing
-            covered = reach
-    if covered >= LEAST_COVERAGE * last:
-        offset = widest // m
-        return [harmonics[k * offset :: widest][:n] for k in range(m)]
-    spread = harmonics[np.linspace(0, last, n * m).round().astype(int)]
-    return [spread[k::m] for k in range(m)]
+    spacings = np.arange(m, last + 2)
+    covered = spacings * (n - 1) + spacings // m * (m - 1)
+    widest = np.searchsorted(covered, last, side="right") - 1
+    if covered[widest] < least_coverage * last:
+        spread = np.linspace(0, last, n * m).round().astype(int)
+        return [harmonics[spread[k::m]] for k in range(m)]
+    spacing = spacings[widest]
+    offset = spacing // m
+    return [harmonics[k * offset :: spacing][:n] for k in range(m)]
 
 
 Signal: TypeAlias = Steps | Multisine
@@ -377,6 +377,8 @@ class Wavetrain:
 
     inputs: Mapping[str, Mapping[float, Signal]]
     limits: Mapping[str, float] = field(default_factory=dict)
+    #: Samples in the shortest period: a signal held for one is late by a twentieth of the period
+    samples_per_period: ClassVar[int] = 10
 
     def __post_init__(self) -> None:
         check_names([*self.inputs, *self.limits], AXES, "axes")
@@ -387,9 +389,9 @@ class Wavetrain:
                 raise ValueError(
                     f"Got {signals!r} as inputs of the {axis}, but expected {{start: signal}}."
                 )
-        for axis, start, signal in self.events():
-            check_number(f"start of an input of the {axis}", start, is_open=False, unit="s")
-            self._check_peak(f"an input of the {axis}", axis, signal.peak)
+            for start, signal in signals.items():
+                check_number(f"start of an input of the {axis}", start, is_open=False, unit="s")
+                self._check_peak(f"an input of the {axis}", axis, signal.peak)
 
     def _check_peak(self, what: str, axis: str, peak: float) -> None:
         """Raise ValueError if a peak exceeds the limit of its axis."""
@@ -439,28 +441,33 @@ class Wavetrain:
         ValueError: Got a rate of 10 Hz, but an input of the elevator has periods of 0.2 s: expected
         at least 50 Hz, or a lower band or longer pulses.
         """
+        self._check_rate(rate, pause)
+        n_steps = int(np.ceil((self.duration + pause) * rate - ROUNDING))
+        table = pd.DataFrame({"time": np.arange(n_steps + 1) / rate})
+        for axis in self.inputs:
+            table[axis] = self(axis, table["time"])
+            self._check_peak(f"overlapping inputs of the {axis}", axis, table[axis].abs().max())
+        if trim is None:
+            return table
+        check_names(self.inputs, trim, "controls of the trim")
+        controls = table.reindex(columns=[*trim], fill_value=0.0) + pd.Series(trim)
+        return table[["time"]].join(controls)
+
+    def _check_rate(self, rate: float, pause: float) -> None:
+        """Raise ValueError if the rate [Hz] is too low for an input, or the pause [s] is none."""
         if not (0 < rate < np.inf and 0 <= pause < np.inf):
             raise ValueError(
                 f"Got rate={rate} Hz and pause={pause} s, but expected a rate > 0 and a pause "
                 f"from 0 on."
             )
         for axis, _, signal in self.events():
-            lowest = SAMPLES_PER_PERIOD / signal.period
+            lowest = self.samples_per_period / signal.period
             if not rate >= lowest * (1.0 - ROUNDING):
                 raise ValueError(
                     f"Got a rate of {rate:g} Hz, but an input of the {axis} has periods of "
                     f"{signal.period:.3g} s: expected at least {lowest:.3g} Hz, or a lower band or "
                     f"longer pulses."
                 )
-        length = self.duration + pause
-        time = np.arange(round(np.ceil(length * rate - ROUNDING)) + 1) / rate
-        columns = {axis: self(axis, time) for axis in self.inputs}
-        for axis, values in columns.items():
-            self._check_peak(f"overlapping inputs of the {axis}", axis, np.abs(values).max())
-        if trim is not None:
-            check_names(columns, trim, "controls of the trim")
-            columns = {name: trim[name] + columns.get(name, np.zeros(len(time))) for name in trim}
-        return pd.DataFrame({"time": time, **columns})
 
 
 def wavetrain(

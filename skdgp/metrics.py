@@ -49,7 +49,7 @@ def median_relative_error(
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.abs(target - mean) / np.abs(target)
     relative[target == mean] = 0.0
-    return _aggregate(_by_output(np.median, relative, target), multioutput)
+    return _aggregate(_by_output(np.nanmedian, relative), multioutput)
 
 
 def normalized_rmse(
@@ -65,13 +65,12 @@ def normalized_rmse(
     0.5
     """
     target, predicted = check_scored(y_true, y_pred)
-    error = np.sqrt(_by_output(np.mean, (target - predicted) ** 2, target))
-    n_observed = (~np.isnan(target)).sum(axis=0)
-    mean = np.nansum(target, axis=0) / np.maximum(n_observed, 1)
-    spread = np.sqrt(_by_output(np.mean, (target - mean) ** 2, target))
-    if (spread == 0).any():
-        _warn_undefined(spread == 0, "is constant", "its RMSE cannot be normalised")
-        spread[spread == 0] = np.nan
+    error = np.sqrt(_by_output(np.nanmean, (target - predicted) ** 2))
+    spread = _by_output(np.nanstd, target)
+    is_constant = spread == 0
+    if is_constant.any():
+        _warn_undefined(is_constant, "is constant", "its RMSE cannot be normalised")
+        spread[is_constant] = np.nan
     return _aggregate(error / spread, multioutput)
 
 
@@ -104,7 +103,7 @@ def negative_log_predictive_density(
     target, mean, std = check_scored(y_true, y_pred, y_std)
     residual = (target - mean) / std
     density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * residual**2
-    return _aggregate(_by_output(np.mean, density, target), multioutput)
+    return _aggregate(_by_output(np.nanmean, density), multioutput)
 
 
 def interval_coverage(
@@ -132,25 +131,14 @@ def interval_coverage(
     0.5
     """
     target, mean, std = check_scored(y_true, y_pred, y_std)
-    inside = np.abs(target - mean) <= half_width(level) * std
-    return _aggregate(_by_output(np.mean, inside, target), multioutput)
+    is_inside = np.abs(target - mean) <= half_width(level) * std
+    inside = np.where(np.isnan(target), np.nan, is_inside)
+    return _aggregate(_by_output(np.nanmean, inside), multioutput)
 
 
 def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
     """Return targets, means and deviations as (n, P) floats; deviations are positive."""
     target = np.asarray(y_true, dtype=float)
-    predictions = [np.asarray(values, dtype=float) for values in predicted]
-    for name, values in zip(("y_pred", "y_std"), predictions, strict=False):
-        if values.size != target.size or len(values) != len(target):
-            raise ValueError(
-                f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
-            )
-        n_bad = int((~np.isfinite(values)).sum())
-        if n_bad:
-            raise ValueError(
-                f"Got {n_bad} values of {name} that are not finite, but a "
-                "prediction must be: look for NaN among the regressors."
-            )
     if target.ndim not in (1, 2) or not target.size:
         raise ValueError(
             f"Got y_true of shape {target.shape}, but expected (n,) or (n, P), not empty."
@@ -159,22 +147,37 @@ def check_scored(y_true: ArrayLike, *predicted: ArrayLike) -> list[Matrix]:
         raise ValueError(
             "Got infinite values in y_true, but expected finite ones or NaN (not observed)."
         )
-    if len(predictions) == 2 and not (predictions[1] > 0).all():
+    scored = [target.reshape(len(target), -1)]
+    for name, prediction in zip(("y_pred", "y_std"), predicted, strict=False):
+        values = np.asarray(prediction, dtype=float)
+        _check_predicted(name, values, target)
+        scored.append(values.reshape(len(target), -1))
+    return scored
+
+
+def _check_predicted(name: str, values: np.ndarray, target: np.ndarray) -> None:
+    """Raise ValueError if predicted means or deviations do not fit the target, or are no numbers of their kind."""
+    if values.size != target.size or len(values) != len(target):
         raise ValueError(
-            f"Got y_std down to {predictions[1].min():g}, but expected positive values."
+            f"Got {name} of shape {values.shape}, but expected {target.shape}, y_true's."
         )
-    return [values.reshape(len(target), -1) for values in (target, *predictions)]
+    n_finite = np.isfinite(values).sum()
+    if n_finite < values.size:
+        raise ValueError(
+            f"Got {values.size - n_finite} values of {name} that are not finite, but a "
+            "prediction must be: look for NaN among the regressors."
+        )
+    if name == "y_std" and not (values > 0).all():
+        raise ValueError(f"Got y_std down to {values.min():g}, but expected positive values.")
 
 
-def _by_output(statistic: Callable, values: np.ndarray, y_true: Matrix) -> Vector:
+def _by_output(statistic: Callable, values: Matrix) -> Vector:
     """Return a statistic of the observed values of each output; NaN, with a warning, where there are none."""
-    observed = ~np.isnan(y_true)
-    never: Mask = np.all(~observed, axis=0)
+    never: Mask = np.all(np.isnan(values), axis=0)
     if never.any():
         _warn_undefined(never, "is never observed", "it cannot be scored")
     result = np.full(len(never), np.nan)
-    for k in np.flatnonzero(~never):
-        result[k] = statistic(values[observed[:, k], k])
+    result[~never] = statistic(values[:, ~never], axis=0)
     return result
 
 
@@ -182,8 +185,8 @@ def _aggregate(values: Vector, multioutput: str) -> Score:
     check_choice("multioutput", str(multioutput), ("raw_values", "uniform_average"))
     if multioutput == "raw_values":
         return values
-    scored = ~np.isnan(values)
-    return float(values[scored].mean()) if scored.any() else np.nan
+    scored = values[~np.isnan(values)]
+    return float(scored.mean()) if scored.size else np.nan
 
 
 def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:

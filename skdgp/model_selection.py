@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import column_names
+from skdgp._compute.typing import Array
 
 __all__ = ["thin_targets"]
 
@@ -48,6 +49,11 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
         chosen = np.zeros(len(values), dtype=bool)
         chosen[observed[middles.astype(int)]] = True
         values[~chosen] = np.nan
+    return _like(Y, values)
+
+
+def _like(Y: Any, values: Array) -> Any:
+    """Return values as the type of Y, with its names and index."""
     if isinstance(Y, pd.DataFrame):
         return pd.DataFrame(values, index=Y.index, columns=Y.columns)
     if isinstance(Y, pd.Series):

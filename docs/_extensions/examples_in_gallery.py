@@ -20,7 +20,6 @@ SMALLER = {
         "--n-jobs",
         "1",
     ],
-    "pull_up_casadi.py": ["--paths", "100"],
 }
 
 

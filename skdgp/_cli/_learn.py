@@ -34,7 +34,6 @@ ENGINE = {
     "motor": "rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it "
     "was not logged",
 }
-INCH = 0.0254
 CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model"}
 
 
@@ -110,29 +109,37 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    names = ("aircraft", *SIZES, "kind", *ENGINE)
-    arguments = _given({name: vars(options)[name] for name in names})
-    if [*arguments] == ["aircraft"]:
+    sizes = _given({name: vars(options)[name] for name in (*SIZES, "kind")})
+    engine = _given({"--propeller": options.propeller, "--motor": options.motor})
+    if options.aircraft is not None and not sizes and not engine:
         return options.aircraft
-    if "aircraft" in arguments or not {"mass", "span"} <= {*arguments}:
-        got = " ".join(f"--{name.replace('_', '-')}" for name in arguments) or "no aircraft"
+    if options.aircraft is not None or not {"mass", "span"} <= sizes.keys():
+        got = [f"--{name.replace('_', '-')}" for name in sizes] + list(engine)
+        if options.aircraft is not None:
+            got.insert(0, "--aircraft")
         options.parser.error(
-            f"got {got}, but expected --aircraft FILE, or --mass and --span, of which the rest is "
-            "estimated"
+            f"got {' '.join(got) or 'no aircraft'}, but expected --aircraft FILE, or --mass and "
+            "--span, of which the rest is estimated"
         )
     if options.motor and not options.propeller:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    sizes = {name: value for name, value in arguments.items() if name not in ENGINE}
     if options.propeller:
-        motor = {}
-        if options.motor:
-            rpm_per_volt, voltage = options.motor
-            motor = {"motor_constant": rpm_per_volt * np.pi / 30, "voltage": voltage}
-        diameter, pitch = options.propeller
-        sizes["propeller"] = Propeller.from_size(INCH * diameter, INCH * pitch, **motor)
+        sizes["propeller"] = _propeller(options.propeller, options.motor)
     return Aircraft.estimate(**sizes, name=Path(options.train[0]).stem)
+
+
+def _propeller(
+    inches: tuple[float, float], rpm_per_volt_and_volts: tuple[float, float] | None
+) -> Propeller:
+    """Return the propeller of a diameter and a pitch, on a motor if there is one."""
+    diameter, pitch = 0.0254 * np.array(inches)  # [m]
+    if rpm_per_volt_and_volts is None:
+        return Propeller.from_size(diameter, pitch)
+    rpm_per_volt, voltage = rpm_per_volt_and_volts
+    motor_constant = rpm_per_volt * np.pi / 30
+    return Propeller.from_size(diameter, pitch, motor_constant=motor_constant, voltage=voltage)
 
 
 def demo(run: Run) -> None:
@@ -308,83 +315,66 @@ LEARNING: dict[str, dict[str, Any]] = {
         "help": "latents that the outputs share (default: 2)",
     },
     "--max-iter": {"metavar": "N", "type": opt.at_least(1), "help": "iterations of the fit"},
-    "--seed": opt.SHARED["--seed"],
+    **opt.shared("--seed"),
 }
+SIZE_OPTIONS = {}
+for name, text in SIZES.items():
+    option = f"--{name.replace('_', '-')}"
+    SIZE_OPTIONS[option] = {"metavar": "X", "type": opt.size, "help": text}
+for name, text in ENGINE.items():
+    SIZE_OPTIONS[f"--{name}"] = {"metavar": "AxB", "type": opt.factors, "help": text}
+
 COMMANDS: opt.Commands = {
     inspect: {
         "": {
             "log": {"metavar": "LOG", "help": "the log"},
-            "--servos": opt.SHARED["--servos"],
-            "--rename": opt.SHARED["--rename"],
+            **opt.shared("--servos", "--rename"),
         },
     },
     demo: {
         "": {
-            "--horizons": opt.SHARED["--horizons"],
-            "--output": opt.SHARED["--output"]
-            | {"default": "skdgp-demo", "help": "folder (default: skdgp-demo)"},
+            **opt.shared("--horizons"),
+            **opt.shared("--output", default="skdgp-demo", help="folder (default: skdgp-demo)"),
         },
-        "model": {
-            **LEARNING,
-        },
+        "model": LEARNING,
     },
     identify: {
         "": {
             "train": {"metavar": "TRAIN", "nargs": "+", "help": "flights to learn from"},
-            "--aircraft": opt.SHARED["--aircraft"]
-            | {"help": "the aircraft, JSON or TOML (or --mass and --span)"},
+            **opt.shared("--aircraft", help="the aircraft, JSON or TOML (or --mass and --span)"),
             "--test": {
                 "metavar": "TEST",
                 "nargs": "+",
-                "help": (
-                    "flights to judge the model on (default: the last of several, or the last "
-                    "quarter of one, is held out)"
-                ),
+                "help": "flights to judge the model on (default: the last of several, or the last "
+                "quarter of one, is held out)",
             },
-            "--thrust": opt.SHARED["--thrust"] | {"default": "auto"},
-            "--external-forces": opt.SHARED["--external-forces"] | {"default": []},
-            **opt.LOG,
-            "--horizons": opt.SHARED["--horizons"],
-            "--output": opt.SHARED["--output"]
-            | {
-                "default": "skdgp-results",
-                "help": "folder for the outputs (default: skdgp-results)",
-            },
-            **{
-                f"--{name.replace('_', '-')}": {"metavar": "X", "type": opt.size, "help": text}
-                for name, text in SIZES.items()
-            },
-            **{
-                f"--{name}": {"metavar": "AxB", "type": opt.factors, "help": text}
-                for name, text in ENGINE.items()
-            },
+            **opt.shared("--thrust", default="auto"),
+            **opt.shared("--external-forces", default=[]),
+            **opt.shared(*opt.LOG, "--horizons"),
+            **opt.shared(
+                "--output",
+                default="skdgp-results",
+                help="folder for the outputs (default: skdgp-results)",
+            ),
         },
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": {
+            **SIZE_OPTIONS,
             "--kind": {
                 "choices": list(KINDS),
                 "help": "kind of the aircraft, for the estimates (default: conventional)",
             },
         },
-        "model": {
-            **LEARNING,
-        },
+        "model": LEARNING,
     },
     validate: {
         "": {
-            "model": opt.SHARED["model"],
-            "flight": opt.SHARED["flight"],
-            "--aircraft": opt.SHARED["--aircraft"],
-            **opt.LOG,
-            "--horizons": opt.SHARED["--horizons"],
-            "--output": opt.SHARED["--output"],
+            **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizons", "--output"),
             "--plan": {
                 "metavar": "FILE",
-                "help": (
-                    "plan.json of a flight that the model learned from: compares its promises with this model"
-                ),
+                "help": "plan.json of a flight that the model learned from: compares its promises "
+                "with this model",
             },
-            "--thrust": opt.SHARED["--thrust"],
-            "--external-forces": opt.SHARED["--external-forces"],
+            **opt.shared("--thrust", "--external-forces"),
         },
     },
 }

@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import re
 import shutil
 import sys
 import time
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from inspect import getdoc
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TextIO, TypeAlias
 
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
 from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
@@ -30,12 +30,11 @@ def checked(
 ) -> Callable[[str], Any]:
     """Return a type of argparse that reads and checks a value; its error names the expected one."""
 
-    def value(text):
-        try:
-            if accept(read(text)):
-                return read(text)
-        except (ValueError, OverflowError):
-            pass
+    def value(text: str) -> Any:
+        with suppress(ValueError, OverflowError):
+            result = read(text)
+            if accept(result):
+                return result
         raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}")
 
     return value
@@ -43,51 +42,71 @@ def checked(
 
 def number(
     expected: str = "a number",
-    accept: Callable[[float], bool] = math.isfinite,
+    least: float = -math.inf,
+    *keywords: str,
     kind: type = float,
-    keywords: tuple[str, ...] = (),
 ) -> Callable[[str], float | str]:
-    """Return the type of finite numbers that are accepted, or of some words."""
-    return checked(
-        ", or ".join([expected, *keywords]),
-        lambda text: text if text in keywords else kind(text),
-        lambda value: value in keywords or (math.isfinite(value) and accept(value)),
-    )
+    """Return the type of finite numbers from ``least`` on, or of some words."""
+
+    def read(text: str) -> float | str:
+        return text if text in keywords else kind(text)
+
+    def accept(value: Any) -> bool:
+        return value in keywords or (least <= value and math.isfinite(value))
+
+    return checked(", or ".join([expected, *keywords]), read, accept)
 
 
 def at_least(lowest: int, *keywords: str) -> Callable[[str], float | str]:
     """Return the type of whole numbers from ``lowest`` on, or of some words."""
-    return number(f"a whole number, {lowest} or more", lambda value: value >= lowest, int, keywords)
+    return number(f"a whole number, {lowest} or more", lowest, *keywords, kind=int)
 
 
 def positive(unit: str, *keywords: str) -> Callable[[str], float | str]:
     """Return the type of numbers > 0, or of some words."""
-    return number(f"{unit} > 0", lambda value: value > 0, keywords=keywords)
+    return number(f"{unit} > 0", math.nextafter(0.0, 1.0), *keywords)
+
+
+def from_zero(*keywords: str) -> Callable[[str], float | str]:
+    """Return the type of numbers from 0 on, or of some words."""
+    return number("a number, 0 or more", 0.0, *keywords)
+
+
+def _pair(text: str, separator: str) -> tuple[float, float]:
+    first, second = text.split(separator)
+    return float(first), float(second)
+
+
+def _axis_value(text: str) -> tuple[str, float]:
+    axis, value = text.split("=")
+    return axis, float(value)
+
+
+def _renaming(text: str) -> tuple[str, str]:
+    old, new = text.split("=")
+    return old, new
 
 
 table_file = checked("a name that ends in .csv", str, lambda text: Path(text).suffix == ".csv")
-axis_value = checked(
-    "AXIS=NUMBER such as elevator=0.4",
-    lambda text: (text.partition("=")[0], float(text.partition("=")[2])),
-)
+axis_value = checked("AXIS=NUMBER such as elevator=0.4", _axis_value)
 renaming = checked(
     "OLD=NEW, where NEW is a column of docs/notation.md without a unit (units stand in the header "
     "of the file, such as 'de [deg]')",
-    lambda text: tuple(text.split("=")),
-    lambda names: len(names) == 2 and bool(names[0]) and names[1] in CHANNELS,
+    _renaming,
+    lambda names: names[0] != "" and names[1] in CHANNELS,
 )
 size = checked(
     "a number > 0, or with its standard deviation such as 3.2+-0.05",
-    lambda text: tuple(map(float, (text if "+-" in text else f"{text}+-0").split("+-"))),
-    lambda pair: len(pair) == 2 and 0 < pair[0] < math.inf and 0 <= pair[1] < math.inf,
+    lambda text: _pair(text if "+-" in text else f"{text}+-0", "+-"),
+    lambda pair: 0 < pair[0] < math.inf and 0 <= pair[1] < math.inf,
 )
 factors = checked(
     "two numbers > 0 such as 10x5",
-    lambda text: tuple(map(float, text.split("x"))),
-    lambda pair: len(pair) == 2 and all(0 < value < math.inf for value in pair),
+    lambda text: _pair(text, "x"),
+    lambda pair: min(pair) > 0 and max(pair) < math.inf,
 )
-n_paths = number(
-    "0, or 2 or more: one path has no spread", lambda value: value == 0 or value >= 2, int
+n_paths = checked(
+    "0, or 2 or more: one path has no spread", int, lambda value: value == 0 or value >= 2
 )
 
 
@@ -123,7 +142,8 @@ AXIS_VALUES: dict[str, Any] = {
     "default": [],
 }
 # Options that several commands have, with their arguments of ``add_argument``
-SHARED: dict[str, dict[str, Any]] = LOG | {
+SHARED: dict[str, dict[str, Any]] = {
+    **LOG,
     "model": {
         "metavar": "MODEL",
         "help": f"the model.joblib that identify wrote; {TRUST}",
@@ -155,7 +175,6 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
         "required": True,
         "help": "of the trims [m/s]",
     },
-    "--paths": {"metavar": "N", "type": n_paths},
     "--thrust": {
         "choices": ["auto", "none"],
         "help": "what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
@@ -171,6 +190,11 @@ SHARED: dict[str, dict[str, Any]] = LOG | {
 COMMON: dict[str, dict[str, Any]] = {
     "--json": {"action": "store_true", "help": "print JSON instead of text"},
 }
+
+
+def shared(*names: str, **changes: Any) -> dict[str, dict[str, Any]]:
+    """Return options that several commands have, with other arguments."""
+    return {name: {**SHARED[name], **changes} for name in names}
 
 
 def add_command(commands: Any, run: Callable, options: Mapping[str, Mapping[str, dict]]) -> None:
@@ -196,25 +220,26 @@ def none_of(word: Any) -> Any:
 def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
     """Return the keywords of ``skdgp.io.read_flight``; surfaces of logs in the unit of the model."""
     airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
-    learned = {} if model is None else model.get("options", {})
-    servos = options.servos or learned.get("servos")
+    servos = options.servos
+    if model is not None and servos is None:
+        servos = model.get("options", {}).get("servos")
     return {"servos": servos, "airborne": airborne, "rename": dict(options.rename)}
 
 
 CLEAR = "\r\x1b[K"
-PERIOD = 0.2  # seconds between two states of the progress line
 STAGES = {"fit": "all outputs", "members": "components of the average"}
 
 
 class Console:
     """Output of a command; a context manager, which removes the progress line at its end."""
 
-    def __init__(self, stream=None):
+    def __init__(self, stream: TextIO | None = None, period: float = 0.2) -> None:
+        self.period = period  # between two states of the progress line [s]
         self.stream = sys.stderr if stream is None else stream
         self.messages: list[str] = []
         self._shows_progress = self.stream.isatty()
         self._began = time.monotonic()
-        self._shown = -PERIOD
+        self._shown = -period
 
     def __enter__(self) -> Console:
         self._warnings = warnings.catch_warnings()
@@ -251,7 +276,7 @@ class Console:
         """Show the stage of an identification; the listener of ``skdgp.listening``."""
         if n_evaluations == 0:
             self.stage(stage)
-        elif time.monotonic() - self._shown >= PERIOD:
+        elif time.monotonic() - self._shown >= self.period:
             value = (
                 f" · log likelihood {log_likelihood:.1f}" if math.isfinite(log_likelihood) else ""
             )
@@ -305,12 +330,12 @@ class Run:
         writers: dict[str, Writer],
         record: str = "",
         numbers: dict | None = None,
-        earlier: str = "",
+        stale: str = "",
     ) -> list[Path]:
         """Write all outputs, and numbers with the command line as a ``record`` in JSON, or none.
 
-        Returns where they are. Where a record of this name was before, other files whose whole
-        names match ``earlier`` are of that run, and are removed.
+        Returns where they are. Where a record of this name was before, a file ``stale`` that is not
+        written again is of that run, and is removed.
         """
         if self.folder is None:
             return []
@@ -323,9 +348,8 @@ class Run:
         for path in files:
             path.parent.mkdir(parents=True, exist_ok=True)
         write_together(self.folder, writers)
-        for path in self.folder.iterdir() if again else ():
-            if path not in files and path.is_file() and re.fullmatch(earlier, path.name):
-                path.unlink()
+        if again and stale and stale not in writers:
+            (self.folder / stale).unlink(missing_ok=True)
         return files
 
     def print(self, text: str, numbers: dict) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from skdgp._excitation import AXES
 from skdgp.design import (
     Envelope,
     Plan,
+    PlanSettings,
     ardupilot_script,
     surface_mixes,
     write_flight_card,
@@ -34,16 +36,13 @@ from skdgp.dynamics import (
 )
 from skdgp.export import FORMATS, export_model
 from skdgp.identification import (
+    FlightPipeline,
     check_identified,
     load_model,
     named_flights,
     usable_flights_of_model,
 )
 from skdgp.report import FlightMechanics
-
-# Intensity [m/s] above which derivatives by rates lose notably: two thirds of light turbulence of
-# MIL-F-8785C
-NOTABLE_GUSTS = 0.5
 
 
 def read_model(options) -> Bunch:
@@ -75,10 +74,12 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             stacklevel=2,
         )
     turbulence = model.pipeline.turbulence_
-    if turbulence is not None and max(turbulence.intensity) > NOTABLE_GUSTS:
+    gusts = 0.0 if turbulence is None else max(turbulence.intensity)
+    # two thirds of light turbulence of MIL-F-8785C: derivatives by rates lose notably
+    if gusts > 0.5:
         warn(
-            f"The model was learned in gusts of {max(turbulence.intensity):.1f} m/s, so its "
-            f"derivatives by rates are too small: learn from flights in calmer air.",
+            f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too "
+            f"small: learn from flights in calmer air.",
             stacklevel=2,
         )
     return model, learned.get("thrust", "auto")
@@ -96,38 +97,40 @@ def predict(run: Run) -> None:
     """
     options = run.options
     output = Path(options.output)
-    if output.resolve() in (Path(flight).resolve() for flight in options.flight):
+    if output.resolve() in [Path(flight).resolve() for flight in options.flight]:
         raise FileExistsError(
             f"Got {options.output} as the output, but it is one of the flights: name another."
         )
     run.console.stage("reading")
     model = read_model(options)
-    flights = usable_flights_of_model(
-        model.pipeline, named_flights(options.flight, **opt.reading(options, model))
-    )
+    named = named_flights(options.flight, **opt.reading(options, model))
+    flights = usable_flights_of_model(model.pipeline, named)
     run.console.stage("predicting")
-    parts = [
-        _predictions(model.pipeline, flight, options.include_noise) for flight in flights.values()
-    ]
-    run.write({output.name: csv_writer(pd.concat(parts, ignore_index=True))})
-    rows = {name: len(flight) for name, flight in flights.items()}
+    parts = {}
+    for name, flight in flights.items():
+        parts[name] = _predictions(model.pipeline, flight, options.include_noise)
+    run.write({output.name: csv_writer(pd.concat(parts.values(), ignore_index=True))})
+    rows = {name: len(part) for name, part in parts.items()}
+    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     numbers = {
         "model": options.model,
         "output": options.output,
         "flights": rows,
         "include_noise": options.include_noise,
     }
-    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
 
 
-def _predictions(pipeline, flight: pd.DataFrame, include_noise: bool) -> pd.DataFrame:
+def _predictions(
+    pipeline: FlightPipeline, flight: pd.DataFrame, include_noise: bool
+) -> pd.DataFrame:
     """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
+    mean, std = pipeline.predict(flight, return_std=True, include_noise=include_noise)
+    table = flight[["flight", "time"]].reset_index(drop=True)
     names = pipeline[-1].output_names_
-    columns = [*names, *(f"{name}_std" for name in names)]
-    moments = pipeline.predict(flight, return_std=True, include_noise=include_noise)
-    table = pd.DataFrame(np.hstack(moments), columns=columns)
-    return flight[["flight", "time"]].reset_index(drop=True).join(table)
+    table[names] = mean
+    table[[f"{name}_std" for name in names]] = std
+    return table
 
 
 def derivatives(run: Run) -> None:
@@ -145,33 +148,39 @@ def derivatives(run: Run) -> None:
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
     run.console.stage("trimming")
-    climb = None if thrust is None else 0.0  # without thrust it follows
-    conditions: dict[str, Any] = {"altitude": options.altitude, "climb": climb, "thrust": thrust}
-    airspeeds = sorted(set(options.airspeed))
-    trims: Any = trim(model.pipeline, model.aircraft, airspeeds, **conditions)
+    trims = _trimmed(model, sorted(set(options.airspeed)), options.altitude, thrust)
     _warn_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
     table: Any = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
     run.console.stage("modes")
-    modes = [
-        linearize(model.pipeline, model.aircraft, steady, **spread).modes() for steady in trims
-    ]
-    points = [
-        FlightMechanics(trim=point, derivatives=table.loc[k], modes=modes[k])
-        for k, point in enumerate(trims)
-    ]
+    modes = {}
+    points = []
+    for k, point in enumerate(trims):
+        linear = linearize(model.pipeline, model.aircraft, point, **spread)
+        modes[point.airspeed] = linear.modes()
+        points.append(
+            FlightMechanics(trim=point, derivatives=table.loc[k], modes=modes[point.airspeed])
+        )
     numbers = {"model": options.model, "points": [point.to_dict() for point in points]}
-    blocks = [_derivatives_text(trims[k], table.loc[k], modes[k]) for k in range(len(trims))]
+    texts = [_derivatives_text(point) for point in points]
     if run.folder is not None:
-        named = pd.concat(modes, keys=airspeeds, names=["airspeed", "mode"])
+        named = pd.concat(modes, names=["airspeed", "mode"]).drop(columns="eigenvalue")
         files = {
             "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
-            "modes.csv": csv_writer(named.drop(columns="eigenvalue").reset_index()),
+            "modes.csv": csv_writer(named.reset_index()),
         }
         written = run.write(files, "derivatives.json", numbers)
-        blocks.append("wrote " + ", ".join(map(str, written)))
-    run.print("\n\n".join(blocks), numbers)
+        texts.append(f"wrote {', '.join(map(str, written))}")
+    run.print("\n\n".join(texts), numbers)
+
+
+def _trimmed(model: Bunch, airspeed: Any, altitude: float, thrust: str | None) -> Any:
+    """Return steady level flight at one or several airspeeds; without a thrust the climb follows."""
+    climb = None if thrust is None else 0.0
+    return trim(
+        model.pipeline, model.aircraft, airspeed, altitude=altitude, climb=climb, thrust=thrust
+    )
 
 
 def _warn_beyond(trims: list[Trim]) -> None:
@@ -179,36 +188,37 @@ def _warn_beyond(trims: list[Trim]) -> None:
     beyond = []
     for point in trims:
         for name, (value, low, high) in point.beyond.items():
-            limits = f"{low:.3g} to {high:.3g}"
-            beyond.append(f"{point.airspeed:g} m/s: {name} {value:.3g} ({limits})")
+            beyond.append(f"{point.airspeed:g} m/s: {name} {value:.3g} ({low:.3g} to {high:.3g})")
     if beyond:
         warn(f"Trims are beyond the training data: {', '.join(beyond)}.", stacklevel=3)
 
 
-def _derivatives_text(point: Trim, table: pd.DataFrame, modes: pd.DataFrame) -> str:
+def _derivatives_text(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives with their standard deviations, and modes."""
+    point: Any = mechanics.trim
+    modes: Any = mechanics.modes
+    table = mechanics.derivatives
     controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
     cells = table["value"].map("{:z.4f}".format)
+    meaning = "values"
     if "std" in table:
         cells += table["std"].map(" +- {:.2g}".format)
-    named = table.assign(cell=cells, regressor=table["regressor"].replace("", "at trim"))
-    coefficients, regressors = named["coefficient"].unique(), named["regressor"].unique()
-    wide = named.pivot(index="regressor", columns="coefficient", values="cell")
-    wide = wide.loc[regressors, coefficients].rename_axis(index=None, columns=None)
+        meaning = "values, +- one standard deviation"
+    rows = table["regressor"].replace("", "at trim")
+    columns = table["coefficient"]
+    wide = cells.groupby([rows, columns], sort=False).first().unstack(sort=False)
+    wide = wide.reindex(index=rows.unique(), columns=columns.unique())
     return "\n".join(
         [
             f"{point.airspeed:g} m/s: alpha {np.rad2deg(point.alpha):.3g} deg, {controls}",
-            "values, +- one standard deviation" if "std" in table else "values",
+            meaning,
             "",
-            wide.to_string(),
+            wide.rename_axis(index=None, columns=None).to_string(),
             "",
             "modes, in rad/s and s",
-            modes.drop(columns="eigenvalue").to_string(float_format="{:.3g}".format),
+            _table(modes.drop(columns="eigenvalue")),
         ]
     )
-
-
-RATE = 50.0  # of the rows of tables, and of the script [Hz]
 
 
 def plan(run: Run) -> None:
@@ -233,37 +243,30 @@ def plan(run: Run) -> None:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes rudder --full rudder=0.4 -o yaw
     """
     options = run.options
-    console = run.console
     axes = list(dict.fromkeys(options.axes))
     full = dict(options.full)
-    if full:
-        surface_mixes([axis for axis in axes if axis != "throttle"], full)  # the search takes long
-    arguments = vars(options)
-    ranges = {
-        name: arguments[option.removeprefix("--").replace("-", "_")]
-        for name, option in Envelope.command_options.items()
-    }
+    if full:  # the search takes long
+        surface_mixes([axis for axis in axes if axis != "throttle"], full)
     envelope = Envelope(
-        **ranges,
+        alpha=options.alpha,
+        beta=options.beta,
+        load_factor=options.load_factor,
+        bank=options.max_bank,
+        airspeed=options.speeds,
+        altitude=options.floor,
         growth=float(options.growth),
         margin=options.margin,
     )
-    console.stage("reading")
+    run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
-    highest = envelope.altitudes(model.pipeline)[1]  # of the training flights
-    point: Any = trim(
-        model.pipeline,
-        model.aircraft,
-        options.airspeed,
-        altitude=highest if options.altitude is None else options.altitude,
-        climb=None if thrust is None else 0.0,
-        thrust=thrust,
-    )
-    with listening(console.progress):
+    altitude = options.altitude
+    if altitude is None:  # the highest of the training flights
+        altitude = envelope.altitudes(model.pipeline)[1]
+    with listening(run.console.progress):
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
-            point,
+            _trimmed(model, options.airspeed, altitude, thrust),
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,
@@ -272,27 +275,35 @@ def plan(run: Run) -> None:
             thrust=thrust,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
-    writers: dict[str, Writer] = {"plan.csv": csv_writer(planned.train.table(RATE))}
+    writers = _plan_writers(planned, full)
+    files = run.write(writers, "plan.json", numbers, stale="plan.lua")
+    run.print("\n".join([_plan_text(planned, full), *map(str, files)]), numbers)
+
+
+def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
+    """Return the writers of the files of a plan, with a script where there are full deflections."""
+    writers: dict[str, Writer] = {
+        "plan.csv": csv_writer(planned.train.table(PlanSettings.rate)),
+        "card.html": partial(write_flight_card, plan=planned, full=full),
+        "expected.csv": csv_writer(planned.flight),
+    }
     if full:
         try:
-            writers["plan.lua"] = text_writer(ardupilot_script(planned.train, RATE, full))
+            script = ardupilot_script(planned.train, PlanSettings.rate, full)
+            writers["plan.lua"] = text_writer(script)
         except ValueError as error:  # the plan is kept
-            warn(f"No script for ArduPilot: {error}", stacklevel=2)
-    writers["card.html"] = partial(write_flight_card, plan=planned, full=full)
-    writers["expected.csv"] = csv_writer(planned.flight)
-    files = run.write(writers, "plan.json", numbers, r"plan\.lua")
-    run.print(_text(planned, options, files), numbers)
+            warn(f"No script for ArduPilot: {error}", stacklevel=3)
+    return writers
 
 
-def _text(planned: Plan, options, files: list) -> str:
+def _plan_text(planned: Plan, full: dict[str, float]) -> str:
     """Return manoeuvres and standard deviations as tables."""
-    columns = ["start", "name", "scale"]
-    lines = [_table(planned.manoeuvres[columns]), "", _table(planned.errors), ""]
+    lines = [_table(planned.manoeuvres[["start", "name", "scale"]]), "", _table(planned.errors), ""]
     if np.isinf(planned.abort_limits).all(axis=None):
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
-    if not options.full:
+    if not full:
         lines.append("no script for ArduPilot: --full gives the full deflections that it needs")
-    return "\n".join([*lines, *map(str, files)])
+    return "\n".join(lines)
 
 
 def _table(table: pd.DataFrame) -> str:
@@ -319,41 +330,41 @@ def export(run: Run) -> None:
     run.console.stage("reading")
     model = read_model(options)
     run.console.stage(f"exporting to {options.to}")
+    full = dict(options.full)
+    writers: dict[str, Writer] = {}
+    sizes = {}
     with tempfile.TemporaryDirectory() as temporary:
-        facts = export_model(
-            temporary, model, options.to, max_kb=options.max_kb, full=dict(options.full)
-        )
-        files = {str(Path(path).relative_to(temporary)): Path(path) for path in facts["files"]}
-        sizes = {name: path.stat().st_size for name, path in files.items()}
-        run.write({name: partial(shutil.copyfile, path) for name, path in files.items()})
+        facts = export_model(temporary, model, options.to, max_kb=options.max_kb, full=full)
+        for file in facts["files"]:
+            name = str(Path(file).relative_to(temporary))
+            writers[name] = partial(shutil.copyfile, file)
+            sizes[name] = Path(file).stat().st_size
+        run.write(writers)
     numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
     run.print(_export_text(options.output, numbers), numbers)
 
 
-def _export_text(folder, numbers) -> str:
-    lines = [
-        f"{size / 1024:>9.1f} kB  {Path(folder, name)}" for name, size in numbers["files"].items()
-    ]
-    if loss := numbers.get("loss"):
-        lines += ["", "loss, root mean square, in posterior deviations"]
-        lines.append(_table(pd.DataFrame.from_dict(loss, orient="index")))
+def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
+    """Return the files with their sizes, and the loss of a model of fewer basis functions."""
+    lines = []
+    for name, size in numbers["files"].items():
+        lines.append(f"{size / 1024:>9.1f} kB  {Path(folder, name)}")
+    if numbers.get("loss"):
+        loss = pd.DataFrame.from_dict(numbers["loss"], orient="index")
+        lines += ["", "loss, root mean square, in posterior deviations", _table(loss)]
     return "\n".join(lines)
 
 
+RANGE: dict[str, Any] = {"metavar": ("LOW", "HIGH"), "type": opt.number(), "nargs": 2}
 COMMANDS: opt.Commands = {
     predict: {
         "": {
-            "model": opt.SHARED["model"],
-            "flight": opt.SHARED["flight"],
-            **opt.LOG,
+            **opt.shared("model", "flight", *opt.LOG),
             "--include-noise": {
                 "action": "store_true",
-                "help": (
-                    "standard deviations of new measurements, not of the coefficients themselves"
-                ),
+                "help": "standard deviations of new measurements, not of the coefficients themselves",
             },
-            "--output": opt.SHARED["--output"]
-            | {
+            "--output": {
                 "metavar": "FILE",
                 "type": opt.table_file,
                 "required": True,
@@ -363,32 +374,31 @@ COMMANDS: opt.Commands = {
     },
     derivatives: {
         "": {
-            "model": opt.SHARED["model"],
-            "--aircraft": opt.SHARED["--aircraft"],
-            "--airspeed": opt.SHARED["--airspeed"],
-            "--seed": opt.SHARED["--seed"],
-            "--output": opt.SHARED["--output"],
+            **opt.shared("model", "--aircraft", "--airspeed", "--seed", "--output"),
             "--altitude": {
                 "metavar": "M",
                 "type": opt.number(),
                 "default": 0.0,
                 "help": "of the trims [m] (default: 0)",
             },
-            "--paths": opt.SHARED["--paths"]
-            | {
+            "--paths": {
+                "metavar": "N",
+                "type": opt.n_paths,
                 "default": 200,
-                "help": (
-                    "functions of the posterior for the standard deviations; 0: none (default: 200)"
-                ),
+                "help": "functions of the posterior for the standard deviations; 0: none (default: 200)",
             },
         },
     },
     plan: {
         "": {
-            "model": opt.SHARED["model"],
-            "--aircraft": opt.SHARED["--aircraft"],
-            "--airspeed": opt.SHARED["--airspeed"] | {"nargs": None, "help": "of the trim [m/s]"},
-            "--output": opt.SHARED["--output"] | {"required": True},
+            **opt.shared("model", "--aircraft"),
+            **opt.shared("--output", required=True),
+            "--airspeed": {
+                "metavar": "V",
+                "type": opt.positive("m/s"),
+                "required": True,
+                "help": "of the trim [m/s]",
+            },
             "--seconds": {
                 "metavar": "S",
                 "type": opt.positive("seconds"),
@@ -399,19 +409,23 @@ COMMANDS: opt.Commands = {
             "--goal": {
                 "metavar": "NAME",
                 "nargs": "+",
-                "help": ("derivatives such as Cm_q Cn_rudder (default: all)"),
+                "help": "derivatives such as Cm_q Cn_rudder (default: all)",
             },
             "--altitude": {
                 "metavar": "M",
                 "type": opt.number(),
                 "help": "[m] (default: the highest that was flown)",
             },
-            "--full": opt.AXIS_VALUES
-            | {"help": "deflections [rad] at the ends of the servos' ranges, for the script"},
+            "--full": {
+                **opt.AXIS_VALUES,
+                "help": "deflections [rad] at the ends of the servos' ranges, for the script",
+            },
         },
         "limits": {
-            "--limits": opt.AXIS_VALUES
-            | {"help": "largest deviations from trim [rad] (default: as flown)"},
+            "--limits": {
+                **opt.AXIS_VALUES,
+                "help": "largest deviations from trim [rad] (default: as flown)",
+            },
             "--max-bank": {"metavar": "RAD", "type": opt.positive("rad"), "help": "to either side"},
             "--floor": {
                 "metavar": "M",
@@ -420,64 +434,37 @@ COMMANDS: opt.Commands = {
             },
             "--growth": {
                 "metavar": "X",
-                "type": opt.number(
-                    "a number, 0 or more, or inf", lambda value: value >= 0, keywords=("inf",)
-                ),
+                "type": opt.from_zero("inf"),
                 "default": 0.2,
-                "help": (
-                    "part of its range by which a quantity may leave its range in training; inf: no "
-                    "limit (default: 0.2)"
-                ),
+                "help": "part of its range by which a quantity may leave its range in training; inf: no "
+                "limit (default: 0.2)",
             },
             "--margin": {
                 "metavar": "X",
-                "type": opt.number("a number, 0 or more", lambda value: value >= 0),
+                "type": opt.from_zero(),
                 "default": 0.3,
                 "help": "fraction by which responses may exceed the model's (default: 0.3)",
             },
-            "--alpha": {
-                "metavar": ("LOW", "HIGH"),
-                "type": opt.number(),
-                "nargs": 2,
-                "help": "[rad]",
-            },
-            "--beta": {
-                "metavar": ("LOW", "HIGH"),
-                "type": opt.number(),
-                "nargs": 2,
-                "help": "[rad]",
-            },
-            "--load-factor": {
-                "metavar": ("LOW", "HIGH"),
-                "type": opt.number(),
-                "nargs": 2,
-                "help": "of -az / g",
-            },
-            "--speeds": {
-                "metavar": ("LOW", "HIGH"),
-                "type": opt.number(),
-                "nargs": 2,
-                "help": "[m/s]",
-            },
+            "--alpha": {**RANGE, "help": "[rad]"},
+            "--beta": {**RANGE, "help": "[rad]"},
+            "--load-factor": {**RANGE, "help": "of -az / g"},
+            "--speeds": {**RANGE, "help": "[m/s]"},
         },
     },
     export: {
         "": {
-            "model": opt.SHARED["model"],
-            "--aircraft": opt.SHARED["--aircraft"],
-            "--output": opt.SHARED["--output"] | {"required": True},
+            **opt.shared("model", "--aircraft"),
+            **opt.shared("--output", required=True),
             "--to": {"choices": list(FORMATS), "required": True, "help": "the format"},
             "--max-kb": {
                 "metavar": "KB",
                 "type": opt.positive("kB"),
                 "help": "largest size of the code, or of the portable form (default: whole model)",
             },
-            "--full": opt.AXIS_VALUES
-            | {
-                "help": (
-                    "of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
-                    "file, else the largest that were flown)"
-                )
+            "--full": {
+                **opt.AXIS_VALUES,
+                "help": "of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
+                "file, else the largest that were flown)",
             },
         },
     },

@@ -75,6 +75,13 @@ def table(
     return f'<div class="scroll"><table class="{classes}">{content}</table></div>'
 
 
+def section(title: str, *parts: str, classes: str = "") -> str:
+    """Return a section of ready HTML, empty without parts."""
+    body = "".join(parts)
+    kind = f' class="{classes}"' if classes else ""
+    return f"<section{kind}><h2>{title}</h2>{body}</section>" if body else ""
+
+
 def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> str:
     """Return the document; title and kind are text, the rest is HTML."""
     return PAGE.substitute(
@@ -107,12 +114,16 @@ def picture(draw: Callable, *, label: str, size: tuple[float, float]) -> str:
         draw(figure)
         file = StringIO()
         canvas.print_svg(file, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    svg = file.getvalue()
+    source = quote(_compact(file.getvalue()), safe=" /:;=,.()'!*@$&?[]|+")
+    return f'<img alt="{escape(label)}" src="data:image/svg+xml,{source}">'
+
+
+def _compact(svg: str) -> str:
+    """Return a picture without comments, with fonts of the reader's machine and short coordinates."""
     svg = re.sub(r"<!.*?>|<\?.*?>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"font-family: [^;\"]*", f"font-family: {FONTS}", svg)
-    svg = re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, re.sub(r"\s*\n\s*", " ", svg))
-    source = quote(svg, safe=" /:;=,.()'!*@$&?[]|+")
-    return f'<img alt="{escape(label)}" src="data:image/svg+xml,{source}">'
+    svg = re.sub(r"\s*\n\s*", " ", svg)
+    return re.sub(r'\b(d|x|y|transform)="([^"]*)"', _shortened, svg)
 
 
 def _shortened(match: re.Match) -> str:
@@ -139,17 +150,14 @@ ROLES = {
 }
 
 _SYMBOLS = {
-    **{name: f"C_{name[1:]}" for name in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")},
-    **{name: rf"\{name}" for name in ("alpha", "beta", "phi", "theta", "psi")},
-    **{f"{name}_dot": rf"\dot{{\{name}}}" for name in ("alpha", "beta")},
-    **{name: name for name in "pqruvw"},
-    **{f"{name}_dot": rf"\dot{{{name}}}" for name in "pqr"},
-    **{f"{name}_hat": rf"\hat{{{name}}}" for name in "pqr"},
-    **{f"a{axis}": f"a_{axis}" for axis in "xyz"},
-    **{f"v_{way}": f"v_{way[0].upper()}" for way in ("north", "east", "down")},
-    "airspeed": "V",
-    "altitude": "h",
-}
+    "CX": "C_X", "CY": "C_Y", "CZ": "C_Z", "Cl": "C_l", "Cm": "C_m",
+    "Cn": "C_n", "alpha": r"\alpha", "beta": r"\beta", "phi": r"\phi", "theta": r"\theta",
+    "psi": r"\psi", "alpha_dot": r"\dot{\alpha}", "beta_dot": r"\dot{\beta}", "p": "p", "q": "q",
+    "r": "r", "u": "u", "v": "v", "w": "w", "p_dot": r"\dot{p}",
+    "q_dot": r"\dot{q}", "r_dot": r"\dot{r}", "p_hat": r"\hat{p}", "q_hat": r"\hat{q}", "r_hat": r"\hat{r}",
+    "ax": "a_x", "ay": "a_y", "az": "a_z", "v_north": "v_N", "v_east": "v_E",
+    "v_down": "v_D", "airspeed": "V", "altitude": "h",
+}  # fmt: skip
 _UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
 
 
@@ -167,10 +175,23 @@ def display_unit(name: str) -> tuple[float, str]:
     """Return the factor from SI to the displayed unit, and that unit. Only pictures use degrees."""
     if name in _UNITS.get():
         return 1.0, _UNITS.get()[name]
-    unit = CHANNELS[name].unit if name in CHANNELS else ""
+    channel = "phi" if name == "bank" else name
+    unit = CHANNELS[channel].unit if channel in CHANNELS else ""
     if unit.startswith("rad") and name != "propeller_speed":
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     return 1.0, unit
+
+
+def heading(name: str) -> str:
+    """Return a column's name in words, with its unit beneath."""
+    unit = display_unit(name)[1]
+    return text(name.replace("_", " ")) + (f"<br>[{unit}]" if unit else "")
+
+
+def shown(name: str, value: float) -> str:
+    """Return a value of a column in the displayed unit, a dash where there is none."""
+    factor, unit = display_unit(name)
+    return number(factor * value, ".1f" if unit else ".2f") if np.isfinite(value) else DASH
 
 
 def symbol(name: str) -> str:

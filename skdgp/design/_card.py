@@ -11,12 +11,13 @@ import numpy as np
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._display.page import (
-    DASH,
     can_draw,
-    display_unit,
+    heading,
     number,
     percent,
     render_page,
+    section,
+    shown,
     table,
     text,
 )
@@ -31,6 +32,7 @@ CREW = (
     '<div class="sign"><p>Date</p><p>Place, aircraft</p><p>Pilot</p><p>Ground station</p>'
     "<p>Wind, mass</p><p>Go or no-go</p><p>Signed</p></div>"
 )
+SIGNS = "Made by skdgp. Elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
 ENTRY = """<ol>
 <li>Fly in calm air: the limits were checked without gusts. Trim at the values of the table, hands
 off, for the pause.</li>
@@ -52,41 +54,45 @@ def write_flight_card(
     throttle, the card says how much of the stick each step is. Raises FileNotFoundError if the
     folder of ``path`` does not exist.
     """
-    body = [CREW, _entry(plan), _limits(plan), _order(plan), _promise(plan)]
-    if not can_draw():
-        body.append('<p class="note">No pictures: pip install "skdgp[plot]".</p>')
     kinds = plan.manoeuvres.drop_duplicates(["name", "scale"])
-    for k in kinds.index:
-        body.append(_manoeuvre(plan, k, full or {}))
+    body = [CREW, _entry(plan), _limits(plan), _order(plan), _promise(plan)]
+    body += [_manoeuvre(plan, k, full or {}) for k in kinds.index]
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
-    now = datetime.now().astimezone().strftime("%d %B %Y, %H:%M")
-    meta = f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds · planned {now}"
-    colophon = "Made by skdgp. Elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
-    page = render_page("Flight card", title, meta, "\n".join(body), colophon)
+    meta = f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds · planned {datetime.now():%d %B %Y, %H:%M}"
+    page = render_page("Flight card", title, meta, "\n".join(body), SIGNS)
     return write_atomically(path, text_writer(page))
 
 
 def _entry(plan: Plan) -> str:
+    """Return the trim, and how the manoeuvres begin."""
     point = plan.trim
-    states = {"airspeed": point.airspeed, "altitude": point.altitude, "bank": point.phi}
-    states |= {"alpha": point.alpha, "theta": point.theta} | point.controls
-    pause = number(plan.manoeuvres["start"].iloc[0], ".1f")
-    head = ["", *map(_heading, states), "pause<br>[s]"]
-    row = ["", *(_shown(name, value) for name, value in states.items()), pause]
+    states = {
+        "airspeed": point.airspeed,
+        "altitude": point.altitude,
+        "bank": point.phi,
+        "alpha": point.alpha,
+        "theta": point.theta,
+        **point.controls,
+    }
+    row = ["", *map(shown, states, states.values())]
+    row.append(number(plan.manoeuvres["start"].iloc[0], ".1f"))
     caption = "Trim, as the model expects it; controls are positions, not deviations."
     if plan.servo_lag > 0:
         caption += f" Surfaces follow these inputs {1e3 * plan.servo_lag:.0f} ms late."
-    return _section("Trim and entry", table(head, [row], caption=caption) + ENTRY)
+    return section(
+        "Trim and entry",
+        table(["", *map(heading, states), "pause<br>[s]"], [row], caption=caption),
+        ENTRY,
+    )
 
 
 def _limits(plan: Plan) -> str:
     """Return the limits, and the responses that are expected of the flight."""
     ends = plan.abort_limits.join(plan.expected.add_prefix("expected "))
     rows = []
-    for name, row in ends.iterrows():
-        low, high, lowest, highest = (_shown(str(name), value) for value in row)
-        rows.append([_heading(str(name)), low, high, f"{lowest} … {highest}"])
-    head = ["", "abort<br>below", "abort<br>above", "expected"]
+    for name, values in ends.iterrows():
+        low, high, lowest, highest = [shown(str(name), value) for value in values]
+        rows.append([heading(str(name)), low, high, f"{lowest} … {highest}"])
     caption = (
         f"Limits: asked for, or flown before with the growth that this plan allows. Expected of the "
         f"mean of the model in calm air; responses {plan.margin:.0%} larger are still inside until "
@@ -94,20 +100,31 @@ def _limits(plan: Plan) -> str:
     )
     if np.isinf(plan.abort_limits).all(axis=None):
         caption = f"<b>Nothing limits this flight, not even a floor.</b> {caption}"
-    return _section("Abort limits", table(head, rows, caption=caption))
+    return section(
+        "Abort limits",
+        table(["", "abort<br>below", "abort<br>above", "expected"], rows, caption=caption),
+    )
 
 
 def _order(plan: Plan) -> str:
+    """Return the manoeuvres in the order of flight."""
     rows = []
-    for k, row in enumerate(plan.manoeuvres.to_dict("records")):
-        times = [number(row[name], ".1f") for name in ("start", "duration")]
-        rows.append([f"{k + 1}. {text(row['name'])}", *times, percent(row["scale"], ".0f"), "☐"])
+    for k, row in enumerate(plan.manoeuvres.to_dict("records"), start=1):
+        times = [number(row["start"], ".1f"), number(row["duration"], ".1f")]
+        rows.append([f"{k}. {text(row['name'])}", *times, percent(row["scale"], ".0f"), "☐"])
     rows.append(["<b>the flight</b>", "", number(plan.seconds, ".1f"), "", ""])
-    head = ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>limit]", "flown"]
-    return _section("Order of flight", table(head, rows, caption="Order of flight."))
+    return section(
+        "Order of flight",
+        table(
+            ["manoeuvre", "begins<br>[s]", "lasts<br>[s]", "size [% of<br>limit]", "flown"],
+            rows,
+            caption="Order of flight.",
+        ),
+    )
 
 
 def _promise(plan: Plan) -> str:
+    """Return the promised standard deviations."""
     caption = (
         f"Standard deviations of derivatives at the trim: before the flight, and promised of a model "
         f"learned from this flight too. Geometric mean of what is left: "
@@ -117,57 +134,42 @@ def _promise(plan: Plan) -> str:
         caption += (
             " Nothing is promised: the model has no posterior, or too few rows for its slopes."
         )
-    return _section("For the engineer: promises of the flight", errors_table(plan.errors, caption))
+    return section("For the engineer: promises of the flight", errors_table(plan.errors, caption))
 
 
 def _manoeuvre(plan: Plan, k: int, full: Mapping[str, float]) -> str:
     """Return the page of a manoeuvre: the steps of its pulses, and pictures."""
-    name = plan.manoeuvres["name"].iloc[k]
-    inputs = plan.inputs(k)
     rows = []
-    for axis, signal in inputs.items():
-        if isinstance(signal, Steps):
-            for time, level in zip(signal.edges, [*signal.levels, 0.0], strict=True):
-                position = _shown(axis, plan.trim.controls[axis] + level)
-                stick = percent(level / full.get(axis, np.nan), ".0f")
-                rows.append([_heading(axis), number(time), _shown(axis, level), position, stick])
-    body = "<p><b>By the autopilot.</b></p>"
+    for axis, signal in plan.inputs(k).items():
+        if not isinstance(signal, Steps):
+            continue
+        for time, level in zip(signal.edges, [*signal.levels, 0.0], strict=True):
+            position = shown(axis, plan.trim.controls[axis] + level)
+            stick = percent(level / full.get(axis, np.nan), ".0f")
+            rows.append([heading(axis), number(time), shown(axis, level), position, stick])
+    steps = "<p><b>By the autopilot.</b></p>"
     if rows:
-        head = ["", "at [s]", "by", "to", "of full<br>[%]"]
-        body = table(head, rows, caption="Steps of the inputs.", classes="narrow")
-    if can_draw():
-        body += _pictures(plan, k)
-    return _section(text(name), body, ' class="flight"')
+        steps = table(
+            ["", "at [s]", "by", "to", "of full<br>[%]"],
+            rows,
+            caption="Steps of the inputs.",
+            classes="narrow",
+        )
+    name = text(plan.manoeuvres["name"].iloc[k])
+    return section(name, steps, _pictures(plan, k), classes="flight")
 
 
 def _pictures(plan: Plan, k: int) -> str:
     """Return figures of the inputs of a manoeuvre, and of the responses."""
+    if not can_draw():
+        return '<p class="note">No pictures: pip install "skdgp[plot]".</p>'
     flight = plan.flight[plan.flight["flight"] == k]
     time = flight["time"].to_numpy(float)
     fine = np.linspace(0.0, time[-1], 2000)
     inputs = plan.inputs(k)
     signals = np.column_stack([signal(fine) for signal in inputs.values()])
     moved = TimeHistoryDisplay(time=fine, names=tuple(inputs), mean=signals, estimate="input")
-    values = flight[[*SHOWN]].to_numpy(float)
-    expected = TimeHistoryDisplay(time=time, names=SHOWN, mean=values, estimate="expected")
+    expected = TimeHistoryDisplay(
+        time=time, names=SHOWN, mean=flight[[*SHOWN]].to_numpy(float), estimate="expected"
+    )
     return moved.html("Inputs, from trim.") + expected.html("Expected responses.")
-
-
-def _section(title: str, body: str, kind: str = "") -> str:
-    return f"<section{kind}><h2>{title}</h2>{body}</section>"
-
-
-def _unit(name: str) -> tuple[float, str]:
-    """Return the factor from SI to the displayed unit, and that unit."""
-    return display_unit("phi" if name == "bank" else name)
-
-
-def _heading(name: str) -> str:
-    unit = _unit(name)[1]
-    return text(name.replace("_", " ")) + (f"<br>[{unit}]" if unit else "")
-
-
-def _shown(name: str, value: float) -> str:
-    """Return a value in the displayed unit, a dash where there is none."""
-    factor, unit = _unit(name)
-    return number(factor * value, ".1f" if unit else ".2f") if np.isfinite(value) else DASH

@@ -14,7 +14,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix
-from skdgp._display.page import number, percent, table, text
+from skdgp._display.page import number, section, table, text
 from skdgp.dynamics import Aerodynamics, Aircraft, stability_derivatives
 
 
@@ -109,20 +109,22 @@ class PlanCheck:
         means = np.exp(np.log(ratios).mean())
         return {"promised": float(means["promised"]), "found": float(means["found"])}
 
+    @property
+    def _ratios(self) -> str:
+        return "promised {promised:.0%}, found {found:.0%}".format(**self.remaining)
+
     def summary(self) -> list[str]:
         """Return promised and found values in one line."""
-        ratios = ", ".join(f"{name} {value:.0%}" for name, value in self.remaining.items())
-        return [f"standard deviations of the plan's goal, of those before it: {ratios}"]
+        return [f"standard deviations of the plan's goal, of those before it: {self._ratios}"]
 
     def section(self) -> str:
         """Return its section of the report, HTML."""
-        ratios = ", ".join(f"{k} {percent(v, '.0f')} %" for k, v in self.remaining.items())
         caption = (
             f"Standard deviations of derivatives at the trim of the plan: before its flight, "
             f"promised by the plan, and found in this model. Geometric mean, of those before: "
-            f"{ratios}."
+            f"{self._ratios}."
         )
-        return f"<section><h2>The plan and this model</h2>{errors_table(self.errors, caption)}</section>"
+        return section("The plan and this model", errors_table(self.errors, caption))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-
-# Least increase of the gain that justifies an exchange of manoeuvres
-WORTH_EXCHANGE = 1e-6
-# Rounding of sums of seconds
-ROUNDING = 1e-6
 
 
 def information(X: Matrix) -> Matrix:
@@ -48,51 +44,48 @@ class Choice:
     known: Matrix
     places: Sequence[int]
     time: float
+    #: Least increase of the gain that justifies an exchange of manoeuvres
+    worth_exchange: ClassVar[float] = 1e-6
+    #: Rounding of sums of seconds
+    rounding: ClassVar[float] = 1e-6
 
     def gain(self, chosen: Sequence[int]) -> float:
-        """Return the mean of minus the logarithm of the errors of the goal."""
-        fisher = self.known.copy()
-        for k in chosen:
-            fisher += self.informations[k]
+        """Return the mean of minus the logarithm of the errors of the goal; minus infinity beyond the time."""
+        if self.seconds[[*chosen]].sum() > self.time + self.rounding:
+            return -np.inf
+        fisher = self.known + sum(self.informations[k] for k in chosen)
         scale = np.sqrt(np.diag(fisher))
         inverse = np.linalg.inv(fisher / np.outer(scale, scale))
         variances = np.diag(inverse) / scale**2
         return float(-0.5 * np.mean(np.log(variances[self.places])))
 
-    def fits(self, chosen: Sequence[int]) -> bool:
-        """Return whether a sequence fits into the time."""
-        return bool(self.seconds[list(chosen)].sum() <= self.time + ROUNDING)
-
     def filled(self, chosen: list[int]) -> list[int]:
         """Return manoeuvres, and more with the largest gain per second until the time is used."""
-        n = len(self.seconds)
-        while True:
-            longer = [[*chosen, k] for k in range(n) if self.fits([*chosen, k])]
-            if not longer:
-                return chosen
-            before = self.gain(chosen)
-            rates = [
-                (self.gain(sequence) - before) / self.seconds[sequence[-1]] for sequence in longer
-            ]
-            chosen = longer[int(np.argmax(rates))]
+        gains = np.array([self.gain([*chosen, k]) for k in range(len(self.seconds))])
+        rates = (gains - self.gain(chosen)) / self.seconds
+        if np.isneginf(rates).all():
+            return chosen
+        return self.filled([*chosen, int(np.argmax(rates))])
 
     def exchanged(self, chosen: list[int]) -> list[int]:
         """Return the best sequence with one manoeuvre replaced by another."""
         best = chosen
-        largest = self.gain(chosen) + WORTH_EXCHANGE
+        largest = self.gain(chosen) + self.worth_exchange
         for place in range(len(chosen)):
             for k in range(len(self.seconds)):
-                exchanged = [*chosen[:place], k, *chosen[place + 1 :]]
-                if self.fits(exchanged) and self.gain(exchanged) > largest:
-                    best = exchanged
-                    largest = self.gain(exchanged)
+                sequence = [*chosen]
+                sequence[place] = k
+                gain = self.gain(sequence)
+                if gain > largest:
+                    best = sequence
+                    largest = gain
         return best
 
     def best(self) -> list[int]:
         """Return the places of the manoeuvres: greedy, with exchanges while they help."""
         chosen = self.filled([])
-        while True:
-            better = self.filled(self.exchanged(chosen))
-            if better == chosen:
-                return chosen
+        better = self.filled(self.exchanged(chosen))
+        while better != chosen:
             chosen = better
+            better = self.filled(self.exchanged(chosen))
+        return chosen

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from skdgp._excitation import (
-    SAMPLES_PER_PERIOD,
     Signal,
+    Wavetrain,
     doublet,
     orthogonal_multisines,
     three_two_one_one,
@@ -66,6 +66,12 @@ class PlanSettings:
         Least relative reduction of the errors of the goal.
     vague : float
         Information assumed of everything, relative to the largest of a manoeuvre.
+    unmoved : float
+        Information of a manoeuvre below which motion is rounding.
+    most_seconds : float
+        Longest flight [s].
+    most_deflection : float
+        Deflection that no surface has [rad].
     """
 
     rate: float = 50.0
@@ -80,6 +86,9 @@ class PlanSettings:
     shrink: tuple[float, float] = (0.7, 0.98)
     worth: float = 0.002
     vague: float = 1e-8
+    unmoved: float = 1e-6
+    most_seconds: float = 1800.0
+    most_deflection: float = np.pi / 2
 
 
 SETTINGS = PlanSettings()
@@ -142,7 +151,7 @@ def library(
 
 def _pulses(axis: str, limit: float, band: Any, settings: PlanSettings) -> dict[str, Inputs]:
     """Return doublets and 3-2-1-1s of an axis, with pulses that the autopilot can set."""
-    shortest = 0.5 * SAMPLES_PER_PERIOD / settings.rate
+    shortest = 0.5 * Wavetrain.samples_per_period / settings.rate
     pulses: dict[str, Inputs] = {}
     for factor in settings.widths:
         width = max(factor * band["doublet"], shortest)
@@ -157,7 +166,7 @@ def _multisines(
 ) -> dict[str, Inputs]:
     """Return multisines on some axes at once, up to a frequency that the autopilot can set."""
     low = float(bands["lowest"].min())
-    high = min(float(bands["highest"].max()), settings.rate / SAMPLES_PER_PERIOD)
+    high = min(float(bands["highest"].max()), settings.rate / Wavetrain.samples_per_period)
     multisines: dict[str, Inputs] = {}
     for duration in settings.multisines:
         n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1

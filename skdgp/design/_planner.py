@@ -14,32 +14,24 @@ from skdgp._compute.files import plain
 from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._excitation import Signal, Steps, Wavetrain, wavetrain
+from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.design._check import std_at
 from skdgp.design._choice import Choice, information
 from skdgp.design._envelope import (
-    GROWTH,
     OPTIONS,
     QUANTITIES,
     UNLIMITED,
     WHOLE_RANGE,
     Envelope,
-    option_of,
+    common_range,
     quantities,
     regressors_of,
 )
-from skdgp.design._library import (
-    SETTINGS,
-    Inputs,
-    PlanSettings,
-    duration_of,
-    input_bands,
-    library,
-    scaled,
-)
+from skdgp.design._library import SETTINGS, PlanSettings, input_bands, library
+from skdgp.design._rehearsal import Rehearsal, Rehearsed
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
@@ -47,20 +39,12 @@ from skdgp.dynamics import (
     Trim,
     as_aerodynamics,
     linearize,
-    simulate,
 )
 
-# Deflection that no surface has [rad]
-MOST_DEFLECTION = np.pi / 2
 # Axes that are no deflections
 UNBOUNDED = ("thrust", "propeller_speed")
-# Duration of a plan [s]
-MOST_SECONDS = 1800.0
 # Facts of the trim in plan.json
 TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
-# Information of a manoeuvre below which motion is rounding
-UNMOVED = 1e-6
-ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +90,8 @@ class Plan:
     @property
     def seconds(self) -> float:
         """Of the flight, pauses included [s]."""
-        first = self.manoeuvres["start"].iloc[0]
-        return float(first + self.manoeuvres[["duration", "pause"]].to_numpy().sum())
+        last = self.manoeuvres.iloc[-1]
+        return float(last["start"] + last["duration"] + last["pause"])
 
     @property
     def remaining(self) -> float:
@@ -117,8 +101,11 @@ class Plan:
     def inputs(self, k: int) -> dict[str, Signal]:
         """Return the inputs of a row of ``manoeuvres`` by axis."""
         begin = self.manoeuvres["start"].iloc[k]
-        events = self.train.events()
-        return {axis: signal for axis, start, signal in events if np.isclose(start, begin)}
+        inputs = {}
+        for axis, start, signal in self.train.events():
+            if np.isclose(start, begin):
+                inputs[axis] = signal
+        return inputs
 
     @property
     def expected(self) -> pd.DataFrame:
@@ -128,21 +115,18 @@ class Plan:
 
     @property
     def abort_limits(self) -> pd.DataFrame:
-        """The ``low`` and ``high`` ends of the quantities, the narrower of asked and flown."""
-        requested = self.limits.reindex(QUANTITIES)
-        flown = self.limits.reindex([GROWTH + name for name in QUANTITIES]).set_axis(QUANTITIES)
-        low = np.fmax(requested["low"], flown["low"])
-        high = np.fmin(requested["high"], flown["high"])
-        low["airspeed"] = low["airspeed"] if low["airspeed"] > 0 else -np.inf
-        return pd.DataFrame({"low": low, "high": high})
+        """The ``low`` and ``high`` ends of the quantities."""
+        limits = self.limits.reindex(QUANTITIES)
+        slowest = limits["low"]["airspeed"]
+        limits.loc["airspeed", "low"] = slowest if slowest > 0 else -np.inf
+        return limits
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, SI units and radians."""
-        point = vars(self.trim)
-        trim = {name: plain(point[name]) for name in TRIM}
+        trim = pd.Series(vars(self.trim))[[*TRIM]]
         return {
             "aircraft": self.aircraft.name,
-            "trim": trim,
+            "trim": plain(trim.to_dict()),
             "manoeuvres": self.manoeuvres.to_dict("records"),
             "margin": self.margin,
             "limits": self.limits.to_dict("index"),
@@ -233,46 +217,77 @@ def plan(
     >>> found.manoeuvres["name"].tolist()
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
+    envelope = envelope or Envelope()
+    aerodynamics = as_aerodynamics(model)
+    _check_options(seconds, axes, limits or {}, settings)
+    check_names(axes, trim.controls, "controls of the trim")
+    _warn_unlimited(envelope, aerodynamics)
+    goal = _check_goal(goal, aerodynamics)
+    amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
+    # a quarter of Lanchester's phugoid, sqrt(2) pi V / g
+    quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
+    pause = max(settings.response, quarter)
+    time = seconds - settings.response
+    rehearsal = Rehearsal(model, aircraft, trim, amplitudes, envelope, thrust, settings)
     with one_blas_thread(), without_warnings(SimulationWarning):
-        envelope = envelope or Envelope()
-        aerodynamics = as_aerodynamics(model)
-        _check_options(seconds, axes, limits or {})
-        _warn_unlimited(envelope, aerodynamics)
-        names = _check_goal(goal, aerodynamics)
-        check_names(axes, trim.controls, "controls of the trim")
-        amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
-        planner = _Planner(
-            model, aircraft, trim, amplitudes, envelope, thrust, names, float(seconds), settings
-        )
-        return planner.plan()
+        notify("planning: library", 0, 0.0)
+        modes = linearize(model, aircraft, trim, thrust=thrust).modes()
+        bands = input_bands(modes, amplitudes, settings.band)
+        available = rehearsal.inside(library(bands, amplitudes, settings), time, pause)
+        notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
+        rows = [_rows(item, aircraft, aerodynamics, settings) for item in available]
+        durations = np.array([item.duration for item in available])
+        chosen = _chosen(aerodynamics, rows, durations + pause, time, goal, settings)
+        if not chosen:
+            raise ValueError(
+                f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their "
+                f"limits lower its errors too little: move other axes, raise their limits, or ask for "
+                f"another goal."
+            )
+        notify("planning: promise", 0, 0.0)
+        added = np.concatenate([rows[k] for k in chosen])
+        errors = _errors(model, aircraft, trim, thrust, added)
+    flown = [available[k] for k in chosen]
+    return Plan(
+        train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
+        trim=trim,
+        manoeuvres=_timetable(flown, pause, settings.response),
+        flight=_numbered([item.flight for item in flown]),
+        errors=errors.reindex(goal),
+        limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
+        aircraft=aircraft,
+        margin=envelope.margin,
+        servo_lag=aerodynamics.servo_lag,
+    )
 
 
-def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None:
+def _check_options(
+    seconds: Any, axes: Any, limits: Mapping[str, float], settings: PlanSettings
+) -> None:
     """Raise ValueError where an option of `plan` is none."""
     if isinstance(axes, str) or not len(axes) or len({*axes}) < len(axes):
         raise ValueError(
             f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
         )
-    if not (np.ndim(seconds) == 0 and 0 < seconds <= MOST_SECONDS):
+    if check_number("seconds", seconds) > settings.most_seconds:
         raise ValueError(
-            f"Got seconds={seconds!r}, but expected a number > 0 and at most {MOST_SECONDS:g}: "
-            f"plan a shorter flight, and fly it again."
+            f"Got seconds={seconds!r}, but expected at most {settings.most_seconds:g}: plan a shorter "
+            f"flight, and fly it again."
         )
     check_names(limits, axes, "axes to move")
     for axis, limit in limits.items():
-        most = np.inf if axis in UNBOUNDED else MOST_DEFLECTION
-        if not check_number(f"limit of the {axis}", limit) < most:
+        check_number(f"limit of the {axis}", limit)
+        if axis not in UNBOUNDED and not limit < settings.most_deflection:
             raise ValueError(
-                f"Got a limit of {limit:g} for the {axis}, but expected less than {most:.3g}: "
-                f"rad, not degrees, or 0 to 1 of the throttle."
+                f"Got a limit of {limit:g} for the {axis}, but expected less than "
+                f"{settings.most_deflection:.3g}: rad, not degrees, or 0 to 1 of the throttle."
             )
 
 
 def _warn_unlimited(envelope: Envelope, model: Aerodynamics) -> None:
     """Warn of quantities with neither a limit nor a known range."""
-    if not model.is_uncertain:
-        return
-    if free := envelope.unlimited(model):
+    free = envelope.unlimited(model)
+    if free and model.is_uncertain:
         options = ", ".join(OPTIONS[name] for name in free)
         warn(
             f"The model does not know the flown range of {', '.join(free)}, so nothing limits "
@@ -295,25 +310,23 @@ def _derivative_places(model: Aerodynamics) -> dict[str, int]:
 def _check_goal(goal: Sequence[str] | None, model: Aerodynamics) -> list[str]:
     """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of one."""
     places = _derivative_places(model)
-    names = list(places) if goal is None else list(goal)
-    lacking = [name for name in names if name not in places]
-    if lacking or not names or isinstance(goal, str):
-        shown = goal if isinstance(goal, str) or not names else lacking
+    if goal is None:
+        return list(places)
+    if isinstance(goal, str) or not len(goal) or not {*goal} <= places.keys():
         raise ValueError(
-            f"Got the goal {shown!r}, but the model has the regressors {list(model.regressors)}: "
+            f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: "
             f"give a list of derivatives such as {next(iter(places))!r}, or learn a model with that "
             f"regressor."
         )
-    if goal is not None and model.limits is not None:
-        is_still = np.ptp(model.limits, axis=0) == 0
-        unmoved = [name for name in names if is_still[places[name]]]
-        if unmoved:
-            regressor = model.regressors[places[unmoved[0]]]
+    for name in goal:
+        place = places[name]
+        if model.limits is not None and np.ptp(model.limits[:, place]) == 0:
             raise ValueError(
-                f"Got the goal {unmoved}, but {regressor} did not move in the flights that the model "
-                f"was learned from: learn from a flight in which it moves, or ask for another goal."
+                f"Got the goal {name}, but {model.regressors[place]} did not move in the flights that "
+                f"the model was learned from: learn from a flight in which it moves, or ask for "
+                f"another goal."
             )
-    return names
+    return list(goal)
 
 
 def _amplitudes(
@@ -330,10 +343,8 @@ def _amplitudes(
                 f"Got no limit of the {axis}, and the model does not say what was flown: give "
                 f"limits={{{axis!r}: ...}} (--limits)."
             )
-        low, high = UNLIMITED if axis in limits else flown[axis]
-        least, most = WHOLE_RANGE.get(axis, UNLIMITED)
-        low = max(low, least)
-        high = min(high, most)
+        ends = UNLIMITED if axis in limits else flown[axis]
+        low, high = common_range(ends, WHOLE_RANGE.get(axis, UNLIMITED))
         value = trim.controls[axis]
         room = min(value - low, high - value)
         if not room > 0:
@@ -346,222 +357,64 @@ def _amplitudes(
     return amplitudes
 
 
-@dataclass(frozen=True, eq=False)
-class _Manoeuvre:
-    """A manoeuvre that stays in the envelope."""
+def _rows(
+    item: Rehearsed, aircraft: Aircraft, model: Aerodynamics, settings: PlanSettings
+) -> Matrix:
+    """Return the regressors (n, d) of a manoeuvre at the rate of the model's own rows."""
+    interval = settings.row_step
+    if model.training_rows is not None and model.training_seconds is not None:
+        interval = model.training_seconds / len(model.training_rows())
+    time = item.flight["time"].to_numpy(float)
+    times = np.arange(time[0], time[-1] + 0.5 * interval, interval)
+    X = regressors_of(item.flight, aircraft, model.regressors)
+    return np.column_stack([np.interp(times, time, column) for column in X.T])
 
-    name: str
-    inputs: Inputs
-    scale: float  # relative to the limits of the axes
-    seconds: float  # of the manoeuvre and a pause beside it
-    flight: pd.DataFrame
-    rows: Matrix  # regressors (n, d) of the flight at the rate of the model's own rows
+
+def _chosen(
+    model: Aerodynamics,
+    rows: Sequence[Matrix],
+    seconds: Vector,
+    time: float,
+    goal: Sequence[str],
+    settings: PlanSettings,
+) -> list[int]:
+    """Return the sequence of manoeuvres that lowers the errors of the goal most; none if it hardly does."""
+    informations = [information(X) for X in rows]
+    moved = np.max([np.diag(matrix) for matrix in informations], axis=0)
+    known = settings.vague * np.diag(np.maximum(moved, settings.unmoved))
+    if model.training_rows is not None:
+        known += information(model.training_rows())
+    places = _derivative_places(model)
+    slopes = [1 + places[name] for name in goal]  # behind the constant
+    choice = Choice(informations, seconds, known, slopes, time)
+    chosen = choice.best()
+    return chosen if choice.gain(chosen) - choice.gain([]) >= settings.worth else []
 
 
-@dataclass(eq=False)
-class _Planner:
-    """Search for the manoeuvres of a flight."""
+def _errors(
+    model: Aerodynamics | BaseEstimator, aircraft: Aircraft, trim: Trim, thrust: Any, added: Matrix
+) -> pd.DataFrame:
+    """Return standard deviations of derivatives before the flight, and promised after it."""
+    point = vars(trim)
+    before = std_at(model, aircraft, point, thrust)
+    promised = pd.Series(dtype=float)
+    if as_aerodynamics(model).training_rows is not None and len(before):
+        promised = std_at(model, aircraft, point, thrust, added)
+    return pd.DataFrame({"before": before, "promised": promised}, dtype=float)
 
-    model: Aerodynamics | BaseEstimator
-    aircraft: Aircraft
-    point: Trim
-    limits: Mapping[str, float]
-    envelope: Envelope
-    thrust: Any
-    goal: Sequence[str]
-    seconds: float
-    settings: PlanSettings
 
-    def __post_init__(self) -> None:
-        self.aerodynamics = as_aerodynamics(self.model)
-        quarter = np.pi * self.point.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
-        self.pause = max(self.settings.response, quarter)  # at the trim beside a manoeuvre [s]
-        self.bounds = self.envelope.bounds(self.aerodynamics)
-        training_rows = self.aerodynamics.training_rows
-        self.learned = None if training_rows is None else training_rows()  # regressors (n, d)
-        self.interval = self.settings.row_step  # between rows of a log [s]
-        if self.learned is not None and self.aerodynamics.training_seconds is not None:
-            self.interval = self.aerodynamics.training_seconds / len(self.learned)
-        places = _derivative_places(self.aerodynamics)
-        self.slopes = [1 + places[name] for name in self.goal]
+def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataFrame:
+    """Return the manoeuvres one after another, with the pause after each and at the end."""
+    rows = []
+    start = pause
+    for item in flown:
+        rows.append({"start": start, "name": item.name, "duration": item.duration, "pause": pause})
+        start += item.duration + pause
+    rows[-1]["pause"] = end
+    return pd.DataFrame(rows).assign(scale=[item.scale for item in flown])
 
-    def plan(self) -> Plan:
-        """Return the plan."""
-        notify("planning: library", 0, 0.0)
-        available = self._library()
-        notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
-        chosen = self._choice(available)
-        notify("planning: promise", 0, 0.0)
-        rows = []
-        flights = []
-        start = self.pause
-        for k, item in enumerate(chosen):
-            duration = duration_of(item.inputs)
-            rows.append({
-                "start": start, "name": item.name, "duration": duration,
-                "pause": self.pause, "scale": item.scale,
-            })  # fmt: skip
-            flights.append(item.flight.assign(flight=k))
-            start += duration + self.pause
-        rows[-1]["pause"] = self.settings.response
-        return Plan(
-            train=wavetrain([item.inputs for item in chosen], pause=self.pause, limits=self.limits),
-            trim=self.point,
-            manoeuvres=pd.DataFrame(rows),
-            flight=pd.concat(flights, ignore_index=True),
-            errors=self._errors(chosen),
-            limits=pd.DataFrame(self.bounds, ["low", "high"]).T,
-            aircraft=self.aircraft,
-            margin=self.envelope.margin,
-            servo_lag=self.aerodynamics.servo_lag,
-        )
 
-    # -- manoeuvres inside the envelope
-
-    def _library(self) -> list[_Manoeuvre]:
-        """Return the manoeuvres that fit into the time, each as large as the envelope allows."""
-        full = self._candidates()
-        centre = self._trimmed_channels()
-        scales = dict.fromkeys(full, 1.0)
-        inside = []
-        cause = ""
-        while scales:
-            sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
-            flights = self._flights(sized)
-            for name, inputs in sized.items():
-                room = self._room(inputs, flights[name], centre)
-                if room.min() >= 1.0:
-                    inside.append(self._manoeuvre(name, inputs, scales.pop(name), flights[name]))
-                    continue
-                # Responses are nearly proportional to inputs
-                scales[name] *= float(np.clip(room.min(), *self.settings.shrink))
-                if scales[name] < self.settings.least_scale:
-                    del scales[name]
-                    cause = str(room.idxmin())
-        if not inside:
-            raise ValueError(
-                f"Got an envelope that every manoeuvre leaves even at "
-                f"{self.settings.least_scale:.0%} of the limits; the last one leaves it by "
-                f"{self._named(cause)}: widen this limit, or fly another airspeed or altitude."
-            )
-        return inside
-
-    def _candidates(self) -> dict[str, Inputs]:
-        """Return the manoeuvres that fit into the time, as large as the limits of the axes."""
-        modes = linearize(self.model, self.aircraft, self.point, thrust=self.thrust).modes()
-        bands = input_bands(modes, self.limits, self.settings.band)
-        longest = self.seconds - self.pause - self.settings.response
-        candidates = {}
-        for name, inputs in library(bands, self.limits, self.settings).items():
-            if duration_of(inputs) <= longest:
-                candidates[name] = inputs
-        if not candidates:
-            raise ValueError(
-                f"Got {self.seconds:g} s, but no manoeuvre with pauses of {self.pause:.3g} s is that "
-                f"short: give more seconds."
-            )
-        return candidates
-
-    def _named(self, limit: str) -> str:
-        """Return the words and the option of a limit."""
-        return f"{limit.replace(GROWTH, 'flown ')} ({option_of(limit, self.aerodynamics)})"
-
-    def _manoeuvre(
-        self, name: str, inputs: Inputs, scale: float, flight: pd.DataFrame
-    ) -> _Manoeuvre:
-        seconds = duration_of(inputs) + self.pause
-        X = regressors_of(flight, self.aircraft, self.aerodynamics.regressors)
-        time = flight["time"].to_numpy(float)
-        times = np.arange(time[0], time[-1] + 0.5 * self.interval, self.interval)
-        rows = np.column_stack([np.interp(times, time, column) for column in X.T])
-        return _Manoeuvre(name, inputs, scale, seconds, flight, rows)
-
-    def _flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
-        """Return the flights of manoeuvres by the mean in calm air, each with its response after it."""
-        durations = {name: duration_of(inputs) for name, inputs in manoeuvres.items()}
-        longest = max(durations.values()) + self.settings.response
-        tables = []
-        for name, inputs in manoeuvres.items():
-            train = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
-            pause = longest - durations[name]
-            tables.append(train.table(self.settings.rate, trim=self.point.controls, pause=pause))
-        step = self.settings.row_step
-        flown = simulate(
-            self.model,
-            self.aircraft,
-            [self.point] * len(tables),
-            tables,
-            step,
-            duration=step * np.floor(longest / step + ROUNDING),
-            thrust=self.thrust,
-        )
-        parts = [flown]
-        if len(tables) > 1:
-            parts = [flight for _, flight in flown.groupby("start", sort=True)]
-        flights = {}
-        for (name, duration), flight in zip(durations.items(), parts, strict=True):
-            is_recorded = flight["time"] <= duration + self.settings.response + ROUNDING
-            flights[name] = flight[is_recorded].reset_index(drop=True)
-        return flights
-
-    def _trimmed_channels(self) -> Vector:
-        """Return the channels of the envelope in trimmed flight, (c,); raise ValueError if they leave it."""
-        nothing: Inputs = {next(iter(self.limits)): Steps([1.0], [0.0])}
-        flight = self._flights({"trim": nothing})["trim"]
-        centre = self.envelope.channels(flight, self.aircraft, self.aerodynamics).iloc[0]
-        for name, (low, high) in self.bounds.items():
-            if centre[name] < low or centre[name] > high:
-                raise ValueError(
-                    f"Got an envelope that trimmed flight at {self.point.airspeed:g} m/s and "
-                    f"{self.point.altitude:.0f} m leaves by {self._named(name)}: widen this limit, or "
-                    f"choose another airspeed or altitude."
-                )
-        return centre.to_numpy()
-
-    def _room(self, inputs: Inputs, flight: pd.DataFrame, centre: Vector) -> pd.Series:
-        """Return for each limit the factor of a response that meets it, with the margin."""
-        if (flight["ended"] != "").any():
-            return pd.Series({"the end of the simulation": 0.0})
-        is_unattended = flight["time"] <= duration_of(inputs) + self.settings.reaction + ROUNDING
-        values = self.envelope.channels(flight[is_unattended], self.aircraft, self.aerodynamics)
-        is_set = [name.removeprefix(GROWTH) in self.limits for name in self.bounds]
-        margin = np.where(is_set, 0.0, self.envelope.margin)  # a control has no response
-        response = (1.0 + margin) * (values.to_numpy() - centre)
-        low, high = np.array([*self.bounds.values()]).T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            factors = (np.where(response > 0, high, low) - centre) / response
-        factors = np.where(np.isfinite(factors), factors, np.inf)
-        return pd.Series(factors.min(axis=0), index=values.columns)
-
-    # -- choice
-
-    def _choice(self, available: Sequence[_Manoeuvre]) -> list[_Manoeuvre]:
-        """Return the sequence that reduces the errors most; raise ValueError if it hardly does."""
-        informations = [information(item.rows) for item in available]
-        largest = np.max([np.diag(matrix) for matrix in informations], axis=0)
-        prior = self.settings.vague * np.diag(np.maximum(largest, UNMOVED))
-        if self.learned is not None:
-            prior += information(self.learned)
-        seconds = np.array([item.seconds for item in available])
-        time = self.seconds - self.settings.response
-        choice = Choice(informations, seconds, prior, self.slopes, time)
-        chosen = choice.best()
-        worth = choice.gain(chosen) - choice.gain([])
-        if worth < self.settings.worth:
-            raise ValueError(
-                f"Got the goal {list(self.goal)}, but {self.seconds:g} s of manoeuvres of "
-                f"{list(self.limits)} within their limits lower its errors by {worth:.2%}: move "
-                f"other axes, raise their limits, or ask for another goal."
-            )
-        return [available[k] for k in chosen]
-
-    def _errors(self, chosen: Sequence[_Manoeuvre]) -> pd.DataFrame:
-        """Return standard deviations of the goal before the flight, and promised after it."""
-        point = vars(self.point)
-        before = std_at(self.model, self.aircraft, point, self.thrust)
-        promised = pd.Series(dtype=float)
-        if self.learned is not None and len(before):
-            added = np.concatenate([item.rows for item in chosen])
-            promised = std_at(self.model, self.aircraft, point, self.thrust, added)
-        errors = pd.DataFrame({"before": before, "promised": promised}, dtype=float)
-        return errors.reindex(list(self.goal))
+def _numbered(flights: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return flights in one table, with their numbers in the column ``flight``."""
+    parts = [flight.assign(flight=k) for k, flight in enumerate(flights)]
+    return pd.concat(parts, ignore_index=True)

@@ -3,28 +3,41 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._excitation import ROUNDING, Signal, Steps, Wavetrain
+from skdgp._excitation import ROUNDING, Steps, Wavetrain
 from skdgp._flight.checks import check_names, check_number
 
 SCRIPT = Path(__file__).with_name("replay.lua")
-# SERVOn_FUNCTION and sign: ArduPilot's positive commands raise the nose, roll and yaw right, move
-# elevons and halves of a V-tail up
+
+
+class Servo(NamedTuple):
+    """ArduPilot's commands of a servo function."""
+
+    function: int  # SERVOn_FUNCTION
+    sign: float  # of a command that moves the control as in docs/notation.md
+    is_range: bool = False  # from 0 to 1, not from -1 to 1
+    scale: float = (
+        4500.0  # scaled command at full deflection: centidegrees of a range of 45 degrees
+    )
+
+
+# ArduPilot's positive commands raise the nose, roll and yaw right, move elevons and halves of a
+# V-tail up
 ARDUPILOT = {
-    "elevator": (19, -1.0),
-    "aileron": (4, 1.0),
-    "rudder": (21, -1.0),
-    "throttle": (70, 1.0),
-    "elevon_left": (77, -1.0),
-    "elevon_right": (78, -1.0),
-    "vtail_left": (79, -1.0),
-    "vtail_right": (80, -1.0),
+    "elevator": Servo(19, -1.0),
+    "aileron": Servo(4, 1.0),
+    "rudder": Servo(21, -1.0),
+    "throttle": Servo(70, 1.0, is_range=True, scale=100.0),
+    "elevon_left": Servo(77, -1.0),
+    "elevon_right": Servo(78, -1.0),
+    "vtail_left": Servo(79, -1.0),
+    "vtail_right": Servo(80, -1.0),
 }
 # Surfaces that several axes move
 MIXES = {
@@ -33,13 +46,6 @@ MIXES = {
     "vtail_left": {"elevator": 1.0, "rudder": 1.0},
     "vtail_right": {"elevator": 1.0, "rudder": -1.0},
 }
-# ArduPilot's scaled commands at full deflection: per cent, and centidegrees of a range of 45
-THROTTLE_SCALE = 100.0
-SURFACE_SCALE = 4500.0
-# Amplitude of an axis without a limit
-NO_LIMIT = 1e30
-# Rate of a script [Hz]: ArduPilot counts milliseconds
-FASTEST = 1000.0
 # RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft
 SWITCHES = range(300, 308)
 
@@ -86,9 +92,9 @@ def ardupilot_script(
     >>> "SRV_Channels" in script
     True
     """
-    if not (rate <= FASTEST and switch in SWITCHES):
+    if not (0.0 < rate <= 1000.0 and switch in SWITCHES):
         raise ValueError(
-            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most {FASTEST:g} Hz and an "
+            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most 1000 Hz and an "
             f"RCn_OPTION of {SWITCHES[0]} to {SWITCHES[-1]}."
         )
     full = dict(full)
@@ -96,28 +102,14 @@ def ardupilot_script(
         full["throttle"] = 1.0
     mixes = surface_mixes(list(train.inputs), full)
     _check_room(train.table(rate), mixes, full)
-    axes = []
-    for axis, inputs in train.inputs.items():
-        signals = [_numbers(signal) | {"start": start} for start, signal in inputs.items()]
-        limit = train.limits.get(axis, NO_LIMIT)
-        axes.append({"name": axis, "amplitude": limit, "signals": signals})
-    surfaces = []
-    for name, mix in mixes.items():
-        servo, sign = ARDUPILOT[name]
-        is_throttle = name == "throttle"
-        surfaces.append({
-            "name": name, "servo": servo, "full": sign * full[name], "range": is_throttle,
-            "scale": THROTTLE_SCALE if is_throttle else SURFACE_SCALE,
-            "parts": [mix.get(axis, 0.0) for axis in train.inputs],
-        })  # fmt: skip
     plan = {
         "switch": switch,
-        "period": int(1000.0 / rate),
+        "period": int(1000.0 / rate),  # ArduPilot counts milliseconds
         "duration": train.duration,
         "labels": ",".join(["t", *train.inputs]),
-        "format": "f" * (1 + len(axes)),
-        "axes": axes,
-        "surfaces": surfaces,
+        "format": "f" * (1 + len(train.inputs)),
+        "axes": [_axis(train, axis) for axis in train.inputs],
+        "surfaces": [_surface(name, full[name], mix, train.inputs) for name, mix in mixes.items()],
     }
     return SCRIPT.read_text(encoding="utf-8").replace("--[[PLAN]]", _lua(plan))
 
@@ -126,15 +118,16 @@ def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, d
     """Return the gains of the axes that move each surface of ArduPilot; raise ValueError as `ardupilot_script`."""
     check_names(full, ARDUPILOT, "servo functions of ArduPilot")
     mixes = {}
-    moved: set[str] = set()
+    still = dict.fromkeys(axes)
     for name, value in full.items():
         check_number(f"full deflection of the {name}", value)
         gains = MIXES.get(name, {name: 1.0})
         mix = {axis: gain for axis, gain in gains.items() if axis in axes}
         if mix:
             mixes[name] = mix
-            moved.update(mix)
-    if still := [axis for axis in axes if axis not in moved]:
+        for axis in mix:
+            still.pop(axis, None)
+    if still:
         raise ValueError(
             f"Got full deflections of {list(full)}, but expected also those of surfaces that move "
             f"with the {' and the '.join(still)}: add them."
@@ -145,10 +138,8 @@ def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, d
 def _check_room(table: pd.DataFrame, mixes: Mapping, full: Mapping[str, float]) -> None:
     """Raise ValueError if a full deflection is smaller than the inputs of a surface."""
     for name, mix in mixes.items():
-        moved = np.zeros(len(table))
-        for axis, gain in mix.items():
-            moved += gain * table[axis]
-        peak = np.abs(moved).max()
+        gains = pd.Series(mix)
+        peak = (table[gains.index] @ gains).abs().max()
         if not peak <= full[name] * (1.0 + ROUNDING):
             raise ValueError(
                 f"Got inputs of the {name} up to {peak:.4g}, but its full deflection is "
@@ -156,13 +147,34 @@ def _check_room(table: pd.DataFrame, mixes: Mapping, full: Mapping[str, float]) 
             )
 
 
-def _numbers(signal: Signal) -> dict[str, Any]:
-    """Return the numbers of a signal for the script."""
-    kind = {"kind": type(signal).__name__, "duration": signal.duration}
-    if isinstance(signal, Steps):
-        swings = np.diff([0.0, *signal.levels, 0.0])
-        return kind | {"edges": signal.edges.tolist(), "swings": swings.tolist()}
-    return kind | vars(signal)
+def _axis(train: Wavetrain, axis: str) -> dict[str, Any]:
+    """Return the inputs of an axis for the script."""
+    signals = []
+    for start, signal in train.inputs[axis].items():
+        numbers = {"start": start, "kind": type(signal).__name__, "duration": signal.duration}
+        if isinstance(signal, Steps):
+            numbers["edges"] = signal.edges.tolist()
+            numbers["swings"] = np.diff([0.0, *signal.levels, 0.0]).tolist()
+        else:
+            numbers |= vars(signal)
+        signals.append(numbers)
+    amplitude = train.limits.get(axis, 1e30)  # no limit
+    return {"name": axis, "amplitude": amplitude, "signals": signals}
+
+
+def _surface(
+    name: str, full: float, mix: Mapping[str, float], axes: Iterable[str]
+) -> dict[str, Any]:
+    """Return the commands of a surface for the script."""
+    servo = ARDUPILOT[name]
+    return {
+        "name": name,
+        "servo": servo.function,
+        "full": servo.sign * full,
+        "range": servo.is_range,
+        "scale": servo.scale,
+        "parts": [mix.get(axis, 0.0) for axis in axes],
+    }
 
 
 def _lua(value: Any) -> str:

@@ -7,32 +7,29 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import notify
-from skdgp._compute.typing import Indices, Matrix
+from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, TRUTH_SUFFIX
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights
-from skdgp.identification._learn import LearnedModel, named_regressors
+from skdgp.identification._learn import LearnedModel, linear_terms, named_regressors
 from skdgp.identification._pipeline import FlightPipeline, flight_regressors
 from skdgp.identification._prepare import Tables, regressor_columns, usable_flights
 from skdgp.report import Evaluation
 
 # steps that an evaluation reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
-# rows of a flight at which standard deviations are computed; they cost N^2 each, means only N
-STD_ROWS = 3000
 
 
 def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
     notify(f"evaluating {name}")
     loads = {key: model.settings[key] for key in ("thrust", "external_forces")}
-    measured = aerodynamic_coefficients(table, model.aircraft, **loads).to_numpy()
+    measured = aerodynamic_coefficients(table, model.aircraft, **loads)
     regressors, noise_ratio = flight_regressors(model.pipeline, table)
     regressor = model.pipeline[-1]
     mean = regressor.predict(regressors)
-    step = -(-len(table) // STD_ROWS)
-    rows = np.arange(step // 2, len(table), step)
+    rows = std_rows(len(table))
     std = _interpolated_std(regressor, regressors, noise_ratio, rows)
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*table.columns}:  # from which the integration starts
@@ -42,7 +39,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         name=name,
         time=table["time"].to_numpy(float),
         table=table,
-        measured=measured,
+        measured=measured.to_numpy(),
         mean=mean,
         std=std,
         measured_std=np.sqrt(std**2 + regressor.noise_variance_),
@@ -54,13 +51,18 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     )
 
 
+def std_rows(n: int, most: int = 3000) -> Indices:
+    """Return the rows of n at which standard deviations are computed; they cost N^2 each, means only N."""
+    step = int(np.ceil(n / most))
+    return np.arange(step // 2, n, step)
+
+
 def _interpolated_std(
-    regressor: DependentGPRegressor, regressors: Matrix, noise_ratio: np.ndarray, rows: Indices
+    regressor: DependentGPRegressor, regressors: Matrix, noise_ratio: Vector, rows: Indices
 ) -> Matrix:
     """Return standard deviations (n, 6), computed at some rows and interpolated between these."""
-    std = regressor.predict(
-        regressors[rows], return_std=True, include_input_noise=noise_ratio[rows]
-    )[1]
+    ratio = noise_ratio[rows]
+    _, std = regressor.predict(regressors[rows], return_std=True, include_input_noise=ratio)
     every = np.arange(len(regressors))
     return np.column_stack([np.interp(every, rows, column) for column in std.T])
 
@@ -75,10 +77,8 @@ def _baseline(model: LearnedModel, regressors: Matrix) -> Matrix | None:
     """Return the coefficients (n, 6) by least squares on the rows of the fit, where it is known."""
     if model.fit.training is None:
         return None
-    linear = model.fit.training.least_squares
-    weights = np.array([list(linear[name].values()) for name in COEFFICIENTS])
-    X = named_regressors(model.pipeline, regressors).to_numpy()
-    return weights[:, 0] + X @ weights[:, 1:].T
+    intercepts, slopes = linear_terms(model.fit.training.least_squares)
+    return intercepts + named_regressors(model.pipeline, regressors).to_numpy() @ slopes
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Tables:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import without_warnings
-from skdgp._compute.typing import Array, Vector
+from skdgp._compute.typing import Array, Indices, Vector
 from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.clock import n_rows
 from skdgp._flight.frames import wrapped
@@ -67,7 +67,7 @@ def simulation_errors(
     pipeline: Pipeline | Aerodynamics,
     aircraft: Aircraft,
     tables: Sequence[pd.DataFrame],
-    settings: dict,
+    settings: Mapping[str, Any],
     constants: FreeFlightSettings = SETTINGS,
 ) -> pd.DataFrame:
     """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
@@ -80,73 +80,130 @@ def simulation_errors(
     ``gusts`` [m/s], where they are not estimated, do not explain. Raises ValueError if it cannot be
     simulated.
     """
-    if settings["external_forces"]:
-        raise ValueError(
-            "the flights have loads that a simulation lacks: "
-            f"{', '.join(settings['external_forces'])}"
+    return FreeFlight(pipeline, aircraft, tables, settings, constants).errors()
+
+
+class FreeFlight:
+    """Simulations of parts of test flights, spread over the flights; arguments as of `simulation_errors`."""
+
+    def __init__(
+        self,
+        pipeline: Pipeline | Aerodynamics,
+        aircraft: Aircraft,
+        tables: Sequence[pd.DataFrame],
+        settings: Mapping[str, Any],
+        constants: FreeFlightSettings = SETTINGS,
+    ) -> None:
+        loads = settings["external_forces"]
+        if loads:
+            raise ValueError(f"the flights have loads that a simulation lacks: {', '.join(loads)}")
+        common = set.intersection(*map(set, tables))
+        lacking = [name for name in STATES if name not in common]
+        if lacking:
+            raise ValueError(
+                f"the flights lack {', '.join(lacking)}, from which a simulation starts"
+            )
+        self.model = as_aerodynamics(pipeline)
+        self.aircraft = aircraft
+        self.tables = tables
+        self.thrust = settings["thrust"]
+        self.constants = constants
+        self.parts = _parts(tables, max(settings["horizons"]), constants)
+
+    def errors(self) -> pd.DataFrame:
+        """Return the errors of each state, see `simulation_errors`."""
+        flown = self._simulated(self.model, self.parts)
+        simulated = _by_state(flown, len(self.parts))
+        elapsed = flown["time"].to_numpy()[: simulated.shape[-1]]
+        measured = np.array([_at(elapsed, part.flown) for part in self.parts])
+        # an infinite error where a simulation ended
+        squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
+        by_gusts = np.zeros(squares.shape)
+        gusts = 0.0
+        turbulence = self._unknown_gusts()
+        if turbulence is not None:
+            by_gusts = self._squares_by(turbulence, simulated)
+            gusts = float(np.sqrt(np.mean(np.square(turbulence.intensity))))
+        edges = np.unique(np.arange(self.constants.parts) * len(elapsed) // self.constants.parts)
+        total = _means_between(squares, edges)
+        explained = _means_between(by_gusts, edges)
+        ends = np.append(elapsed[edges], elapsed[-1])
+
+        spread = _spread(self.tables)
+        limit = np.maximum(THRESHOLDS.error * spread, 3 * _noise(self.tables))
+        errors = pd.DataFrame({"spread": spread, "limit": limit}, index=[*STATES])
+        errors["error"] = np.sqrt(total[:, -1])
+        errors["lasts"] = _first_beyond(total, limit, ends)
+        errors["lasts_without_gusts"] = _first_beyond(total - explained, limit, ends)
+        errors["gusts"] = gusts
+        errors["horizon"] = elapsed[-1]
+        return errors
+
+    def example(self) -> TimeHistoryDisplay:
+        """Return the simulation of the part in the middle, with its band, and as flown."""
+        middle = self.parts[len(self.parts) // 2]
+        mean = self._simulated(self.model, [middle])
+        paths = mean
+        if self.model.is_uncertain:
+            n_paths = self.constants.shown_paths
+            paths = self._simulated(self.model, [middle], n_paths=n_paths)
+        columns = [name for name in SHOWN_STATES if name in middle.flown]
+        return TimeHistoryDisplay.from_trajectories(
+            paths, middle.flown, mean=mean, columns=columns, ax=False
         )
-    lacking = [name for name in STATES if not all(name in table for table in tables)]
-    if lacking:
-        raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
-    parts = _parts(tables, max(settings["horizons"]), constants)
-    flown = _simulated(pipeline, aircraft, parts, settings, constants)
-    elapsed = flown["time"].to_numpy()[: len(flown) // len(parts)]
-    measured = np.array([_at(elapsed, part.flown) for part in parts])
-    simulated = _by_state(flown, len(parts), len(elapsed))
-    # an infinite error where a simulation ended
-    squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
-    by_gusts = np.zeros(squares.shape)
-    turbulence = _unknown_gusts(pipeline, aircraft, tables, parts)
-    if turbulence is not None:
-        n_paths = max(1, constants.most_starts // len(parts))
-        model = _mean_alone(pipeline)
-        drawn = _simulated(
-            model, aircraft, parts, settings, constants, gusts=turbulence, n_paths=n_paths
-        )
-        paths = _by_state(drawn, n_paths * len(parts), len(elapsed))
-        difference = paths.reshape(n_paths, *simulated.shape) - simulated
-        by_gusts = np.nan_to_num(difference**2).mean(axis=(0, 1))
 
-    # means over parts of the time
-    edges = np.unique(np.arange(constants.parts) * len(elapsed) // constants.parts)
-    counts = np.diff([*edges, len(elapsed)])
-    total = np.add.reduceat(squares, edges, axis=1) / counts
-    explained = np.add.reduceat(by_gusts, edges, axis=1) / counts
-    ends = np.append(elapsed[edges], elapsed[-1])
+    def _air(self, parts: Sequence[Part]) -> Air:
+        """Return the density of parts of flights, and their estimated wind with its gusts, where it is known."""
+        density = np.median(np.concatenate([part.flown["density"] for part in parts]))
+        wind = None
+        if all(_knows_wind(part.flown) for part in parts):
+            wind = [part.flown[["time", *WIND]] for part in parts]
+        return Air(wind, density=float(density))
 
-    spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
-    limit = np.maximum(THRESHOLDS.error * spread, 3 * _noise(tables))
-    columns = {
-        "spread": spread,
-        "limit": limit,
-        "error": np.sqrt(total[:, -1]),
-        "lasts": _first_beyond(total, limit, ends),
-        "lasts_without_gusts": _first_beyond(total - explained, limit, ends),
-        "gusts": 0.0 if turbulence is None else _rms(turbulence.intensity),
-        "horizon": elapsed[-1],
-    }
-    return pd.DataFrame(columns, index=list(STATES))
+    def _unknown_gusts(self) -> Turbulence | None:
+        """Return the gusts that a simulation lacks, else the training flights' gusts; None if known."""
+        if self._air(self.parts).wind is not None:
+            return None
+        named = [table.assign(flight=str(k)) for k, table in enumerate(self.tables)]
+        try:
+            return Turbulence.from_flight(pd.concat(named), self.aircraft.span)
+        except ValueError:  # they are too short, or lack attitude or velocity
+            return self.model.turbulence
 
+    def _squares_by(self, turbulence: Turbulence, simulated: Array) -> Array:
+        """Return the mean squares (n_states, n_times) by which drawn gusts move the simulations."""
+        n_paths = max(1, self.constants.most_starts // len(self.parts))
+        model = _mean_alone(self.model)
+        drawn = self._simulated(model, self.parts, turbulence, n_paths=n_paths)
+        paths = _by_state(drawn, n_paths * len(self.parts)).reshape(n_paths, *simulated.shape)
+        return np.nan_to_num((paths - simulated) ** 2).mean(axis=(0, 1))
 
-def simulated_flight(
-    pipeline: Pipeline | Aerodynamics,
-    aircraft: Aircraft,
-    tables: Sequence[pd.DataFrame],
-    settings: dict,
-    constants: FreeFlightSettings = SETTINGS,
-) -> TimeHistoryDisplay:
-    """Return the simulation of the middle one of the parts of `simulation_errors`, with its band, and as flown."""
-    parts = _parts(tables, max(settings["horizons"]), constants)
-    middle = parts[len(parts) // 2]
-    mean = _simulated(pipeline, aircraft, [middle], settings, constants)
-    paths = mean
-    if as_aerodynamics(pipeline).is_uncertain:
-        n_paths = constants.shown_paths
-        paths = _simulated(pipeline, aircraft, [middle], settings, constants, n_paths=n_paths)
-    columns = [name for name in SHOWN_STATES if name in middle.flown]
-    return TimeHistoryDisplay.from_trajectories(
-        paths, middle.flown, mean=mean, columns=columns, ax=False
-    )
+    def _simulated(
+        self,
+        model: Aerodynamics,
+        parts: Sequence[Part],
+        gusts: Turbulence | None = None,
+        **options: Any,
+    ) -> pd.DataFrame:
+        """Return a simulation of parts of flights with their controls, in their air or drawn gusts."""
+        air = self._air(parts)
+        if gusts is not None:
+            air = replace(air, gusts=gusts)
+        not_inputs = [*STATES, *WIND, "flight", "psi"]
+        inputs = [part.flown.drop(columns=not_inputs, errors="ignore") for part in parts]
+        starts = pd.DataFrame([part.start for part in parts]).reset_index(drop=True)
+        with without_warnings(SimulationWarning):  # an end is an error without bound
+            return simulate(
+                model,
+                self.aircraft,
+                starts,
+                inputs,
+                dt=self.constants.step,
+                duration=min(float(table["time"].iloc[-1]) for table in inputs),
+                thrust=self.thrust,
+                air=air,
+                **options,
+            )
 
 
 def _at(elapsed: Vector, part: pd.DataFrame) -> Array:
@@ -154,10 +211,22 @@ def _at(elapsed: Vector, part: pd.DataFrame) -> Array:
     return np.array([np.interp(elapsed, part["time"], part[name]) for name in STATES])
 
 
-def _by_state(flown: pd.DataFrame, n_runs: int, n_times: int) -> Array:
+def _by_state(flown: pd.DataFrame, n_runs: int) -> Array:
     """Return simulated states (n_runs, n_states, n_times)."""
     values = flown[list(STATES)].to_numpy()
-    return values.reshape(n_runs, n_times, len(STATES)).swapaxes(1, 2)
+    return values.reshape(n_runs, -1, len(STATES)).swapaxes(1, 2)
+
+
+def _means_between(squares: Array, edges: Indices) -> Array:
+    """Return means (n_states, n_parts) over the parts of the time that begin at the edges."""
+    counts = np.diff([*edges, squares.shape[1]])
+    return np.add.reduceat(squares, edges, axis=1) / counts
+
+
+def _spread(tables: Sequence[pd.DataFrame]) -> Vector:
+    """Return the standard deviation of each state in the flights."""
+    deviations = [np.nanstd(unwrapped(table, STATES), axis=0) for table in tables]
+    return np.median(deviations, axis=0)
 
 
 def _noise(tables: Sequence[pd.DataFrame]) -> Vector:
@@ -169,84 +238,25 @@ def _noise(tables: Sequence[pd.DataFrame]) -> Vector:
 def _first_beyond(squares: Array, limit: Vector, ends: Vector) -> Vector:
     """Return the time of each state at which its mean squared error passes the square of the limit."""
     late = squares > limit[:, None] ** 2
-    never = np.ones(len(STATES), bool)
-    return ends[np.column_stack([late, never]).argmax(axis=1)]
+    first = np.where(late.any(axis=1), late.argmax(axis=1), -1)
+    return ends[first]
 
 
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _mean_alone(pipeline: Pipeline | Aerodynamics) -> Aerodynamics:
+def _mean_alone(model: Aerodynamics) -> Aerodynamics:
     """Return the model without its uncertainty: its paths differ by the gusts alone."""
-    mean = as_aerodynamics(pipeline)
     certain: dict[str, Any] = dict.fromkeys(("drift", "narrowing", "function_errors"))
     return replace(
-        mean,
-        function=mean,
-        slopes=mean.gradient,
-        sampler=lambda n_paths, random_state: (mean, mean.gradient),
+        model,
+        function=model,
+        slopes=model.gradient,
+        sampler=lambda n_paths, random_state: (model, model.gradient),
         **certain,
     )
-
-
-def _unknown_gusts(
-    pipeline: Pipeline | Aerodynamics,
-    aircraft: Aircraft,
-    tables: Sequence[pd.DataFrame],
-    parts: Sequence[Part],
-) -> Turbulence | None:
-    """Return the gusts that a simulation lacks, else the training flights' gusts; None if known."""
-    if _air(parts).wind is not None:
-        return None
-    named = [table.assign(flight=str(k)) for k, table in enumerate(tables)]
-    try:
-        return Turbulence.from_flight(pd.concat(named), aircraft.span)
-    except ValueError:  # they are too short, or lack attitude or velocity
-        return as_aerodynamics(pipeline).turbulence
-
-
-def _air(parts: Sequence[Part]) -> Air:
-    """Return the density of parts of flights, and their estimated wind with its gusts, where it is known."""
-    density = float(np.median(np.concatenate([part.flown["density"] for part in parts])))
-    wind = None
-    if all(_knows_wind(part.flown) for part in parts):
-        wind = [part.flown[["time", *WIND]] for part in parts]
-    return Air(wind, density=density)
 
 
 def _knows_wind(table: pd.DataFrame) -> bool:
     """Return whether a table has the wind, and the heading that brings it into body axes."""
     return {*WIND, "psi"} <= {*table}
-
-
-def _simulated(
-    model: Pipeline | Aerodynamics,
-    aircraft: Aircraft,
-    parts: Sequence[Part],
-    settings: dict,
-    constants: FreeFlightSettings,
-    gusts: Turbulence | None = None,
-    **options: Any,
-) -> pd.DataFrame:
-    """Return a simulation of parts of flights with their controls, in their air or drawn gusts."""
-    air = _air(parts)
-    if gusts is not None:
-        air = replace(air, gusts=gusts)
-    starts = pd.DataFrame([part.start for part in parts]).reset_index(drop=True)
-    not_inputs = [*STATES, *WIND, "flight", "psi"]
-    with without_warnings(SimulationWarning):  # an end is an error without bound
-        return simulate(
-            model,
-            aircraft,
-            starts,
-            [part.flown.drop(columns=not_inputs, errors="ignore") for part in parts],
-            dt=constants.step,
-            duration=min(float(part.flown["time"].iloc[-1]) for part in parts),
-            thrust=settings["thrust"],
-            air=air,
-            **options,
-        )
 
 
 def _parts(
@@ -256,21 +266,14 @@ def _parts(
     segments: list[pd.DataFrame] = []
     for table in tables:
         segments += _segments(table)
-    half_start = constants.start / 2
     lengths = [np.ptp(segment["time"]) for segment in segments]
-    horizon = min(horizon, float(np.median(lengths or [0.0])) - half_start)
+    if segments:
+        horizon = min(horizon, float(np.median(lengths)) - constants.start / 2)
     parts: list[Part] = []
-    for segment in segments:
-        time = segment["time"].to_numpy(float)
-        last = time[-1] - constants.least_part * horizon
-        for begin in np.arange(time[0] + half_start, last, horizon):
-            rows = (time >= begin) & (time <= begin + horizon)
-            if (
-                rows.sum() > 2
-                and np.isfinite(segment.loc[rows, list(STATES)].to_numpy(float)).all()
-            ):
-                parts.append(_part(segment, rows, half_start))
-    if not parts or not horizon > 2 * constants.step:
+    if horizon > 2 * constants.step:
+        for segment in segments:
+            parts += _parts_of(segment, horizon, constants)
+    if not parts:
         raise ValueError(
             f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
         )
@@ -282,18 +285,26 @@ def _parts(
 def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
     """Return the segments of a flight without gaps, whose angles do not jump."""
     names = [name for name in (*STATES, "psi") if name in table]
-    smooth = table.assign(**dict(zip(names, unwrapped(table, names).T, strict=True)))
+    smooth = table.copy()
+    smooth[names] = unwrapped(table, names)
     runs = FlightTable.of(smooth).segments
     return [smooth.iloc[run] for run in runs if n_rows(run) > 2]
 
 
-def _part(segment: pd.DataFrame, rows: Vector, half_start: float) -> Part:
-    """Return the rows of a segment as a part; its start is the mean state around their first."""
-    flown = segment[rows]
-    first = flown["time"].iloc[0]
-    names = [*STATES, "psi"] if _knows_wind(segment) else [*STATES]
-    near = np.abs(segment["time"] - first) <= half_start
-    start = segment.loc[near, names].mean()
-    if "psi" in start:
-        start["psi"] = wrapped(start["psi"])  # the flight turns more than once
-    return Part(start, flown.assign(time=flown["time"] - first).reset_index(drop=True))
+def _parts_of(
+    segment: pd.DataFrame, horizon: float, constants: FreeFlightSettings
+) -> Iterator[Part]:
+    """Yield the parts of a segment whose states are known; the start is the mean state around the first row."""
+    half_start = constants.start / 2
+    time = segment["time"].to_numpy(float)
+    last = time[-1] - constants.least_part * horizon
+    for begin in np.arange(time[0] + half_start, last, horizon):
+        flown = segment[(time >= begin) & (time <= begin + horizon)]
+        if len(flown) < 3 or not np.isfinite(flown[[*STATES]].to_numpy(float)).all():
+            continue
+        names = [*STATES, "psi"] if _knows_wind(segment) else [*STATES]
+        first = flown["time"].iloc[0]
+        start = segment.loc[np.abs(time - first) <= half_start, names].mean()
+        if "psi" in start:
+            start["psi"] = wrapped(start["psi"])  # the flight turns more than once
+        yield Part(start, flown.assign(time=flown["time"] - first).reset_index(drop=True))

@@ -6,12 +6,10 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
@@ -26,12 +24,19 @@ from skdgp._compute.files import (
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import notify
 from skdgp._compute.wording import reason_of, text_of
-from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.dynamics import Aircraft
-from skdgp.identification._learn import thrust_sources
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._model_file import save_model
-from skdgp.identification._pipeline import reconstruction_of
+from skdgp.identification._summary import (
+    air_of,
+    assumption_lines,
+    extent_of,
+    facts_of_fit,
+    fit_lines,
+    group_means,
+    score_lines,
+    verdict_lines,
+)
 from skdgp.identification._verdict import judge
 from skdgp.plotting import EffectsDisplay
 from skdgp.report import (
@@ -45,13 +50,6 @@ from skdgp.report import (
 )
 
 FORMAT = 1  # of the metrics
-THRUSTS = {
-    "columns": "from the thrust columns of the flights",
-    "propeller": "from the propeller's bench table",
-    "none": "none subtracted: an engine's is part of the coefficients",
-}
-N_WARNINGS = 3  # of the summary
-MOST_AIR = 4  # gusts and steady winds that are shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +133,7 @@ class Identification:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
         tests = {}
         for flight in self.evaluations:
-            extent = _extent(flight.table) | {"samples_with_std": len(flight.rows)}
+            extent = extent_of(flight.table) | {"samples_with_std": len(flight.rows)}
             tests[flight.name] = extent | _score_metrics(flight.scores)
         metrics = {
             "format": FORMAT,
@@ -146,69 +144,31 @@ class Identification:
             "options": self.settings,
             "held_out": self.held_out,
             "fit": self.fit.to_dict(),
-            "train": {name: _extent(table) for name, table in self.train.items()},
+            "train": {name: extent_of(table) for name, table in self.train.items()},
             "test": tests,
             "test_together": _score_metrics(scores(self.evaluations)),
             "verdict": self.verdict.to_dict(),
             "flight_mechanics": self.mechanics.to_dict(),
-            **{part.name: part.to_dict() for part in self.supplements},
-            "messages": self.messages,
-            "findings": [finding.to_dict() for finding in self.findings],
         }
+        for part in self.supplements:
+            metrics[part.name] = part.to_dict()
+        metrics["messages"] = self.messages
+        metrics["findings"] = [finding.to_dict() for finding in self.findings]
         if self.assumptions:
             metrics["assumed"] = self.assumed
         return plain(metrics)
 
     def summary(self) -> str:
         """Return the text of the command line: scores of all test flights together, and a line or table of each."""
-        fit = self.fit
-        tested = self.evaluations
-        verdict = self.verdict
-        lines = [self._fit_text()]
-        if not fit.converged:
-            lines.append(f"not converged after {fit.iterations} iterations: raise max_iter")
-        together = f"{len(tested)} test flights together"
-        names = [*COEFFICIENTS, "longitudinal", "lateral", "all"]
-        lines += [
-            "",
-            f"flight {tested[0].name}" if len(tested) == 1 else together,
-            _score_text(scores(tested), names),
-            "",
-        ]
-        if len(tested) > 1:
-            for flight in tested:
-                lines += [f"flight {flight.name}", _score_text(flight.scores, ["all"]), ""]
-        if fit.reconstruction is not None:
-            lines.append(f"flight paths {text_of(fit.reconstruction)}")
+        lines = fit_lines(self.aircraft, self.fit)
+        lines += ["", *score_lines(self.evaluations)]
+        if self.fit.reconstruction is not None:
+            lines.append(f"flight paths {text_of(self.fit.reconstruction)}")
         for part in self.supplements:
             lines += part.summary()
-        lines += [
-            "",
-            f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands",
-        ]
-        if verdict.least_squares_error is not None:
-            lines.append(verdict.compared())
-        for use in verdict.uses:
-            lines.append(f"{use.purpose + ':':<22}{use.fit}, {use.reason}")
-        for number, warning in enumerate(verdict.warnings[:N_WARNINGS], start=1):
-            lines.append(f"warning {number}: {warning}")
-        if self.assumptions:
-            lines += ["", "assumed, as nothing was told:"]
-        for assumption in self.assumed:
-            lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")
+        lines += ["", *verdict_lines(self.verdict)]
+        lines += assumption_lines(self.assumed)
         return "\n".join(lines)
-
-    def _fit_text(self) -> str:
-        """Return one line on the fit: duration, samples and likelihood."""
-        likelihood = f"log likelihood {self.fit.log_marginal_likelihood:.1f}"
-        training = self.fit.training
-        if training is None:
-            return f"{self.aircraft.name}: {likelihood}"
-        state = "interrupted" if self.fit.interrupted else "fitted"
-        return (
-            f"{self.aircraft.name}: {state} in {training.seconds:.1f} s on {training.samples} of "
-            f"{training.samples_available} samples, {likelihood}"
-        )
 
     def save(self, path: str | os.PathLike) -> Path:
         """Write report and metrics and, of a model that was learned here, the model into a folder, all or none."""
@@ -220,24 +180,28 @@ class Identification:
             "metrics.json": text_writer(json_text(self.metrics)),
         }
         if self.train:
-            facts = {
-                "options": self.settings,
-                "fit": self.fit.to_dict(),
-                "flights": list(self.train),
-            }
-            writers["model.joblib"] = lambda path: save_model(
-                path, self.pipeline, self.aircraft, **facts
+            writers["model.joblib"] = partial(
+                save_model,
+                pipeline=self.pipeline,
+                aircraft=self.aircraft,
+                options=self.settings,
+                fit=self.fit.to_dict(),
+                flights=list(self.train),
             )
         write_together(path, writers)
         return path
 
     def _report_content(self) -> ReportContent:
+        tested = {flight.name: flight.table for flight in self.evaluations}
         return ReportContent(
             title=self.title,
             subtitle=self.aircraft.name,
+            created=datetime.fromisoformat(self.created),
             train=self.train,
             test=self.evaluations,
-            facts=self._facts(),
+            facts=facts_of_fit(
+                self.aircraft, self.pipeline, self.fit, self.settings, self.train, tested
+            ),
             verdict=self.verdict,
             mechanics=self.mechanics,
             effects=EffectsDisplay.from_model(self.pipeline[-2:], ax=False),
@@ -248,110 +212,12 @@ class Identification:
             command=self.command,
         )
 
-    def _facts(self) -> dict[str, str]:
-        """Return the facts of the fit as text; empty where a fact does not apply."""
-        fit = self.fit
-        aircraft = self.aircraft
-        settings = self.settings
-        regressor = self.pipeline[-1]
-        tested = {flight.name: flight.table for flight in self.evaluations}
-        sources = thrust_sources(settings["thrust"], [*self.train.values(), *tested.values()])
-        lags = {name: lag["applied"] for name, lag in fit.lags.items()}
-        late = [f"{name} {lag:.3g} s" for name, lag in lags.items() if lag]
-        iterations = str(fit.iterations)
-        if not fit.converged:
-            iterations += " (not converged: raise max_iter)"
-        facts = {
-            "Aircraft": f"{aircraft.name}, {aircraft.mass:g} kg, wing area "
-            f"{aircraft.wing_area:.4g} m², span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m",
-            "Learned from": _durations(self.train),
-            "Tested on": _durations(tested),
-            "Regressors": ", ".join(fit.regressors),
-            "Structure": f"{regressor.structure}, trend {regressor.trend or 'none'}",
-            "Inference": fit.inference,
-            "Log likelihood": f"{fit.log_marginal_likelihood:,.1f}",
-            "Iterations": iterations,
-            "Samples": "",
-            "Time of the fit": "",
-            "Thrust": " or ".join(THRUSTS[name] for name in sources),
-            "Flight paths": text_of(fit.reconstruction) if fit.reconstruction else "",
-            "Lags": ", ".join(late) or "none to correct",
-            "Other loads": ", ".join(settings["external_forces"]),
-            "Fit": "interrupted; this is the best model until then" if fit.interrupted else "",
-            "Versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),
-        }
-        if fit.training is not None:
-            training = fit.training
-            facts["Samples"] = f"{training.samples:,} of {training.samples_available:,}"
-            facts["Time of the fit"] = f"{training.seconds:.1f} s"
-        return facts
-
-
-def air_of(pipeline: Pipeline) -> str:
-    """Return gusts and steady wind of the training flights, as reconstruction found them; empty where it did not."""
-    step = reconstruction_of(pipeline)
-    if step is None:
-        return ""
-    if step.air_motion_ is not None:
-        return step.air_motion_.summary
-    parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
-    winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
-    for name, row in winds.iterrows():
-        north, east = row[["wind_north", "wind_east"]]
-        way = np.rad2deg(np.arctan2(-east, -north)) % 360
-        parts.append(f"steady wind of {name} {np.hypot(north, east):.2g} m/s from {way:.0f} deg")
-    return ", ".join(parts[:MOST_AIR])
-
-
-def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
-    """Return flights with their durations and rates."""
-    parts = []
-    for name, table in flights.items():
-        extent = _extent(table)
-        parts.append(f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)")
-    return ", ".join(parts)
-
-
-def _extent(table: pd.DataFrame) -> dict[str, float]:
-    """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
-    time = table["time"].to_numpy(float)
-    step = np.median(np.diff(time)) if len(time) > 1 else np.nan
-    return {
-        "samples": len(table),
-        "duration": float(np.ptp(time)),
-        "sample_rate": float(1 / step),
-    }
-
 
 def _score_metrics(tables: Mapping[str, pd.DataFrame]) -> dict:
-    return {
-        "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
-        "means": {
-            against: group_means(table).to_dict("index") for against, table in tables.items()
-        },
-    }
-
-
-def _score_text(of: Mapping[str, pd.DataFrame], names: list[str]) -> str:
-    """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
-    tables = {key: pd.concat([x, group_means(x)]) for key, x in of.items()}
-    measured = tables["measured"].loc[names]
-    columns = {
-        "rel. error [%]": 100 * measured["median_relative_error"],
-        "NRMSE": measured["normalized_rmse"],
-        "in 95 % band [%]": 100 * measured["interval_coverage"],
-    }
-    if "truth" in tables:
-        truth = tables["truth"]
-        columns["rel. error of truth [%]"] = 100 * truth["median_relative_error"]
-        columns["NRMSE of truth"] = truth["normalized_rmse"]
-    form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in columns}
-    return pd.DataFrame(columns, index=names).to_string(formatters=form)
-
-
-def group_means(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the means of the scores over the longitudinal, the lateral and all coefficients."""
-    groups = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
-    return pd.DataFrame(
-        {group: table.loc[list(members)].mean() for group, members in groups.items()}
-    ).T
+    """Return the scores of each coefficient, and the means of groups."""
+    coefficients = {}
+    means = {}
+    for against, table in tables.items():
+        coefficients[against] = table.to_dict("index")
+        means[against] = group_means(table).to_dict("index")
+    return {"coefficients": coefficients, "means": means}

@@ -21,14 +21,13 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
+    regressor_names,
 )
 from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 from skdgp.report import FitRecord, TrainingRecord
-
-EXACT_SAMPLES = 755  # rows that exact inference learns from in a minute
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +84,7 @@ def learn(
     training = TrainingRecord(
         samples=int(targets.notna().any(axis=1).sum()),
         samples_available=int(Y.notna().any(axis=1).sum()),
-        values=int(targets.notna().sum().sum()),
+        values=int(targets.notna().to_numpy().sum()),
         seconds=seconds,
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
@@ -98,14 +97,20 @@ def learn(
     aircraft = flights.aircraft
     if "propeller" in training.thrust:
         aircraft = with_thrust_errors(aircraft, table, named_regressors(pipeline, X))
-    settings = _settings(flights, pipeline, training.samples, horizons)
-    return LearnedModel(pipeline=pipeline, aircraft=aircraft, fit=fit, settings=settings)
+    return LearnedModel(
+        pipeline=pipeline,
+        aircraft=aircraft,
+        fit=fit,
+        settings=_settings(flights, pipeline, training.samples, horizons),
+    )
 
 
-def _n_rows(samples: int | str | None, regressor: DependentGPRegressor, n: int) -> int:
-    """Return how many of n rows to learn from."""
+def _n_rows(
+    samples: int | str | None, regressor: DependentGPRegressor, n: int, n_exact: int = 755
+) -> int:
+    """Return how many of n rows to learn from; exact inference learns from ``n_exact`` in a minute."""
     if samples is None and regressor.inference == "exact":
-        return EXACT_SAMPLES
+        return n_exact
     return n if samples in (None, "all") else samples  # type: ignore[return-value]
 
 
@@ -117,9 +122,9 @@ def _pipeline_for(
 ) -> FlightPipeline:
     """Return the pipeline that learns the coefficients of the flights."""
     columns = {*flights.table}
-    is_whole = {*MIXED} <= columns or bool({*ELEVONS} & columns)
-    mixer = None if is_whole else "passthrough"
-    options = {"mixer": mixer, **steps}
+    options = dict(steps)
+    if not ({*MIXED} <= columns or {*ELEVONS} & columns):
+        options.setdefault("mixer", "passthrough")
     pipeline = make_identification_pipeline(
         flights.aircraft, regressors=regressors, regressor=regressor, **options
     )
@@ -164,20 +169,19 @@ def _settings(
 def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
     """Return what a fitted pipeline shows of its fit."""
     regressor = pipeline[-1]
-    names = [str(name) for name in pipeline["regressorselector"].regressors_]
+    names = regressor_names(pipeline)
     input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
-    step = pipeline["flightpathreconstruction"]
-    converged: Mapping[Any, bool] = {}
+    not_converged: list[str] = []
     gusts_unknown = None
     reconstruction = None
+    step = pipeline["flightpathreconstruction"]
     if isinstance(step, FlightPathReconstruction):
-        converged = step.converged_
+        not_converged = [str(name) for name, converged in step.converged_.items() if not converged]
         gusts_unknown = step.doubt_
         reconstruction = step.finding_
-    weights = {name: _by_coefficient(values) for name, values in regressor.weights_.items()}
     return FitRecord(
         inference=regressor.inference_,
-        weights=weights,
+        weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
         regressors=names,
         log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
         iterations=int(regressor.n_iter_),
@@ -185,8 +189,8 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         converged=bool(regressor.converged_),
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
-        input_noise_std=dict(zip(names, map(float, input_std), strict=True)),
-        paths_not_converged=[str(name) for name, is_found in converged.items() if not is_found],
+        input_noise_std=dict(zip(names, input_std.tolist(), strict=True)),
+        paths_not_converged=not_converged,
         gusts_unknown=gusts_unknown,
         reconstruction=reconstruction,
         lags=lags_of(pipeline),
@@ -207,12 +211,14 @@ def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[s
     """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
     if thrust is None:
         return ["none"]
-    has_columns = [bool({*THRUST_COLUMNS} & {*table.columns}) for table in tables]
-    return sorted({"columns" if has else "propeller" for has in has_columns})
+    sources = set()
+    for table in tables:
+        sources.add("propeller" if {*THRUST_COLUMNS}.isdisjoint(table) else "columns")
+    return sorted(sources)
 
 
 def _by_coefficient(values: Vector) -> dict[str, float]:
-    return dict(zip(COEFFICIENTS, map(float, values), strict=True))
+    return dict(zip(COEFFICIENTS, np.asarray(values, float).tolist(), strict=True))
 
 
 def fit_least_squares(
@@ -224,16 +230,22 @@ def fit_least_squares(
     of the pipeline.
     """
     table = named_regressors(pipeline, regressors)
-    fitted = {}
+    fitted: dict[str, dict[str, float]] = {}
     for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
-        observed = np.isfinite(y)
-        linear = LinearRegression().fit(table[observed], y[observed])
-        slopes = dict(zip(map(str, table), map(float, linear.coef_), strict=True))
+        is_observed = np.isfinite(y)
+        linear = LinearRegression().fit(table[is_observed], y[is_observed])
+        slopes = dict(zip(map(str, table), linear.coef_.tolist(), strict=True))
         fitted[coefficient] = {"intercept": float(linear.intercept_), **slopes}
     return fitted
 
 
+def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Matrix]:
+    """Return intercepts (6,) and slopes (d, 6) of `fit_least_squares`."""
+    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
+    return table.loc["intercept"].to_numpy(), table.drop("intercept").to_numpy()
+
+
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    names = [str(name) for name in pipeline["regressorselector"].regressors_]
-    return pd.DataFrame(pipeline["standardscaler"].inverse_transform(regressors), columns=names)
+    columns = pipeline["standardscaler"].inverse_transform(regressors)
+    return pd.DataFrame(columns, columns=regressor_names(pipeline))

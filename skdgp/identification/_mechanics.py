@@ -12,7 +12,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import without_warnings
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS
+from skdgp._flight.channels import ALL_SURFACES
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -23,13 +23,10 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._free_flight import simulated_flight, simulation_errors
+from skdgp.identification._free_flight import FreeFlight
+from skdgp.identification._learn import linear_terms
 from skdgp.identification._pipeline import reconstruction_of
 from skdgp.report import FlightMechanics
-
-# functions that give the standard deviations of modes, each with a relative error of 1 / sqrt(2 n),
-# 5 %
-N_PATHS = 200
 
 
 def flight_mechanics(
@@ -46,30 +43,40 @@ def flight_mechanics(
     the flights.
     """
     flown = pd.concat(train or test).median(numeric_only=True)
+    airspeed = float(flown["airspeed"])
     thrust = settings["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     results: dict[str, Any] = {}
     notes = []
-    airspeed = float(flown["airspeed"])
-    state_and_inputs: tuple
+    state_and_inputs: tuple = _median_state(flown)
     try:
         climb = None if thrust is None else 0.0
         results["trim"] = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
         state_and_inputs = (results["trim"],)
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
-        state_and_inputs = _median_state(flown)
     try:
         results |= _derivatives(pipeline, aircraft, state_and_inputs, conditions, least_squares)
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
+    results |= _simulations(pipeline, aircraft, test, settings)
+    return FlightMechanics(notes=tuple(notes), **results)
+
+
+def _simulations(
+    pipeline: Pipeline | Aerodynamics,
+    aircraft: Aircraft,
+    test: Sequence[pd.DataFrame],
+    settings: dict,
+) -> dict[str, Any]:
+    """Return errors of simulations of test flights and one of these, or why there is none."""
     try:
         flown_states = [reconstructed(pipeline, table) for table in test]
-        results["simulation"] = simulation_errors(pipeline, aircraft, flown_states, settings)
-        results["simulated"] = simulated_flight(pipeline, aircraft, flown_states, settings)
+        free = FreeFlight(pipeline, aircraft, flown_states, settings)
+        return {"simulation": free.errors(), "simulated": free.example()}
     except ValueError as error:
-        results["simulation_note"] = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
-    return FlightMechanics(notes=tuple(notes), **results)
+        finding = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
+        return {"simulation_note": finding}
 
 
 def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
@@ -96,7 +103,8 @@ def _derivatives(
         linear = stability_derivatives(_linear(pipeline, least_squares), *point, **conditions)
         results["least_squares"] = linear[["value"]]
     if isinstance(state_and_inputs[0], Trim):
-        n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
+        # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
+        n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
         results["modes"] = linearize(pipeline, *point, n_paths=n_paths, **conditions).modes()
     return results
 
@@ -106,13 +114,11 @@ def _linear(
 ) -> Aerodynamics:
     """Return the linear model of the same rows."""
     model = as_aerodynamics(pipeline)
-    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
-    intercept = table.loc["intercept"].to_numpy()
-    slopes = table.loc[[*model.regressors]].to_numpy()
+    intercepts, slopes = linear_terms(fitted)
     unknown: dict[str, Any] = dict.fromkeys(("sampler", "drift", "narrowing", "function_errors"))
     return replace(
         model,
-        function=lambda X: intercept + X @ slopes,
+        function=lambda X: intercepts + X @ slopes,
         slopes=lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
         **unknown,
     )

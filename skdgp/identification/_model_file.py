@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copyreg
 import json
 import os
 import pickle
+import warnings
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,8 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
-from sklearn.base import BaseEstimator
-from sklearn.exceptions import NotFittedError
+from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
@@ -84,24 +83,15 @@ def _dump(path: Path, model: Bunch) -> None:
 
 
 class _Pickler(pickle.Pickler):
-    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them.
-
-    Estimators of scikit-learn are written without its version, which the file has once for all.
-    """
+    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them."""
 
     def reducer_override(self, value: Any) -> Any:
-        """Return how to make a table or an estimator again."""
+        """Return how to make a table again."""
         if isinstance(value, pd.DataFrame):
-            columns = [_array(value.iloc[:, k]) for k in range(value.shape[1])]
+            columns = [_array(column) for _, column in value.items()]
             return _table, (columns, value.columns, value.index, value.attrs)
         if isinstance(value, pd.Index):
             return _index, (_array(value), value.name)
-        kind = type(value)
-        if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
-            state = value.__getstate__()
-            state.pop("_sklearn_version", None)
-            new = copyreg.__newobj__  # type: ignore[attr-defined]
-            return new, (kind,), state, None, None, _set_state
         return NotImplemented
 
 
@@ -129,10 +119,6 @@ def _table(columns: list[Array], names: pd.Index, rows: pd.Index, attrs: dict) -
     return table
 
 
-def _set_state(estimator: BaseEstimator, state: dict) -> None:
-    vars(estimator).update(state)
-
-
 def load_model(path: str | os.PathLike) -> Bunch:
     """Return a model that :func:`save_model` or ``skdgp identify`` wrote.
 
@@ -157,7 +143,9 @@ def load_model(path: str | os.PathLike) -> Bunch:
             report(Finding(Code.OTHER_VERSIONS, numbers=numbers), stacklevel=2)
         file.seek(0)
         try:
-            model = pickle.load(file)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", InconsistentVersionWarning)  # said above
+                model = pickle.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
                 f"Got {path}, written with {_differences(made_by, installed)}, which cannot be read "
@@ -176,31 +164,19 @@ def _closing(file: BinaryIO, path) -> dict:
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - LONGEST_CLOSING))
     end = file.read()
-    start = end.rfind(MAGIC)
     before = size - CHECKSUM_LENGTH - len(END)
-    try:
-        closing = json.loads(end[start + len(MAGIC) :]) if start >= 0 else {}
-        form = closing["format"]
-        made_by = _in_words(dict(closing["versions"]))
-        is_complete = sha256_of(file, before) + END == end[before - size :]
-    except (
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-        RecursionError,
-    ):  # not what _dump writes
-        is_complete = False
-    if not is_complete:
+    if before <= 0 or sha256_of(file, before) + END != end[before - size :]:
         raise ModelFileError(
             f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is "
             f"missing or does not fit. Expected a file that skdgp identify or "
             f"skdgp.identification.save_model wrote; if it is one, it was cut off or changed: "
             f"copy it again."
         )
-    if form != FORMAT:
+    closing = json.loads(end.split(MAGIC)[-1])
+    if closing["format"] != FORMAT:
+        made_by = _in_words(closing["versions"])
         raise ModelFileError(
-            f"Got {path} of format {form}, written with {made_by}, but this skdgp reads format "
+            f"Got {path} of format {closing['format']}, written with {made_by}, but this skdgp reads format "
             f"{FORMAT}: fit it again, or install that version."
         )
     return closing

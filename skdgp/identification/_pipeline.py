@@ -156,6 +156,11 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     return np.asarray(flight), ratio
 
 
+def regressor_names(pipeline: Pipeline) -> list[str]:
+    """Return the names of the regressors of the last step."""
+    return [str(name) for name in pipeline["regressorselector"].regressors_]
+
+
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
     """Return the step that reconstructs flights; None where flights pass it unchanged."""
     step = pipeline.named_steps.get("flightpathreconstruction")

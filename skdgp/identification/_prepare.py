@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.linear_model import LinearRegression
 
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
@@ -49,7 +50,6 @@ MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
-LEARNED_PART = 0.75  # of a single flight, whose rest is held out
 
 # warnings of later steps about the same faults, and about constant regressors, which they number
 REPEATED = (Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED, Code.CONSTANT_INPUTS)
@@ -117,8 +117,12 @@ def prepare(
     options = {**reading, "servos": servos, "needed": MEASURED}
     train = named_flights(flights, **options)
     check_controls(train, regressors)
-    tested = {} if test is None else named_flights(test, default="test flight", **options)
-    train, tested = train_and_test(train, tested)
+    if test is None:
+        train, tested = held_out(train)
+    else:
+        tested = named_flights(test, default="test flight", **options)
+        for name in train.keys() & tested.keys():
+            report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
     columns = regressor_columns([flight.table for flight in train.values()], regressors)
     learned = usable_flights(train, regressors, columns)
     evaluated = usable_flights(tested, regressors, columns)
@@ -128,9 +132,7 @@ def prepare(
         thrust = None
     if thrust is None:
         warn_of_engine(learned, regressors)
-    if reversed_of(servos) is not None:
-        report(Finding(Code.FULL_THROWS), stacklevel=3)
-    return PreparedFlights(
+    prepared = PreparedFlights(
         train=learned,
         test=evaluated,
         aircraft=aircraft,
@@ -138,6 +140,9 @@ def prepare(
         loads={"thrust": thrust, "external_forces": list(external_forces)},
         lacks_thrust=without_thrust,
     )
+    if prepared.has_full_throws:
+        report(Finding(Code.FULL_THROWS), stacklevel=3)
+    return prepared
 
 
 def as_aircraft(aircraft: Any) -> Aircraft:
@@ -176,42 +181,37 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
     available = {*columns}
     if available & {*ELEVONS}:
         available |= {*MIXED}
-    names = _names(regressors)
-    lacking = [name for name in SURFACES if name in names and name not in available]
-    near = suggestions([name for name in columns if name not in CHANNELS], columns)
-    meant = {name: channel for name, channel in near.items() if channel in lacking}
+    lacking = [name for name in SURFACES if name in _names(regressors) and name not in available]
+    unknown = [name for name in columns if name not in CHANNELS]
+    meant = {}
+    for name, channel in suggestions(unknown, columns).items():
+        if channel in lacking:
+            meant[name] = channel
     if meant:
         renaming = " ".join(f"{name}={channel}" for name, channel in meant.items())
         raise ValueError(
             f"Got flights without {' and '.join(meant.values())}: did you mean "
             f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
-            f"{renaming} (reading={{'rename': {dict(meant)}}})."
+            f"{renaming} (reading={{'rename': {meant}}})."
         )
     if "elevator" in lacking:
         report(Finding(Code.NO_ELEVATOR), stacklevel=2)
 
 
-def train_and_test(train: Flights, test: Flights) -> tuple[Flights, Flights]:
-    """Return training and test flights.
-
-    Where no test flight is named, the last flight of several is held out, or the last quarter of a
-    single one.
-    """
-    if test:
-        for name in train.keys() & test.keys():
-            report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
-        return train, test
-    *earlier, last = train
+def held_out(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flights, Flights]:
+    """Return training and test flights: the last of several is held out, or the last quarter of a single one."""
+    *earlier, last = flights
     if earlier:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last), stacklevel=3)
-        return {name: train[name] for name in earlier}, {last: train[last]}
+        return {name: flights[name] for name in earlier}, {last: flights[last]}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last), stacklevel=3)
-    rows = np.arange(len(train[last].time))
-    split = round(LEARNED_PART * len(rows))
+    flight = flights[last]
+    rows = np.arange(len(flight.time))
+    split = round(learned_fraction * len(rows))
     first = f"{last}, first three quarters"
     rest = f"{last}, last quarter"
-    learned = train[last].part(rows[:split]).named(first)
-    tested = train[last].part(rows[split:]).named(rest)
+    learned = flight.part(rows[:split]).named(first)
+    tested = flight.part(rows[split:]).named(rest)
     return {first: learned}, {rest: tested}
 
 
@@ -258,10 +258,10 @@ def _complete_rows(
 ) -> pd.DataFrame:
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
     columns = regressor_columns([table], regressors)
-    missing = ~np.isfinite(table[columns].to_numpy(dtype=float))
-    n_missing = zip(columns, missing.sum(axis=0).tolist(), strict=True)
-    counts = {name: count for name, count in n_missing if count}
+    missing = table[columns].apply(lambda column: ~np.isfinite(column.to_numpy(float)))
     complete = table[~missing.any(axis=1)]
+    counts = missing.sum()
+    counts = counts[counts > 0].to_dict()
     if complete.empty:
         raise ValueError(
             f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "
@@ -269,11 +269,8 @@ def _complete_rows(
             "are empty, or name other regressors."
         )
     if counts:
-        numbers = {
-            "left_out": len(table) - len(complete),
-            "rows": len(table),
-            "missing": counts,
-        }
+        n_left_out = len(table) - len(complete)
+        numbers = {"left_out": n_left_out, "rows": len(table), "missing": counts}
         report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers), stacklevel=4)
     segments = FlightTable.of(complete).segments
     rows = [np.arange(run.start, run.stop) for run in segments if n_rows(run) > 1]
@@ -294,10 +291,9 @@ def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: A
     if thrust != "auto":
         return False
     for table in tables:
-        has_thrust = bool({*THRUST_COLUMNS} & {*table})
-        if has_thrust or "throttle" not in table:
-            return False
-        if propeller_speed_of(aircraft.propeller, table) is not None:
+        has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
+        has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
+        if has_thrust or has_propeller or "throttle" not in table:
             return False
     return True
 
@@ -324,15 +320,13 @@ def with_thrust_errors(
     scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
     force, moment = propulsive_loads(table, aircraft)
     missing = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
-    X = np.column_stack([np.ones(len(regressors)), regressors])
-    sampled = np.isfinite(missing).all(axis=1) & np.isfinite(X).all(axis=1)
-    X[:, 1:] -= X[sampled, 1:].mean(axis=0)  # the intercept is the mean
-    slopes = np.linalg.lstsq(X[sampled], missing[sampled], rcond=None)[0]
-    names = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    added = {}
-    for coefficient, row in zip(COEFFICIENTS, slopes.T.tolist(), strict=True):
-        for name, slope in zip(names, row, strict=True):
-            added[coefficient + name] = slope
+    is_sampled = np.isfinite(missing).all(axis=1) & np.isfinite(regressors).all(axis=1)
+    missing = missing[is_sampled]
+    linear = LinearRegression().fit(regressors[is_sampled], missing)
+    added = dict(zip(COEFFICIENTS, missing.mean(axis=0).tolist(), strict=True))  # at the mean
+    for name, slopes in zip(regressors, linear.coef_.T.tolist(), strict=True):
+        for coefficient, slope in zip(COEFFICIENTS, slopes, strict=True):
+            added[f"{coefficient}_{str(name).removesuffix(HAT)}"] = slope
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
     return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
 

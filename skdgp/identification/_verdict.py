@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -46,31 +47,30 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table = scores(evaluations)["measured"]
-    errors = table["normalized_rmse"]
     doubts = _doubts(fit, findings)
     faults = [*doubts, *_wrong_signs(mechanics.derivatives)]
     uses = (
         _prediction(table),
         _simulation(mechanics, fit.regressors),
-        _control(mechanics, errors, faults),
+        _control(mechanics, table["normalized_rmse"], faults),
     )
-    warnings = [*faults, *_scored(table, evaluations)]
+    better, worse = _against_least_squares(table)
+    warnings = [*faults, *_scored(table, evaluations, worse)]
     if not fit.converged:
         warnings.append(Finding(Code.FIT_NOT_CONVERGED))
     warnings += [finding for finding in findings if finding.severity is not Severity.DOUBT]
     learned = list(train)
-    linear = table.get("least_squares_normalized_rmse")
-    ratio = pd.Series(dtype=float) if linear is None else errors / linear
+    means = table.mean()
     return Verdict(
         regressors=fit.regressors,
         tested=Extent.of([flight.table for flight in evaluations]),
         trained=Extent.of(learned) if learned else None,
         samples=fit.training.samples if fit.training else 0,
-        error=float(errors.mean()),
-        coverage=float(table["interval_coverage"].mean()),
-        least_squares_error=None if linear is None else float(linear.mean()),
-        better=tuple(ratio.index[ratio < 1 - THRESHOLDS.tie]),
-        worse=tuple(ratio.index[ratio > 1 + THRESHOLDS.tie]),
+        error=float(means["normalized_rmse"]),
+        coverage=float(means["interval_coverage"]),
+        least_squares_error=means.get("least_squares_normalized_rmse"),
+        better=better,
+        worse=worse,
         uses=tuple(_with_doubts(use, doubts) for use in uses),
         findings=tuple(warnings),
     )
@@ -78,12 +78,11 @@ def judge(
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
     """Return the doubts of the fit, and further ones of the test flights, one of each code."""
-    doubts = fit.doubts
-    for finding in findings:
-        is_known = finding.code in [doubt.code for doubt in doubts]
-        if finding.severity is Severity.DOUBT and not is_known:
-            doubts.append(finding)
-    return doubts
+    doubts: dict[Code, Finding] = {}
+    for finding in [*fit.doubts, *findings]:
+        if finding.severity is Severity.DOUBT:
+            doubts.setdefault(finding.code, finding)
+    return list(doubts.values())
 
 
 def _with_doubts(use: Use, doubts: Sequence[Finding]) -> Use:
@@ -95,13 +94,29 @@ def _with_doubts(use: Use, doubts: Sequence[Finding]) -> Use:
 
 def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the finding of derivatives of other sign than on a conventional stable aircraft, if any."""
-    values = derivatives.get("value", pd.Series(dtype=float)).reindex(list(SIGNS))
-    wrong = values[values * pd.Series(SIGNS) < 0]
+    if derivatives.empty:
+        return []
+    signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
+    wrong = derivatives["value"].reindex(signed.index[signed < 0])
     if wrong.empty:
         return []
-    return [
-        Finding(Code.WRONG_SIGNS, numbers={"values": wrong.to_dict(), "names": list(wrong.index)})
-    ]
+    numbers = {"values": wrong.to_dict(), "names": list(wrong.index)}
+    return [Finding(Code.WRONG_SIGNS, numbers=numbers)]
+
+
+def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the coefficients whose error is smaller, and larger, than by least squares on the same rows."""
+    if "least_squares_normalized_rmse" not in table:
+        return (), ()
+    ratio = table["normalized_rmse"] / table["least_squares_normalized_rmse"]
+    better = ratio.index[ratio < 1 - THRESHOLDS.tie]
+    worse = ratio.index[ratio > 1 + THRESHOLDS.tie]
+    return tuple(better), tuple(worse)
+
+
+def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
+    """Return a judgement by one finding."""
+    return Use(purpose, fit, (Finding(code, numbers=numbers),))
 
 
 def _prediction(table: pd.DataFrame) -> Use:
@@ -109,21 +124,20 @@ def _prediction(table: pd.DataFrame) -> Use:
     purpose = "predict coefficients"
     errors = table["normalized_rmse"]
     coverages = table["interval_coverage"]
-    large = errors[~(errors <= THRESHOLDS.error)]
-    narrow = coverages[~(coverages >= THRESHOLDS.coverage)]
-    poor = [name for name in table.index if name in large or name in narrow]
-    if not poor:
-        numbers = {"smallest": errors.min(), "largest": errors.max()}
-        return Use(purpose, "yes", (Finding(Code.ERRORS_SMALL, numbers=numbers),))
-    good = [name for name in table.index if name not in poor]
-    lacks = {
-        "good": good,
-        "poor": poor,
-        "errors": large.to_dict(),
-        "coverages": narrow.to_dict(),
-    }
-    finding = Finding(Code.ERRORS_TOO_LARGE, numbers=lacks)
-    return Use(purpose, "partly" if good else "no", (finding,))
+    is_large = ~(errors <= THRESHOLDS.error)
+    is_narrow = ~(coverages >= THRESHOLDS.coverage)
+    is_poor = is_large | is_narrow
+    if not is_poor.any():
+        return _use(purpose, "yes", Code.ERRORS_SMALL, smallest=errors.min(), largest=errors.max())
+    return _use(
+        purpose,
+        "no" if is_poor.all() else "partly",
+        Code.ERRORS_TOO_LARGE,
+        good=list(table.index[~is_poor]),
+        poor=list(table.index[is_poor]),
+        errors=errors[is_large].to_dict(),
+        coverages=coverages[is_narrow].to_dict(),
+    )
 
 
 def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
@@ -131,29 +145,31 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     purpose = "simulate"
     accelerations = sorted(ACCELERATIONS & set(regressors))
     if accelerations:
-        finding = Finding(Code.ACCELERATIONS_AS_REGRESSORS, numbers={"names": accelerations})
-        return Use(purpose, "no", (finding,))
+        return _use(purpose, "no", Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
     table = mechanics.simulation
     if table is None:
         note = mechanics.simulation_note
         return Use(purpose, "unknown", () if note is None else (note,))
-    ends = table["lasts"].sort_values()
-    seconds = float(ends.iloc[0])
-    horizon = float(table["horizon"].iloc[0])
+    lasts = table["lasts"].sort_values()
+    seconds = float(lasts.min())
+    horizon = float(table["horizon"].min())
     if seconds >= horizon:
-        return Use(purpose, "yes", (Finding(Code.FOLLOWS, numbers={"horizon": horizon}),))
+        return _use(purpose, "yes", Code.FOLLOWS, horizon=horizon)
     apart = float(table["lasts_without_gusts"].min())
     if seconds < THRESHOLDS.seconds <= apart:
-        numbers = {"seconds": seconds, "gusts": float(table["gusts"].iloc[0]), "apart": apart}
-        return Use(purpose, "unknown", (Finding(Code.GUSTS_HIDE_ERRORS, numbers=numbers),))
-    late = {
-        "seconds": seconds,
-        "horizon": horizon,
-        "late": ends[ends < horizon].to_dict(),
-        "states": len(table),
-    }
-    fit = "partly" if seconds >= THRESHOLDS.seconds else "no"
-    return Use(purpose, fit, (Finding(Code.FOLLOWS_SHORTLY, numbers=late),))
+        gusts = float(table["gusts"].min())
+        return _use(
+            purpose, "unknown", Code.GUSTS_HIDE_ERRORS, seconds=seconds, gusts=gusts, apart=apart
+        )
+    return _use(
+        purpose,
+        "partly" if seconds >= THRESHOLDS.seconds else "no",
+        Code.FOLLOWS_SHORTLY,
+        seconds=seconds,
+        horizon=horizon,
+        late=lasts[lasts < horizon].to_dict(),
+        states=len(table),
+    )
 
 
 def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Finding]) -> Use:
@@ -164,22 +180,19 @@ def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Fin
     if mechanics.trim is None or mechanics.derivatives.empty:
         return Use(purpose, "no", mechanics.notes)
     if "std" not in mechanics.derivatives:
-        return Use(purpose, "unknown", (Finding(Code.NO_BANDS),))
+        return _use(purpose, "unknown", Code.NO_BANDS)
     widths = _half_widths(mechanics)
     if widths is None:
-        return Use(purpose, "no", (Finding(Code.CONTROLS_MISSING),))
+        return _use(purpose, "no", Code.CONTROLS_MISSING)
     wide = widths[~(widths <= THRESHOLDS.band)]
     if len(wide):
-        finding = Finding(Code.CONTROLS_TOO_UNCERTAIN, numbers={"widths": wide.to_dict()})
-        return Use(purpose, "no", (finding,))
-    controls_known = Finding(
-        Code.CONTROLS_KNOWN, numbers={"width": widths.max(), "widest": widths.idxmax()}
-    )
+        return _use(purpose, "no", Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict())
+    known = {"width": widths.max(), "widest": widths.idxmax()}
+    controls_known = Finding(Code.CONTROLS_KNOWN, numbers=known)
     beyond = list(mechanics.trim.beyond)
     if beyond:
-        return Use(
-            purpose, "no", (Finding(Code.TRIM_BEYOND, numbers={"names": beyond}), controls_known)
-        )
+        finding = Finding(Code.TRIM_BEYOND, numbers={"names": beyond})
+        return Use(purpose, "no", (finding, controls_known))
     poor = [name for name in MOMENTS if errors[name] > 1]
     if poor:
         finding = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
@@ -200,26 +213,25 @@ def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
     return 1.96 * bands["std"] / bands["value"].abs()
 
 
-def _scored(table: pd.DataFrame, evaluations: Sequence[Evaluation]) -> list[Finding]:
+def _scored(
+    table: pd.DataFrame, evaluations: Sequence[Evaluation], worse: Sequence[str]
+) -> list[Finding]:
     """Return the findings of the scores, the costliest first."""
     findings = []
-    means = {
-        flight.name: flight.scores["measured"]["normalized_rmse"].mean() for flight in evaluations
-    }
-    bad = [name for name, error in means.items() if error > 1]
+    bad = []
+    for flight in evaluations:
+        if flight.scores["measured"]["normalized_rmse"].mean() > 1:
+            bad.append(flight.name)
     if bad:
-        numbers = {"flights": bad, "worse": len(bad), "tested": len(means)}
+        numbers = {"flights": bad, "worse": len(bad), "tested": len(evaluations)}
         findings.append(Finding(Code.CONSTANT_BETTER_IN_FLIGHTS, numbers=numbers))
-
-    error = table["normalized_rmse"]
-    linear = (1 + THRESHOLDS.tie) * table.get("least_squares_normalized_rmse", np.inf * error)
-    worse = list(table.index[error > linear])
-    if len(worse) >= len(table) / 2 or error.mean() > linear.mean():
-        numbers = {"names": worse, "worse": len(worse), "coefficients": len(table)}
+    means = table.mean()
+    limit = (1 + THRESHOLDS.tie) * means.get("least_squares_normalized_rmse", np.inf)
+    if len(worse) >= len(table) / 2 or means["normalized_rmse"] > limit:
+        numbers = {"names": list(worse), "worse": len(worse), "coefficients": len(table)}
         findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers))
-
-    held = table["interval_coverage"]
-    narrow = held[held < THRESHOLDS.coverage]
+    coverages = table["interval_coverage"]
+    narrow = coverages[coverages < THRESHOLDS.coverage]
     if len(narrow):
         numbers = {"coverages": narrow.to_dict()}
         findings.append(Finding(Code.BANDS_TOO_NARROW, numbers=numbers))

@@ -24,8 +24,6 @@ from skdgp.metrics import (
 )
 from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
 
-HONEST = (0.90, 0.99)  # coverage of a 95 % interval that is not marked
-
 
 class Thresholds(NamedTuple):
     """What counts as good enough (docs/judging.md, with the sources)."""
@@ -33,7 +31,7 @@ class Thresholds(NamedTuple):
     # Largest error over the spread of the coefficients: Theil's coefficient is then 0.27, and 0.25
     # to 0.3 count as good agreement (Jategaonkar 2006, chapter 11).
     error: float = 0.5
-    coverage: float = HONEST[0]  # smallest share of measured values in a 95 % band (guess)
+    coverage: float = 0.90  # smallest share of measured values in a 95 % band (guess)
     # Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
     # half the gain.
     band: float = 0.5
@@ -163,6 +161,11 @@ class Verdict:
         return f"Least squares on the same rows has {errors}: the model is {', '.join(parts)}."
 
 
+# Facts of a trim and columns of derivatives in metrics.json
+TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+DERIVATIVE = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
+
+
 @dataclass(frozen=True, kw_only=True)
 class FlightMechanics:
     """Trim, derivatives and modes in the middle of the training range.
@@ -204,30 +207,25 @@ class FlightMechanics:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
-        plain: dict[str, Any] = {
-            "note": " ".join(map(text_of, self.notes)),
-            "simulation_note": text_of(self.simulation_note) if self.simulation_note else "",
-        }
+        plain: dict[str, Any] = {"note": " ".join(map(text_of, self.notes)), "simulation_note": ""}
+        if self.simulation_note is not None:
+            plain["simulation_note"] = text_of(self.simulation_note)
         if self.trim is not None:
-            plain["trim"] = {
-                "airspeed": self.trim.airspeed,
-                "altitude": self.trim.altitude,
-                "climb": self.trim.climb,
-                "alpha": self.trim.alpha,
-                "beta": self.trim.beta,
-                "phi": self.trim.phi,
-                "theta": self.trim.theta,
-                "controls": self.trim.controls,
-                "beyond": {name: list(values) for name, values in self.trim.beyond.items()},
-            }
-        columns = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
-        plain["derivatives"] = self.derivatives.filter(columns).to_dict("index")
-        if self.least_squares is not None:
-            plain["least_squares"] = self.least_squares.to_dict("index")
-        if self.modes is not None:
-            plain["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")
-        if self.simulation is not None:
-            plain["simulation"] = self.simulation.to_dict("index")
+            trim = pd.Series(vars(self.trim))[[*TRIM]].to_dict()
+            beyond = {name: list(values) for name, values in self.trim.beyond.items()}
+            plain["trim"] = trim | {"beyond": beyond}
+        plain["derivatives"] = self.derivatives.filter(DERIVATIVE).to_dict("index")
+        modes = self.modes
+        if modes is not None:
+            modes = modes.drop(columns="eigenvalue")
+        tables = {
+            "least_squares": self.least_squares,
+            "modes": modes,
+            "simulation": self.simulation,
+        }
+        for name, table in tables.items():
+            if table is not None:
+                plain[name] = table.to_dict("index")
         return plain
 
 
@@ -291,30 +289,28 @@ def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
 
 
 def _scores(
-    flights: Sequence[Evaluation], reference: list[Matrix], std: list[Matrix]
+    flights: Sequence[Evaluation], reference: Sequence[Matrix], std: Sequence[Matrix]
 ) -> pd.DataFrame:
+    """Return coefficients by metrics against a reference."""
     expected = np.concatenate(reference)
-    predicted = np.concatenate([flight.mean for flight in flights])
-    columns: dict[str, Any] = {
-        "median_relative_error": median_relative_error(
-            expected, predicted, multioutput="raw_values"
-        ),
-        "normalized_rmse": normalized_rmse(expected, predicted, multioutput="raw_values"),
-    }
+    mean = np.concatenate([flight.mean for flight in flights])
+    each: dict[str, Any] = {"multioutput": "raw_values"}
+    table = pd.DataFrame(index=list(COEFFICIENTS))
+    table["median_relative_error"] = median_relative_error(expected, mean, **each)
+    table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
     baselines = [flight.baseline for flight in flights if flight.baseline is not None]
     if len(baselines) == len(flights):
-        linear = normalized_rmse(expected, np.concatenate(baselines), multioutput="raw_values")
-        columns["least_squares_normalized_rmse"] = linear
-
-    rows = [flight.rows for flight in flights]
-    bands = [
-        np.concatenate([values[k] for values, k in zip(arrays, rows, strict=True)])
-        for arrays in (reference, [flight.mean for flight in flights], std)
-    ]
-    density = negative_log_predictive_density(*bands, multioutput="raw_values")
-    columns["negative_log_predictive_density"] = density
-    columns["interval_coverage"] = interval_coverage(*bands, multioutput="raw_values")
-    return pd.DataFrame(columns, index=list(COEFFICIENTS))
+        linear = np.concatenate(baselines)
+        table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
+    has_std = np.zeros(len(mean), dtype=bool)
+    begin = 0
+    for flight in flights:
+        has_std[begin + flight.rows] = True
+        begin += len(flight.mean)
+    bands = expected[has_std], mean[has_std], np.concatenate(std)[has_std]
+    table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
+    table["interval_coverage"] = interval_coverage(*bands, **each)
+    return table
 
 
 @dataclass(frozen=True, kw_only=True)

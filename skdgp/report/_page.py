@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,7 @@ from skdgp._display.page import (
     number,
     percent,
     render_page,
+    section,
     table,
     text,
     units_shown,
@@ -29,7 +31,6 @@ from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
 from skdgp.dynamics import Trim
 from skdgp.plotting import TimeHistoryDisplay
 from skdgp.report._content import (
-    HONEST,
     THRESHOLDS,
     Evaluation,
     Extent,
@@ -47,11 +48,11 @@ REGRESSORS = {
 
 
 def coverage(value: float) -> str:
-    """Return a coverage in percent, marked when it is not near 95 %."""
+    """Return a coverage in percent, marked when it is below the threshold or above 99 %."""
     shown = percent(value)
-    if value < HONEST[0]:
+    if value < THRESHOLDS.coverage:
         return f'<span class="off" title="too sure">▼ {shown}</span>'
-    if value > HONEST[1]:
+    if value > 0.99:
         return f'<span class="off" title="too wide">▲ {shown}</span>'
     return shown
 
@@ -67,25 +68,38 @@ def derivative(coefficient: str, name: str) -> str:
 
 
 _thousandths = partial(number, form=".3f")
-# Heading and format of the columns of the tables of errors, by their names in metrics.json
-SCORES: dict[str, tuple[str, Callable[[Any], str]]] = {
-    "normalized_rmse": ("NRMSE", _thousandths),
-    "least_squares_normalized_rmse": ("NRMSE of<br>least squares", _thousandths),
-    "interval_coverage": ("95 %<br>coverage [%]", coverage),
+
+
+class Column(NamedTuple):
+    """Heading and format of the values of a column."""
+
+    heading: str
+    show: Callable[[Any], str]
+
+
+# Columns of the tables of errors, by their names in metrics.json
+SCORES = {
+    "normalized_rmse": Column("NRMSE", _thousandths),
+    "least_squares_normalized_rmse": Column("NRMSE of<br>least squares", _thousandths),
+    "interval_coverage": Column("95 %<br>coverage [%]", coverage),
 }
+
+
+def _cells(row: pd.Series, columns: Mapping[str, Column]) -> list[str]:
+    """Return the values of a row in the columns that it has."""
+    return [column.show(row[name]) for name, column in columns.items() if name in row]
 
 
 def error_table(scores: pd.DataFrame, *, against: str) -> str:
     """Return errors by coefficient, grouped, with the mean of each group."""
-    columns = {name: column for name, column in SCORES.items() if name in scores}
     rows = []
     for group, members in GROUPS.items():
+        of_group = scores.loc[list(members)]
         rows.append([group])
-        values: dict[str, Any] = {lowered(name): scores.loc[name] for name in members}
-        values["<em>mean</em>"] = scores.loc[list(members)].mean()
-        for name, row in values.items():
-            rows.append([name, *(show(row[key]) for key, (_, show) in columns.items())])
-    head = ["", *(title for title, _ in columns.values())]
+        for name, row in of_group.iterrows():
+            rows.append([lowered(str(name)), *_cells(row, SCORES)])
+        rows.append(["<em>mean</em>", *_cells(of_group.mean(), SCORES)])
+    head = ["", *(column.heading for name, column in SCORES.items() if name in scores)]
     return table(head, rows, caption=f"Errors against {against}.", classes="numbers")
 
 
@@ -99,9 +113,10 @@ def state(name: str) -> str:
 
 def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a list of facts; pairs without a value are left out."""
-    lines = "".join(
-        f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>" for term, value in pairs if value
-    )
+    lines = ""
+    for term, value in pairs:
+        if value:
+            lines += f"<div><dt>{text(term)}</dt><dd>{text(value)}</dd></div>"
     return f'<dl class="facts">{lines}</dl>' if lines else ""
 
 
@@ -148,10 +163,7 @@ HOW_TO_READ = (
 # Shown in print, too: the page to sign
 SIGN = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
 NO_FIGURES = 'No figures: they need matplotlib, pip install "skdgp[plot]".'
-N_WARNINGS = 3
-MOST_NAMED = 4  # weak derivatives that are named for each input
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
-KNOWN = 2.0  # standard deviation over the size of a derivative above which it has no row
 # Regressors that move with an input: what to excite where a derivative is weak
 EXCITED = {
     "elevator": ("alpha", "alpha_dot", "q", "q_hat", "elevator"),
@@ -162,9 +174,21 @@ EXCITED = {
 # Kinds of modes that a 3-2-1-1 of an input excites
 LATERAL_MODES = ("Dutch roll", "roll", "roll-spiral")
 MODES = {"elevator": ("short period",), "aileron": LATERAL_MODES, "rudder": LATERAL_MODES}
-# Flights that a page shows in full; of more only the one that is predicted worst has figures
-EXCERPT = 15.0  # length of the close look at a flight [s]
-MOST_OPEN = 3
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Sizes of the parts of a report, by what a reader takes in (guesses)."""
+
+    warnings: int = 3  # in the verdict; others stand below it
+    named: int = 4  # weak derivatives that are named for each input
+    flights: int = 3  # with figures; of more only the one that is predicted worst has them
+    excerpt: float = 15.0  # length of the close look at a flight [s]
+    # standard deviation over the size of a derivative above which it has no row
+    known: float = 2.0
+
+
+SETTINGS = PageSettings()
 
 
 def render_report(content: ReportContent) -> str:
@@ -173,11 +197,8 @@ def render_report(content: ReportContent) -> str:
     Its figures are SVG images. Without matplotlib it has no figures and says so.
     """
     count = f"flights: {len(content.train)} training, {len(content.test)} test"
-    meta = " · ".join(
-        text(part)
-        for part in (content.subtitle, count, f"{content.created:%d %B %Y, %H:%M}")
-        if part
-    )
+    parts = [content.subtitle, count, f"{content.created:%d %B %Y, %H:%M}"]
+    meta = " · ".join(text(part) for part in parts if part)
     colophon = "Made by skdgp. SI units; degrees in figures and in the table of states."
     with units_shown(content.units):
         body = _with_contents(_sections(content))
@@ -187,44 +208,40 @@ def render_report(content: ReportContent) -> str:
 def _sections(content: ReportContent) -> list[str]:
     """Return all sections in their order; those without content are empty."""
     draw = can_draw()
-    further = _list(content.verdict.warnings[N_WARNINGS:], "ul", "alerts")
-    rows = facts([*content.facts.items(), ("Command", content.command)])
-    effects = ""
-    if draw and content.effects is not None:
-        effects = content.effects.html(EFFECTS)
-    sections = [_verdict(content), _next_flight(content), *content.sections]
-    sections.append(_section("Further warnings", further))
-    sections.append(_section("What was assumed", _list(content.assumed)))
+    further = _list(content.verdict.warnings[SETTINGS.warnings :], "ul", "alerts")
+    sections = [
+        _verdict(content),
+        _next_flight(content),
+        *content.sections,
+        section("Further warnings", further),
+        section("What was assumed", _list(content.assumed)),
+    ]
     if not draw:
         sections.append(_note(NO_FIGURES))
     sections.append(_mechanics(content.mechanics))
     sections.append(_simulation(content.mechanics, draw))
     sections += _flights(content, draw)
-    sections.append(_section("Effects", effects))
+    if draw and content.effects is not None:
+        sections.append(section("Effects", content.effects.html(EFFECTS)))
     if draw:
         sections.append(_flown(content))
-    sections.append(_section("What was done", rows, SIGN))
-    sections.append(_section("How to read", HOW_TO_READ))
+    done = facts([*content.facts.items(), ("Command", content.command)])
+    sections.append(section("What was done", done, SIGN))
+    sections.append(section("How to read", HOW_TO_READ))
     return sections
-
-
-def _section(title: str, *parts: str, classes: str = "") -> str:
-    """Return a section of ready HTML, empty without parts."""
-    kind = f' class="{classes}"' if classes else ""
-    body = "".join(parts)
-    return f"<section{kind}><h2>{title}</h2>{body}</section>" if body else ""
 
 
 def _with_contents(sections: Iterable[str]) -> str:
     """Return the sections, numbered in a list of contents before them."""
-    links: list[str] = []
-
-    def named(match: re.Match) -> str:
-        links.append(f'<a href="#s{len(links)}">{match[1]}</a>')
-        return f'<h2 id="s{len(links) - 1}">{match[1]}</h2>'
-
-    body = re.sub(r"<h2>(.*?)</h2>", named, "\n".join(filter(None, sections)))
-    return f'<nav class="contents">{" ".join(links)}</nav>\n{body}'
+    links = ""
+    body = ""
+    for k, part in enumerate(filter(None, sections)):
+        heading = re.search(r"<h2>(.*?)</h2>", part)
+        if heading:
+            links += f' <a href="#s{k}">{heading[1]}</a>'
+            part = part.replace("<h2>", f'<h2 id="s{k}">', 1)
+        body += part + "\n"
+    return f'<nav class="contents">{links.strip()}</nav>\n{body}'
 
 
 def _note(sentence: str) -> str:
@@ -237,19 +254,18 @@ def _verdict(content: ReportContent) -> str:
     air = f"Air: {text(content.air)}." if content.air else "The air was not estimated."
     uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
     head = ["good enough to", "", "because"]
-    parts = [
+    alerts = _note("No warning arose.")
+    if verdict.findings:
+        alerts = _list(verdict.warnings[: SETTINGS.warnings], "ol", "alerts")
+    return section(
+        "Verdict",
         f"<p>{text(verdict.learned)} {air}</p>",
         _error_and_coverage(verdict),
         table(head, uses, caption="What the model is good for.", classes="words"),
         f"<p>{text(verdict.compared())}</p>",
-    ]
-    if verdict.findings:
-        parts.append(_list(verdict.warnings[:N_WARNINGS], "ol", "alerts"))
-    else:
-        parts.append(_note("No warning arose."))
-    if len(content.test) > 1:
-        parts.append(_errors_by_flight(content.test))
-    return _section("Verdict", *parts)
+        alerts,
+        _errors_by_flight(content.test) if len(content.test) > 1 else "",
+    )
 
 
 def _error_and_coverage(verdict: Verdict) -> str:
@@ -268,10 +284,10 @@ def _error_and_coverage(verdict: Verdict) -> str:
 def _errors_by_flight(flights: Sequence[Evaluation]) -> str:
     rows = []
     for flight in flights:
-        means = flight.scores["measured"].mean()
-        cells = [show(means.get(name)) for name, (_, show) in SCORES.items()]
-        rows.append([text(flight.name), number(np.ptp(flight.time), ".3g"), *cells])
-    head = ["", "length<br>[s]", *(title for title, _ in SCORES.values())]
+        means = flight.scores["measured"].mean().reindex([*SCORES])
+        length = number(np.ptp(flight.time), ".3g")
+        rows.append([text(flight.name), length, *_cells(means, SCORES)])
+    head = ["", "length<br>[s]", *(column.heading for column in SCORES.values())]
     caption = "Test flights, against measured values: means of the six coefficients."
     return table(head, rows, caption=caption, classes="numbers")
 
@@ -279,9 +295,9 @@ def _errors_by_flight(flights: Sequence[Evaluation]) -> str:
 def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
     """Return the derivatives of the coefficients of a plane by the regressors that move in it."""
     names = GROUPED[plane]
-    is_in = derivatives["regressor"].isin(MIRRORED) == (plane == "Lateral")
-    is_in &= derivatives["coefficient"].isin(names) & (derivatives["regressor"] != "")
-    return derivatives[is_in].sort_values(
+    moves_in_it = derivatives["regressor"].isin(MIRRORED) == (plane == "Lateral")
+    is_of_it = derivatives["coefficient"].isin(names) & (derivatives["regressor"] != "")
+    return derivatives[is_of_it & moves_in_it].sort_values(
         "coefficient", key=lambda c: c.map(names.index), kind="stable"
     )
 
@@ -291,18 +307,15 @@ def _next_flight(content: ReportContent) -> str:
     mechanics = content.mechanics
     if "std" not in mechanics.derivatives:
         return ""
-    derivatives = pd.concat([_of_plane(mechanics.derivatives, plane) for plane in GROUPED])
-    half = 1.96 * derivatives["std"] / derivatives["value"].abs()
-    is_weak = (half > THRESHOLDS.band) & (half < 1.96 * KNOWN)
-    weak = derivatives.assign(half=half)[is_weak].sort_values("half", ascending=False)
+    weak = _weak(mechanics.derivatives)
     rows = []
     for axis, regressors in EXCITED.items():
         excited = weak[weak["regressor"].isin(regressors)]
         if len(excited):
-            manoeuvre = axis + _manoeuvre(axis, mechanics)
-            rows.append([manoeuvre, _weak_names(excited.head(MOST_NAMED)), str(len(excited))])
+            named = _weak_names(excited.head(SETTINGS.named))
+            rows.append([axis + _manoeuvre(axis, mechanics), named, str(len(excited))])
     if not rows:
-        return _section("What to fly next", _note("Every derivative is known to half its size."))
+        return section("What to fly next", _note("Every derivative is known to half its size."))
     flown = Extent.of(list(content.train.values())).seconds
     reach = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
@@ -312,13 +325,21 @@ def _next_flight(content: ReportContent) -> str:
         "on the model proposes manoeuvres, their seconds and the errors that they leave."
     )
     head = ["excite", "weak derivatives", "in all"]
-    return _section("What to fly next", table(head, rows, caption=caption, classes="words"))
+    return section("What to fly next", table(head, rows, caption=caption, classes="words"))
+
+
+def _weak(derivatives: pd.DataFrame) -> pd.DataFrame:
+    """Return the derivatives whose bands are wide, widest first, with ``half`` the width over the value."""
+    derivatives = pd.concat([_of_plane(derivatives, plane) for plane in GROUPED])
+    half = 1.96 * derivatives["std"] / derivatives["value"].abs()
+    is_weak = half.between(THRESHOLDS.band, 1.96 * SETTINGS.known, inclusive="neither")
+    return derivatives.assign(half=half)[is_weak].sort_values("half", ascending=False)
 
 
 def _weak_names(derivatives: pd.DataFrame) -> str:
     """Return derivatives with half the widths of their bands."""
     names = []
-    for row in derivatives.to_dict("records"):
+    for _, row in derivatives.iterrows():
         name = derivative(row["coefficient"], row["regressor"])
         names.append(f"{name} ±{THIN}{percent(row['half'], '.0f')}{THIN}%")
     return ", ".join(names)
@@ -328,11 +349,10 @@ def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
     """Return the unit of the 3-2-1-1 that excites the modes of an input; empty where they are unknown."""
     if axis not in MODES or mechanics.modes is None:
         return ""
-    is_excited = mechanics.mode_kinds.isin(MODES[axis])
-    excited = mechanics.modes.loc[is_excited, "frequency"]
+    excited = mechanics.modes[mechanics.mode_kinds.isin(MODES[axis])]
     if excited.empty:
         return ""
-    unit = number(0.5 * np.pi / excited.min(), ".2g")
+    unit = number(0.5 * np.pi / excited["frequency"].min(), ".2g")
     return f":<br>3-2-1-1 with a unit of {unit}{THIN}s"
 
 
@@ -343,18 +363,18 @@ def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
 
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
-    parts = []
-    parts += [_note(text(text_of(note))) for note in mechanics.notes]
+    parts = [_note(text(text_of(note))) for note in mechanics.notes]
     if mechanics.trim is not None:
         parts.append("<p>Steady flight in the middle of the training range:</p>")
         parts.append(_trim(mechanics.trim))
     if len(mechanics.derivatives):
-        tables = "".join(_derivatives(mechanics, plane) for plane in GROUPED)
-        parts.append(f'<div class="pair">{tables}</div>')
-        parts.append(_note(OF_AIRCRAFT if "std_aircraft" in mechanics.derivatives else ""))
+        tables = [_derivatives(mechanics, plane) for plane in GROUPED]
+        parts.append(f'<div class="pair">{"".join(tables)}</div>')
+    if "std_aircraft" in mechanics.derivatives:
+        parts.append(_note(OF_AIRCRAFT))
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
-    return _section("Trim, derivatives and modes", *parts)
+    return section("Trim, derivatives and modes", *parts)
 
 
 def _trim(trim: Trim) -> str:
@@ -378,30 +398,38 @@ def _trim(trim: Trim) -> str:
 def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
     """Return the derivatives of one plane; those with too large standard deviations are named beneath."""
     derivatives = _of_plane(mechanics.derivatives, plane)
-    std = derivatives.get("std", 0.0 * derivatives["value"])
-    is_known = std <= KNOWN * derivatives["value"].abs()
     names = [derivative(*row) for row in derivatives[["coefficient", "regressor"]].to_numpy()]
-    unknown = ", ".join(
-        name for name, is_shown in zip(names, is_known, strict=True) if not is_shown
-    )
-    columns = {"": names, "model": [_value(row) for _, row in derivatives.iterrows()]}
+    shown = pd.DataFrame({"": names}, index=derivatives.index)
+    shown["model"] = [_value(row) for _, row in derivatives.iterrows()]
     if mechanics.least_squares is not None:
-        linear = mechanics.least_squares.loc[derivatives.index, "value"]
-        columns["least squares"] = [number(x, ".3g") for x in linear]
+        linear = mechanics.least_squares["value"].reindex(derivatives.index)
+        shown["least squares"] = linear.map(partial(number, form=".3g"))
     if "std_aircraft" in derivatives:
-        columns["± of<br>aircraft"] = [number(x, ".2g") for x in derivatives["std_aircraft"]]
-    rows = pd.DataFrame(columns)[is_known.to_numpy()].to_numpy().tolist()
+        of_aircraft = derivatives["std_aircraft"]
+        shown["± of<br>aircraft"] = of_aircraft.map(partial(number, form=".2g"))
+    is_known = pd.Series(True, index=derivatives.index)
+    if "std" in derivatives:
+        is_known = derivatives["std"] <= SETTINGS.known * derivatives["value"].abs()
+    caption = _derivatives_caption(derivatives, plane)
+    numbers = ""
+    if is_known.any():
+        rows = shown[is_known].to_numpy().tolist()
+        numbers = table([*shown], rows, caption=caption, classes="numbers named")
+    unknown = ", ".join(shown.loc[~is_known, ""])
+    note = _note(f"Not determined by these flights: {unknown}." if unknown else "")
+    return f"<div>{numbers}{note}</div>"
+
+
+def _derivatives_caption(derivatives: pd.DataFrame, plane: str) -> str:
     caption = (
         f"{plane} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
         "deviations. ▼: the 95 % band holds both signs."
     )
-    if derivatives.get("merged", pd.Series(dtype=str)).any():
+    if "merged" in derivatives and derivatives["merged"].any():
         caption += " Derivatives by q and r include the effect of alpha_dot and beta_dot."
-    if "full throw" in set(derivatives.get("per", ())):
+    if "per" in derivatives and derivatives["per"].eq("full throw").any():
         caption += " Those by surfaces are by their full throw."
-    note = _note(f"Not determined by these flights: {unknown}." if unknown else "")
-    numbers = table([*columns], rows, caption=caption, classes="numbers named") if rows else ""
-    return f"<div>{numbers}{note}</div>"
+    return caption
 
 
 def _value(row: pd.Series) -> str:
@@ -448,7 +476,7 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
         parts.append(_simulation_errors(mechanics.simulation))
     if draw and mechanics.simulated is not None:
         parts.append(mechanics.simulated.html(SIMULATED))
-    return _section("Simulation", *parts)
+    return section("Simulation", *parts)
 
 
 def _simulation_errors(errors: pd.DataFrame) -> str:
@@ -460,10 +488,10 @@ def _simulation_errors(errors: pd.DataFrame) -> str:
         "states, in the estimated wind and gusts, else in still air: root mean square error at "
         "the end, and how long it stays below the limit."
     )
-    is_gusty = errors.get("gusts", pd.Series(0.0)).max() > 0
+    is_gusty = "gusts" in errors and errors["gusts"].max() > 0
     if is_gusty:
         head.append("less gusts<br>for [s]")
-        gusts = number(errors["gusts"].iloc[0], ".2g")
+        gusts = number(errors["gusts"].max(), ".2g")
         caption += (
             f" Less gusts: without the part of the error that gusts of {gusts}{THIN}m/s explain, "
             "which are not estimated."
@@ -487,9 +515,9 @@ def _flights(content: ReportContent, draw: bool) -> list[str]:
     parts = []
     for result, error in zip(content.test, errors, strict=True):
         body = _errors(result)
-        if draw and (len(errors) <= MOST_OPEN or not error < max(errors)):
+        if draw and (len(errors) <= SETTINGS.flights or not error < max(errors)):
             body += _figures(result)
-        parts.append(_section(f"Test flight {text(result.name)}", body, classes="flight"))
+        parts.append(section(f"Test flight {text(result.name)}", body, classes="flight"))
     return parts
 
 
@@ -510,14 +538,17 @@ def _errors(result: Evaluation) -> str:
 def _figures(result: Evaluation) -> str:
     """Return coefficients with residuals, and replayed states, of a long flight where the estimates move most."""
     rows = liveliest_rows(result.time, result.mean)
-    moments = (values[rows] for values in (result.measured, result.mean, result.measured_std))
-    truth = None if result.truth is None else result.truth[rows]
     display = TimeHistoryDisplay.from_predictions(
-        result.time[rows], *moments, truth=truth, ax=False
+        result.time[rows],
+        result.measured[rows],
+        result.mean[rows],
+        result.measured_std[rows],
+        truth=None if result.truth is None else result.truth[rows],
+        ax=False,
     )
     caption = f"Coefficients of {text(result.name)}"
     if rows != slice(None):
-        caption += f", the {EXCERPT:g}{THIN}s in which the estimates move most"
+        caption += f", the {SETTINGS.excerpt:g}{THIN}s in which the estimates move most"
     caption += ", and beneath each measured less estimated, in the 95 % band."
     body = display.html(caption, display.residuals())
     if result.replay is None:
@@ -533,7 +564,7 @@ def _figures(result: Evaluation) -> str:
     return body + states.html(caption)
 
 
-def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> slice:
+def liveliest_rows(time: Vector, values: Matrix, length: float = SETTINGS.excerpt) -> slice:
     """Return the rows of the ``length`` seconds with the most motion of ``values``; all rows of a short record.
 
     Motion is the sum of squared steps, each column in units of its standard deviation.
@@ -552,11 +583,14 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> sli
 
 def _flown(content: ReportContent) -> str:
     """Return the inputs of the flights."""
-    flights = {f"{name} (train)": table for name, table in content.train.items()}
-    for result in content.test:
-        flights[f"{result.name} (test)"] = result.table
     parts = []
-    for name, flight in flights.items():
-        inputs = TimeHistoryDisplay.from_inputs(flight, ax=False)
-        parts.append(inputs.html(f"Inputs of {text(name)}."))
-    return _section("What was flown", *parts)
+    for name, flight in content.train.items():
+        parts.append(_inputs(f"{name} (train)", flight))
+    for result in content.test:
+        parts.append(_inputs(f"{result.name} (test)", result.table))
+    return section("What was flown", *parts)
+
+
+def _inputs(name: str, flight: pd.DataFrame) -> str:
+    display = TimeHistoryDisplay.from_inputs(flight, ax=False)
+    return display.html(f"Inputs of {text(name)}.")

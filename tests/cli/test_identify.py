@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
-from skdgp._cli import _shared, main
+from skdgp._cli import main
 from skdgp._cli._shared import CLEAR, Console
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -337,13 +337,9 @@ class Terminal(io.StringIO):
 
 
 class TestConsole:
-    @pytest.fixture(autouse=True)
-    def _at_once(self, monkeypatch):
-        monkeypatch.setattr(_shared, "PERIOD", 0.0)
-
     def test_one_line_rewritten(self):
         stream = Terminal()
-        with Console(stream) as console:
+        with Console(stream, period=0.0) as console:
             console.stage("fit")
             console.progress("output 1", 10, -5.0)
             assert "output 1 · 10 evaluations · log likelihood -5.0" in stream.getvalue()
@@ -354,7 +350,7 @@ class TestConsole:
 
     def test_nothing_but_warnings_in_a_pipe(self):
         stream = io.StringIO()
-        with Console(stream) as console:
+        with Console(stream, period=0.0) as console:
             console.stage("fit")
             console.progress("fit", 1, 0.0)
             warnings.warn("look\n out", UserWarning, stacklevel=1)

@@ -34,7 +34,7 @@ def plan(uav, textbook):
     one = one.assign(altitude=100.0, az=-9.80665)
     bounds = Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(textbook)
     limits = pd.DataFrame(bounds, index=["low", "high"]).T
-    limits.loc["growth of alpha"] = [-0.05, 0.3]
+    limits.loc["alpha"] = [-0.05, 0.2]
     return Plan(
         train=wavetrain([pulse, sines, pulse], pause=2.0),
         trim=trim(textbook, uav, 20.0, altitude=100.0),

@@ -252,7 +252,7 @@ def test_files_that_are_no_plan_are_refused(model, uav, tmp_path):
         ),
         (
             {"seconds": 7.0, "limits": {"elevator": 1.5}},
-            "every manoeuvre leaves .* by flown alpha .*--growth",
+            "every manoeuvre leaves .* by alpha .*--alpha",
         ),
     ],
 )
@@ -275,7 +275,7 @@ def test_an_envelope_of_no_numbers_is_refused(words):
 
 def test_the_throttle_stays_between_0_and_1():
     flown = Aerodynamics(lambda X: 0 * X, ["throttle"], limits=[[0.2], [0.95]])
-    assert Envelope(growth=1.0).bounds(flown)["growth of throttle"] == (0.0, 1.0)
+    assert Envelope(growth=1.0).bounds(flown)["throttle"] == (0.0, 1.0)
 
 
 def test_without_options_a_plan_stays_in_what_was_flown(model, uav, point):

@@ -1,0 +1,157 @@
+"""Rehearsal of manoeuvres: simulations in calm air, and the largest inputs that stay inside the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.base import BaseEstimator
+
+from skdgp._excitation import ROUNDING, Steps, Wavetrain
+from skdgp.design._envelope import Envelope, option_of
+from skdgp.design._library import Inputs, PlanSettings, duration_of, scaled
+from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsed:
+    """A manoeuvre that stays inside the limits, and its flight with the response after it."""
+
+    name: str
+    inputs: Inputs
+    scale: float  # relative to the limits of the axes
+    flight: pd.DataFrame
+
+    @property
+    def duration(self) -> float:
+        """How long its inputs last [s]."""
+        return duration_of(self.inputs)
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """Simulations of manoeuvres from a trim, by the mean of a model in calm air.
+
+    Parameters
+    ----------
+    model, aircraft, trim, thrust
+        As of `simulate`.
+    amplitudes : mapping of str to float
+        Limits of the axes.
+    envelope : Envelope
+    settings : PlanSettings
+    """
+
+    model: Aerodynamics | BaseEstimator
+    aircraft: Aircraft
+    trim: Trim
+    amplitudes: Mapping[str, float]
+    envelope: Envelope
+    thrust: Any
+    settings: PlanSettings
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """The lowest and the highest value of each limited channel."""
+        return self.envelope.bounds(as_aerodynamics(self.model))
+
+    def inside(
+        self, manoeuvres: Mapping[str, Inputs], seconds: float, pause: float
+    ) -> list[Rehearsed]:
+        """Return the manoeuvres that fit into the time with a pause, each as large as the limits allow."""
+        full = _that_last(manoeuvres, seconds - pause)
+        centre = self._centre()
+        scales = dict.fromkeys(full, 1.0)
+        inside = []
+        cause = ""
+        while scales:
+            sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
+            for name, flight in self.flights(sized).items():
+                factors = self._factors(sized[name], flight, centre)
+                scale = scales.pop(name)
+                if factors.min() >= 1.0:
+                    inside.append(Rehearsed(name, sized[name], scale, flight))
+                    continue
+                # responses are nearly proportional to inputs
+                scale *= float(np.clip(factors.min(), *self.settings.shrink))
+                cause = str(factors.idxmin())
+                if scale >= self.settings.least_scale:
+                    scales[name] = scale
+        if not inside:
+            raise ValueError(
+                f"Got an envelope that every manoeuvre leaves even at {self.settings.least_scale:.0%} "
+                f"of the limits; the last one leaves it by {cause} ({option_of(cause)}): widen this "
+                f"limit, or fly another airspeed or altitude."
+            )
+        return inside
+
+    def flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
+        """Return the flights of manoeuvres, each with its response after it."""
+        settings = self.settings
+        trains = {}
+        for name, inputs in manoeuvres.items():
+            trains[name] = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
+        longest = max(train.duration for train in trains.values()) + settings.response
+        tables = []
+        for train in trains.values():
+            pause = longest - train.duration
+            tables.append(train.table(settings.rate, trim=self.trim.controls, pause=pause))
+        flown = simulate(
+            self.model,
+            self.aircraft,
+            [self.trim] * len(tables),
+            tables,
+            settings.row_step,
+            duration=settings.row_step * np.floor(longest / settings.row_step + ROUNDING),
+            thrust=self.thrust,
+        )
+        rows = np.array_split(np.arange(len(flown)), len(tables))
+        flights = {}
+        for (name, train), k in zip(trains.items(), rows, strict=True):
+            flight = flown.iloc[k]
+            is_recorded = flight["time"] <= train.duration + settings.response + ROUNDING
+            flights[name] = flight[is_recorded].reset_index(drop=True)
+        return flights
+
+    def _channels(self, flight: pd.DataFrame) -> pd.DataFrame:
+        return self.envelope.channels(flight, self.aircraft, as_aerodynamics(self.model))
+
+    def _centre(self) -> pd.Series:
+        """Return the limited channels in trimmed flight; raise ValueError if they leave their limits."""
+        nothing: Inputs = {next(iter(self.amplitudes)): Steps([1.0], [0.0])}
+        centre = self._channels(self.flights({"trim": nothing})["trim"]).iloc[0]
+        for name, (low, high) in self.bounds.items():
+            if centre[name] < low or centre[name] > high:
+                raise ValueError(
+                    f"Got an envelope that trimmed flight at {self.trim.airspeed:g} m/s and "
+                    f"{self.trim.altitude:.0f} m leaves by {name} ({option_of(name)}): widen this "
+                    f"limit, or choose another airspeed or altitude."
+                )
+        return centre
+
+    def _factors(self, inputs: Inputs, flight: pd.DataFrame, centre: pd.Series) -> pd.Series:
+        """Return for each limit the factor of the response that meets it, with the margin."""
+        if (flight["ended"] != "").any():
+            return pd.Series({"the end of the simulation": 0.0})
+        unattended = duration_of(inputs) + self.settings.reaction + ROUNDING
+        response = self._channels(flight[flight["time"] <= unattended]) - centre
+        is_response = ~response.columns.isin([*self.amplitudes])  # a control has none
+        response *= 1.0 + self.envelope.margin * is_response
+        low, high = np.array([*self.bounds.values()]).T - centre.to_numpy()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factors = response.rdiv(1.0) * np.where(response > 0, high, low)
+        return factors.where(np.isfinite(factors), np.inf).min()
+
+
+def _that_last(manoeuvres: Mapping[str, Inputs], longest: float) -> dict[str, Inputs]:
+    """Return the manoeuvres of at most a duration [s]; raise ValueError if there is none."""
+    short = {name: inputs for name, inputs in manoeuvres.items() if duration_of(inputs) <= longest}
+    if not short:
+        raise ValueError(
+            f"Got {longest:.3g} s for a manoeuvre between its pauses, but none is that short: give "
+            f"more seconds."
+        )
+    return short

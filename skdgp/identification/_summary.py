@@ -1,0 +1,185 @@
+"""Text of an identification: lines of the command line's summary, and facts of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
+
+from skdgp._compute.files import software_versions
+from skdgp._compute.wording import text_of
+from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp.dynamics import Aircraft
+from skdgp.identification._learn import thrust_sources
+from skdgp.identification._pipeline import reconstruction_of
+from skdgp.report import Evaluation, FitRecord, Verdict, scores
+
+GROUPS = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
+THRUSTS = {
+    "columns": "from the thrust columns of the flights",
+    "propeller": "from the propeller's bench table",
+    "none": "none subtracted: an engine's is part of the coefficients",
+}
+
+
+def group_means(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the means of the scores over the longitudinal, the lateral and all coefficients."""
+    means = {group: table.loc[list(members)].mean() for group, members in GROUPS.items()}
+    return pd.DataFrame(means).T
+
+
+def extent_of(table: pd.DataFrame) -> dict[str, float]:
+    """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
+    time = table["time"].to_numpy(float)
+    step = np.median(np.diff(time)) if len(time) > 1 else np.nan
+    return {
+        "samples": len(table),
+        "duration": float(np.ptp(time)),
+        "sample_rate": float(1 / step),
+    }
+
+
+def fit_lines(aircraft: Aircraft, fit: FitRecord) -> list[str]:
+    """Return duration, samples and likelihood of the fit, and whether it converged."""
+    likelihood = f"log likelihood {fit.log_marginal_likelihood:.1f}"
+    training = fit.training
+    lines = [f"{aircraft.name}: {likelihood}"]
+    if training is not None:
+        state = "interrupted" if fit.interrupted else "fitted"
+        lines = [
+            f"{aircraft.name}: {state} in {training.seconds:.1f} s on {training.samples} of "
+            f"{training.samples_available} samples, {likelihood}"
+        ]
+    if not fit.converged:
+        lines.append(f"not converged after {fit.iterations} iterations: raise max_iter")
+    return lines
+
+
+def score_lines(tested: Sequence[Evaluation]) -> list[str]:
+    """Return the scores of all test flights together, and of several the means of each."""
+    title = f"{len(tested)} test flights together"
+    if len(tested) == 1:
+        title = f"flight {tested[0].name}"
+    lines = [title, _score_text(scores(tested), [*COEFFICIENTS, *GROUPS]), ""]
+    if len(tested) > 1:
+        for flight in tested:
+            lines += [f"flight {flight.name}", _score_text(flight.scores, ["all"]), ""]
+    return lines
+
+
+def _score_text(against: Mapping[str, pd.DataFrame], names: list[str]) -> str:
+    """Return errors and coverage against measured; against truth, which holds gusts that no band knows, errors only."""
+    measured = pd.concat([against["measured"], group_means(against["measured"])]).loc[names]
+    shown = pd.DataFrame(index=names)
+    shown["rel. error [%]"] = 100 * measured["median_relative_error"]
+    shown["NRMSE"] = measured["normalized_rmse"]
+    shown["in 95 % band [%]"] = 100 * measured["interval_coverage"]
+    if "truth" in against:
+        truth = pd.concat([against["truth"], group_means(against["truth"])])
+        shown["rel. error of truth [%]"] = 100 * truth["median_relative_error"]
+        shown["NRMSE of truth"] = truth["normalized_rmse"]
+    form = {name: ("{:.3f}" if "NRMSE" in name else "{:.1f}").format for name in map(str, shown)}
+    return shown.to_string(formatters=form)
+
+
+def verdict_lines(verdict: Verdict, n_warnings: int = 3) -> list[str]:
+    """Return error, comparison with least squares, uses and the first warnings."""
+    lines = [
+        f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands"
+    ]
+    if verdict.least_squares_error is not None:
+        lines.append(verdict.compared())
+    for use in verdict.uses:
+        lines.append(f"{use.purpose + ':':<22}{use.fit}, {use.reason}")
+    for number, warning in enumerate(verdict.warnings[:n_warnings], start=1):
+        lines.append(f"warning {number}: {warning}")
+    return lines
+
+
+def assumption_lines(assumed: Iterable[str]) -> list[str]:
+    """Return the assumptions as a list; nothing without assumptions."""
+    lines = []
+    for assumption in assumed:
+        lines += wrap(assumption, 110, initial_indent="  - ", subsequent_indent="    ")
+    return ["", "assumed, as nothing was told:", *lines] if lines else []
+
+
+def facts_of_fit(
+    aircraft: Aircraft,
+    pipeline: Pipeline,
+    fit: FitRecord,
+    settings: Mapping[str, Any],
+    train: Mapping[str, pd.DataFrame],
+    tested: Mapping[str, pd.DataFrame],
+) -> dict[str, str]:
+    """Return the facts of a fit as text; empty where a fact does not apply."""
+    regressor = pipeline[-1]
+    facts = {
+        "Aircraft": _sizes(aircraft),
+        "Learned from": _durations(train),
+        "Tested on": _durations(tested),
+        "Regressors": ", ".join(fit.regressors),
+        "Structure": f"{regressor.structure}, trend {regressor.trend or 'none'}",
+        "Inference": fit.inference,
+        "Log likelihood": f"{fit.log_marginal_likelihood:,.1f}",
+        "Iterations": f"{fit.iterations}",
+    }
+    if not fit.converged:
+        facts["Iterations"] += " (not converged: raise max_iter)"
+    if fit.training is not None:
+        facts["Samples"] = f"{fit.training.samples:,} of {fit.training.samples_available:,}"
+        facts["Time of the fit"] = f"{fit.training.seconds:.1f} s"
+    sources = thrust_sources(settings["thrust"], [*train.values(), *tested.values()])
+    facts["Thrust"] = " or ".join([THRUSTS[name] for name in sources])
+    if fit.reconstruction is not None:
+        facts["Flight paths"] = text_of(fit.reconstruction)
+    facts["Lags"] = _lags(fit)
+    facts["Other loads"] = ", ".join(settings["external_forces"])
+    if fit.interrupted:
+        facts["Fit"] = "interrupted; this is the best model until then"
+    facts["Versions"] = ", ".join(f"{name} {n}" for name, n in software_versions().items())
+    return facts
+
+
+def _sizes(aircraft: Aircraft) -> str:
+    return (
+        f"{aircraft.name}, {aircraft.mass:g} kg, wing area {aircraft.wing_area:.4g} m², "
+        f"span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m"
+    )
+
+
+def _lags(fit: FitRecord) -> str:
+    late = []
+    for name, lag in fit.lags.items():
+        if lag["applied"]:
+            late.append(f"{name} {lag['applied']:.3g} s")
+    return ", ".join(late) or "none to correct"
+
+
+def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
+    """Return flights with their durations and rates."""
+    parts = []
+    for name, table in flights.items():
+        extent = extent_of(table)
+        parts.append(f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)")
+    return ", ".join(parts)
+
+
+def air_of(pipeline: Pipeline, most: int = 4) -> str:
+    """Return gusts and steady wind of the training flights, as reconstruction found them; empty where it did not."""
+    step = reconstruction_of(pipeline)
+    if step is None:
+        return ""
+    if step.air_motion_ is not None:
+        return step.air_motion_.summary
+    parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
+    winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
+    for name, row in winds.iterrows():
+        north, east = row[["wind_north", "wind_east"]]
+        way = np.rad2deg(np.arctan2(-east, -north)) % 360
+        parts.append(f"steady wind of {name} {np.hypot(north, east):.2g} m/s from {way:.0f} deg")
+    return ", ".join(parts[:most])

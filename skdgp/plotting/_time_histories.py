@@ -12,7 +12,8 @@ from sklearn.utils import check_array, check_consistent_length
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.page import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
-from skdgp._flight.checks import check_columns, unwrapped
+from skdgp._flight.checks import check_columns
+from skdgp._flight.tables import unwrapped
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,

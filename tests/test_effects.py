@@ -5,6 +5,8 @@ from copy import copy
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.exceptions import NotFittedError
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
@@ -48,7 +50,7 @@ pytestmark = pytest.mark.usefixtures("short_fits")
 
 @pytest.fixture(scope="module")
 def data():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = pd.DataFrame(SCALE * rng.uniform(-1, 1, (120, 3)), columns=NAMES)
     Y = pd.DataFrame(3.0 + alone(X).sum(axis=1) + rng.normal(0, 0.05, (120, 2)), columns=OUTPUTS)
     Y.loc[100:, "Cm"] = np.nan
@@ -73,13 +75,11 @@ def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
     model, new = fitted(name), data[0] * 1.7 + 0.1
     found = effects(model)
     mean, std = found.evaluate(new)
-    np.testing.assert_allclose(
-        sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8
-    )
+    assert_allclose(sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8)
     assert list(mean) == list(std) == list(found.importance.index)
     assert all((values >= 0).all() for values in std.values())
     for values in found.evaluate(data[0])[0].values():
-        np.testing.assert_allclose(values.mean(axis=0), 0.0, atol=1e-8)
+        assert_allclose(values.mean(axis=0), 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["additive", "pairs", "joint"])
@@ -109,9 +109,9 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
         for i in range(2):
             rows = slice(i * len(points), (i + 1) * len(points))
             expected = centring @ cross[rows] @ np.linalg.solve(C, y)
-            np.testing.assert_allclose(mean[title][:, i], expected * model.scale_[i], atol=1e-7)
+            assert_allclose(mean[title][:, i], expected * model.scale_[i], atol=1e-7)
             variance = np.diag(centring @ covariance[rows, rows] @ centring.T)
-            np.testing.assert_allclose(
+            assert_allclose(
                 std[title][:, i], np.sqrt(variance) * model.scale_[i], rtol=1e-4, atol=1e-6
             )
 
@@ -126,7 +126,7 @@ def test_sparse_terms_approach_the_exact_ones(data):
     sparse.posterior_ = SparsePosterior(kernel, inducing_features(kernel, X), noise, values)
     found, expected = effects(sparse), effects(exact)
     for name, curve in expected.curves.items():
-        np.testing.assert_allclose(found.curves[name].std, curve.std, rtol=0.02)
+        assert_allclose(found.curves[name].std, curve.std, rtol=0.02)
 
 
 @pytest.mark.parametrize("name", ["additive", "sparse"])
@@ -149,7 +149,7 @@ def test_known_functions_lie_within_the_bands(name, fitted, data):
 def test_bands_of_a_time_series_are_those_of_its_functions(data, structure):
     """A term along one regressor has the errors of its slopes; all terms together, those of the function."""
     X, Y = data
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     lasting = np.convolve(rng.normal(size=129), np.ones(10), "valid")[:, None]
     Y = Y + 0.1 * lasting * [1.0, -2.0]
     model = DependentGPRegressor(structure=structure, n_latent=0, random_state=0)
@@ -169,7 +169,7 @@ def test_bands_of_a_time_series_are_those_of_its_functions(data, structure):
             at[:, k] = points[name]
             spread = (values(at) - samples[:, None]).std(axis=0)
             moved = np.abs(points[name] - X[name].mean()) > 0.3 * X[name].std()
-            np.testing.assert_allclose(std[name][moved], spread[moved], rtol=0.06)
+            assert_allclose(std[name][moved], spread[moved], rtol=0.06)
 
 
 def test_importance_is_the_spread_of_each_effect(fitted, data):
@@ -177,11 +177,9 @@ def test_importance_is_the_spread_of_each_effect(fitted, data):
     assert list(found.importance.index) == [*NAMES, "joint"]
     assert list(found.importance.columns) == OUTPUTS
     expected = alone(data[0]).std(axis=0)
-    np.testing.assert_allclose(found.importance.loc[NAMES], expected, atol=0.05)
+    assert_allclose(found.importance.loc[NAMES], expected, atol=0.05)
     assert (found.importance.loc["joint"] < 0.1).all()
-    np.testing.assert_allclose(
-        found.intercept, fitted("additive").predict(data[0]).mean(axis=0), atol=1e-8
-    )
+    assert_allclose(found.intercept, fitted("additive").predict(data[0]).mean(axis=0), atol=1e-8)
 
 
 def test_axes_are_in_the_units_before_the_scaler(fitted, data):
@@ -190,8 +188,8 @@ def test_axes_are_in_the_units_before_the_scaler(fitted, data):
     assert list(inner.curves) == ["x0", "x1", "x2"]
     assert list(scaled.samples.columns) == NAMES
     back = np.sort(model[0].inverse_transform(inner.samples.to_numpy())[:, 0])
-    np.testing.assert_allclose(np.sort(scaled.samples["alpha"]), back)
-    np.testing.assert_allclose(np.sort(data[0]["alpha"]), back)
+    assert_allclose(np.sort(scaled.samples["alpha"]), back)
+    assert_allclose(np.sort(data[0]["alpha"]), back)
 
 
 def test_names_of_pairs_and_of_a_single_regressor(fitted):

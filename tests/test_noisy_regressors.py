@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor, listening, make_identification_pipeline
 from skdgp.datasets import _example_flights
@@ -16,7 +18,7 @@ SIGMA = 0.08  # of the regressor
 
 def waves(n=300, sigma=SIGMA, seed=0):
     """Two functions of x, of which a noisy x is seen."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     x = rng.uniform(-2, 2, (n, 1))
     truth = np.column_stack([np.sin(3 * x[:, 0]), np.cos(3 * x[:, 0])])
     return x + rng.normal(0, sigma, x.shape), truth + rng.normal(0, 0.02, truth.shape), x, truth
@@ -66,11 +68,11 @@ def test_the_wider_part_goes_with_the_slope(learned):
     ]
     slope = learned.predict_gradient(X)[..., 0]
     carried = slope**2 * learned.input_covariance_[0, 0]
-    np.testing.assert_allclose(variance[1] - variance[0], carried, rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(variance[2] - variance[0], 4 * carried, rtol=1e-6, atol=1e-12)
+    assert_allclose(variance[1] - variance[0], carried, rtol=1e-6, atol=1e-12)
+    assert_allclose(variance[2] - variance[0], 4 * carried, rtol=1e-6, atol=1e-12)
     each = np.r_[np.ones(10), np.zeros(20)]
     mixed = learned.predict(X, return_std=True, include_input_noise=each)[1] ** 2
-    np.testing.assert_allclose(mixed, np.where(each[:, None] > 0, variance[1], variance[0]))
+    assert_allclose(mixed, np.where(each[:, None] > 0, variance[1], variance[0]))
 
 
 def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
@@ -80,14 +82,12 @@ def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
         learned.predict(X, return_std=True, **words)[1],
         learned.predict(X, return_cov=True, **words)[1],
     )
-    np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(2, -1).T, std)
+    assert_allclose(np.sqrt(np.diag(cov)).reshape(2, -1).T, std)
     exact = learned.predict(X, return_cov=True, include_noise=True, include_input_noise=False)[1]
     slope = learned.predict_gradient(X)[..., 0]
     off = (cov - exact)[:5, 5:]  # of the first output with the second
-    np.testing.assert_allclose(
-        np.diag(off), slope.prod(axis=1) * learned.input_covariance_[0, 0], atol=1e-9
-    )
-    np.testing.assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
+    assert_allclose(np.diag(off), slope.prod(axis=1) * learned.input_covariance_[0, 0], atol=1e-9)
+    assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
 
 
 def test_nonsense_is_refused(learned):
@@ -125,7 +125,7 @@ def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     )
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight.alpha}))
     assert model["flightpathreconstruction"].missing_[0] == "p"
-    np.testing.assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))
+    assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))
 
 
 def test_an_interrupted_fit_counts_no_noise_twice():
@@ -142,5 +142,5 @@ def test_an_interrupted_fit_counts_no_noise_twice():
     slopes = model.predict_gradient(X)[..., 0]
     carried = np.mean(slopes**2, axis=0) * model.input_covariance_[0, 0]
     seen = np.mean((Y - model.predict(X)) ** 2, axis=0)
-    np.testing.assert_allclose(model.noise_variance_ + carried, seen, rtol=0.2)
+    assert_allclose(model.noise_variance_ + carried, seen, rtol=0.2)
     assert (carried > 0.4 * seen).all()  # where a search starts, half of the noise

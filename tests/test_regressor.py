@@ -8,6 +8,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -25,7 +27,7 @@ TIED = ConvolvedGaussian(1, covariance_type="tied")
 
 def make_data(n=40, seed=0):
     """Two dependent outputs of two regressors, in units far from one, some of the second not observed."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = rng.normal(size=(n, 2)) * [1.0, 30.0] + [0.0, 200.0]
     z = (X - [0.0, 200.0]) / [1.0, 30.0]
     common = np.sin(1.5 * z[:, 0]) + 0.5 * z[:, 1]
@@ -152,7 +154,7 @@ class TestShapesAndNames:
             DependentGPRegressor(max_iter=5, random_state=0).fit(*both).predict(new)
             for both in (data, (more_X, more_Y))
         )
-        np.testing.assert_allclose(here, there, rtol=1e-6, atol=1e-9)
+        assert_allclose(here, there, rtol=1e-6, atol=1e-9)
 
 
 class TestPrediction:
@@ -173,10 +175,10 @@ class TestPrediction:
         ).fit(X, Y[:, 0])
         mean, std = model.predict(new, return_std=True)
         expected, deviation = theirs.predict(new, return_std=True)
-        np.testing.assert_allclose(mean, expected, rtol=1e-6)
+        assert_allclose(mean, expected, rtol=1e-6)
         # scikit-learn takes the mean that it subtracts as known
         of_mean = model.noise_variance_[0] / len(X)
-        np.testing.assert_allclose(std, np.sqrt(deviation**2 + of_mean), rtol=1e-6)
+        assert_allclose(std, np.sqrt(deviation**2 + of_mean), rtol=1e-6)
         assert model.log_marginal_likelihood_value_ == pytest.approx(
             theirs.log_marginal_likelihood_value_
         )
@@ -184,14 +186,14 @@ class TestPrediction:
     def test_noise_is_added_to_std_and_covariance(self, model, new):
         mean, std = model.predict(new, return_std=True)
         again, cov = model.predict(new, return_cov=True)
-        np.testing.assert_allclose(again, mean)
-        np.testing.assert_allclose(model.predict(new), mean)
+        assert_allclose(again, mean)
+        assert_allclose(model.predict(new), mean)
         _, noisy = model.predict(new, return_std=True, include_noise=True)
-        np.testing.assert_allclose(
+        assert_allclose(
             noisy**2 - std**2, np.broadcast_to(model.noise_variance_, std.shape), rtol=1e-6
         )
         _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
-        np.testing.assert_allclose(
+        assert_allclose(
             noisy_cov - cov, np.diag(np.repeat(model.noise_variance_, 6)), atol=1e-9 * cov.max()
         )
 
@@ -203,19 +205,19 @@ class TestInvariance:
         first, again = (
             DependentGPRegressor(max_iter=5, random_state=7).fit(*data) for _ in range(2)
         )
-        np.testing.assert_allclose(first.kernel_.theta, again.kernel_.theta, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(first.predict(new), again.predict(new), rtol=1e-6, atol=1e-9)
+        assert_allclose(first.kernel_.theta, again.kernel_.theta, rtol=1e-6, atol=1e-9)
+        assert_allclose(first.predict(new), again.predict(new), rtol=1e-6, atol=1e-9)
         np.random.seed(0)  # noqa: NPY002 - the global state is neither read nor moved
         before = np.random.get_state()[1].copy()  # noqa: NPY002
         DependentGPRegressor(max_iter=2, random_state=7).fit(*data)
-        np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+        assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
 def test_sharing_helps_where_an_output_is_rarely_observed():
     """One output observed on a fifth of the samples: dependent beats independent by half of the error at least."""
     ratios = []
     for seed in range(3):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         X = np.sort(rng.uniform(0, 10, (75, 1)), axis=0)
         common = np.sin(2 * X[:, 0]) + np.cos(3.1 * X[:, 0])
         truth = np.column_stack([common, -2 * common + 0.1 * X[:, 0]])
@@ -234,7 +236,7 @@ def test_sharing_helps_where_an_output_is_rarely_observed():
 @pytest.mark.filterwarnings("ignore:Got hyperparameters that end at a bound")
 def test_smallest_widths_reach_the_fit():
     """White noise in six regressors: a free search takes it for a process of tiny widths, a bounded one cannot."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X, Y = rng.normal(size=(200, 6)), rng.normal(size=(200, 2))
     found = {}
     for bounds in (None, "spacing", (0.7, 10.0)):
@@ -278,7 +280,7 @@ class TestInterrupted:
         expected = model.predict(new)
         with pytest.raises(KeyboardInterrupt), listening(ctrl_c(*at)):
             model.fit(*data)
-        np.testing.assert_array_equal(model.predict(new), expected)
+        assert_array_equal(model.predict(new), expected)
 
     @pytest.mark.parametrize(
         "search",
@@ -336,7 +338,7 @@ class TestInterrupted:
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_log_is_sparse_earlier_and_searched_shorter():
-    X = np.random.default_rng(0).normal(size=(2001, 1))
+    X = default_rng(0).normal(size=(2001, 1))
     Y = np.sin(X)
     found = {}
     for n, time in ((2001, None), (1200, None), (1200, 0.1), (400, 0.1)):
@@ -364,7 +366,7 @@ def test_a_log_is_sparse_earlier_and_searched_shorter():
 @pytest.mark.filterwarnings("ignore")
 def test_rounding_of_the_regressors_decides_nothing():
     """Far from an optimum a search would multiply it, and end at another one."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(120, 5))
     Y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], X[:, 0] * X[:, 2]]) + rng.normal(
         0, 0.1, (120, 2)

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils._param_validation import InvalidParameterError
@@ -17,12 +19,12 @@ from skdgp.kernels import ConvolvedGaussian
 
 @pytest.fixture
 def X():
-    return np.random.default_rng(0).normal(size=(30, 2))
+    return default_rng(0).normal(size=(30, 2))
 
 
 @pytest.fixture
 def Y(X):
-    noise = np.random.default_rng(1).normal(0, 0.1, (30, 2))
+    noise = default_rng(1).normal(0, 0.1, (30, 2))
     return np.column_stack([np.sin(X[:, 0]), X[:, 1] - np.sin(X[:, 0])]) + noise
 
 
@@ -148,20 +150,16 @@ class TestRegressors:
             for got, expected in zip(
                 there.predict(X[rows] + offset, True), here.predict(X[rows], True), strict=True
             ):
-                np.testing.assert_allclose(
+                assert_allclose(
                     got, expected, rtol=0.01, atol=0.01
                 )  # rounded to 2e-7 of their spread
-        np.testing.assert_allclose(
+        assert_allclose(
             there.predict_gradient(X + offset), here.predict_gradient(X), rtol=0.01, atol=0.01
         )
-        np.testing.assert_allclose(
-            there.sample_paths(3)(X[:5] + offset).mean(), Y[:5].mean(), atol=0.5
-        )
+        assert_allclose(there.sample_paths(3)(X[:5] + offset).mean(), Y[:5].mean(), atol=0.5)
 
     def test_that_are_alike_but_for_rounding_are_few_inducing_inputs(self, X, Y):
-        X = np.repeat(X[:6], 5, axis=0) * (
-            1 + 1e-15 * np.random.default_rng(2).integers(0, 3, (30, 1))
-        )
+        X = np.repeat(X[:6], 5, axis=0) * (1 + 1e-15 * default_rng(2).integers(0, 3, (30, 1)))
         assert np.isfinite(
             quick(inference="sparse", n_inducing=10).fit(X, Y).predict(X, return_std=True)
         ).all()
@@ -171,13 +169,11 @@ class TestTargets:
     def test_of_integers_and_nullable_numbers(self, X, Y):
         whole = (10 * Y).round()
         expected = quick().fit(X, whole).predict(X)
-        np.testing.assert_allclose(
+        assert_allclose(
             quick().fit(X, whole.astype(int)).predict(X), expected, rtol=1e-6, atol=1e-9
         )
         nullable = pd.DataFrame(whole).astype("Float64")
-        np.testing.assert_allclose(
-            quick().fit(X, nullable).predict(X), expected, rtol=1e-6, atol=1e-9
-        )
+        assert_allclose(quick().fit(X, nullable).predict(X), expected, rtol=1e-6, atol=1e-9)
         nullable.iloc[0, 0] = pd.NA
         assert np.isfinite(quick().fit(X, nullable).predict(X)).all()
 
@@ -199,10 +195,10 @@ class TestTargets:
             model = quick(trend=trend).fit(X, Y)
         assert caught[0].filename == __file__
         mean, std = model.predict(X, return_std=True)
-        np.testing.assert_allclose(mean[:, 0], value, rtol=0.3 if trend is None else 1e-3)
+        assert_allclose(mean[:, 0], value, rtol=0.3 if trend is None else 1e-3)
         assert (std[:, 0] < 0.5 * abs(value)).all()
         alone = quick(trend=trend).fit(X, Y[:, 1])
-        np.testing.assert_allclose(mean[:, 1], alone.predict(X), atol=0.5)
+        assert_allclose(mean[:, 1], alone.predict(X), atol=0.5)
 
 
 class TestRows:
@@ -271,7 +267,7 @@ class TestMemory:
 
     def test_too_few_inducing_inputs_are_said_to_cost_accuracy(self):
         """A fast sine is not told by four inducing inputs; by forty it is, and nothing is said."""
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         x = rng.uniform(size=(120, 1))
         y = np.sin(20 * x[:, 0]) + rng.normal(0, 0.05, 120)
         options = {"structure": "joint", "max_iter": 100, "inference": "sparse"}
@@ -295,7 +291,7 @@ class TestFewRows:
 
     @staticmethod
     def linear(n, d, memory=1):
-        rng = np.random.default_rng(n + d)
+        rng = default_rng(n + d)
         X, noise = rng.normal(size=(n, d)), rng.normal(size=(n + memory - 1, 2))
         lasting = np.apply_along_axis(np.convolve, 0, noise, np.full(memory, memory**-0.5), "valid")
         return X, X @ rng.normal(size=(d, 2)) / np.sqrt(d) + 0.1 * lasting
@@ -316,7 +312,7 @@ class TestFewRows:
     def test_errors_in_another_order_do_not_last(self):
         """The same rows, shuffled, have errors that count as independent."""
         X, Y = self.linear(400, 8, memory=20)
-        order = np.random.default_rng(0).permutation(400)
+        order = default_rng(0).permutation(400)
         self.fit_in_silence(quick(structure="trend"), X[order], Y[order])
 
     @pytest.mark.parametrize(("n", "structure"), [(30, "trend"), (120, "joint")])
@@ -327,7 +323,7 @@ class TestFewRows:
     def test_of_a_function_of_one_regressor_are_enough(self):
         x = np.linspace(0.0, 6.0, 40)[:, None]
         self.fit_in_silence(
-            quick(max_iter=20), x, np.sin(x) + 0.1 * np.random.default_rng(0).normal(size=x.shape)
+            quick(max_iter=20), x, np.sin(x) + 0.1 * default_rng(0).normal(size=x.shape)
         )
 
     def fit_in_silence(self, model, X, Y):
@@ -336,12 +332,12 @@ class TestFewRows:
             model.fit(X, Y)
 
 
-PLAIN = np.random.default_rng(3).normal(size=(7, 2)) * 1.5
+PLAIN = default_rng(3).normal(size=(7, 2)) * 1.5
 
 
 @pytest.fixture(scope="module")
 def small():
-    X = np.random.default_rng(0).normal(size=(40, 2))
+    X = default_rng(0).normal(size=(40, 2))
     options = {"structure": "joint", "max_iter": 15, "random_state": 0}
     return DependentGPRegressor(**options).fit(X, np.sin(X))
 
@@ -357,9 +353,9 @@ class TestPlainRows:
             PLAIN.astype(">f8"),
             np.repeat(PLAIN, 2, axis=1)[:, ::2],
         ):
-            np.testing.assert_allclose(small.predict(form), expected, rtol=1e-12)
-        np.testing.assert_allclose(small.predict(PLAIN.astype(np.float32)), expected, rtol=1e-4)
-        np.testing.assert_allclose(small.predict(pd.DataFrame(PLAIN)), expected, rtol=1e-12)
+            assert_allclose(small.predict(form), expected, rtol=1e-12)
+        assert_allclose(small.predict(PLAIN.astype(np.float32)), expected, rtol=1e-4)
+        assert_allclose(small.predict(pd.DataFrame(PLAIN)), expected, rtol=1e-12)
 
     @pytest.mark.parametrize(
         ("X", "says"),

@@ -6,6 +6,8 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn import config_context
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import LeaveOneGroupOut, cross_validate
@@ -19,7 +21,7 @@ from skdgp.metrics import SCORERS
 @pytest.fixture(scope="module")
 def flights():
     """Three short flights of a table, one coefficient not always observed."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = pd.DataFrame(
         rng.normal(size=(60, 3)) * [0.05, 0.3, 10.0] + [0.1, 0, 40],
         columns=["alpha", "q", "airspeed"],
@@ -49,7 +51,7 @@ class TestScikitLearn:
         X, Y, _ = flights
         once = quick().fit(X[:30], Y[:30])
         twice = quick().fit(X, Y["CZ"]).fit(X[:30], Y[:30])
-        np.testing.assert_allclose(once.predict(X), twice.predict(X), rtol=1e-6, atol=1e-9)
+        assert_allclose(once.predict(X), twice.predict(X), rtol=1e-6, atol=1e-9)
         assert twice.output_names_ == ["CZ", "Cm"]
 
 
@@ -87,11 +89,11 @@ class TestFlightsAreGroups:
         plain = self.drifts(
             flights, time, False, quick(), {"time": time, "flight": flight}, groups=flight
         )
-        np.testing.assert_allclose(plain, expected, rtol=1e-6)
+        assert_allclose(plain, expected, rtol=1e-6)
         with config_context(enable_metadata_routing=True):
             model = quick().set_fit_request(time=True, flight="groups")
         routed = self.drifts(flights, time, True, model, {"time": time, "groups": flight})
-        np.testing.assert_allclose(routed, expected, rtol=1e-6)
+        assert_allclose(routed, expected, rtol=1e-6)
 
     def test_groups_of_the_splitter_alone_need_no_request(self, flights, time):
         drifts = self.drifts(flights, time, True, quick(), {"groups": flights[2]})
@@ -127,7 +129,7 @@ class TestFreshProcess:
             lambda model: (model.predict_gradient(at), model.sample_y(at, 2, 0)),
         ):
             for ours, theirs in zip(question(model), question(loaded), strict=True):
-                np.testing.assert_array_equal(ours, theirs)
+                assert_array_equal(ours, theirs)
 
 
 @pytest.fixture(
@@ -139,7 +141,7 @@ def logged(request):
     """A model of a time series with noisy regressors, and its samples; an average has two searches."""
     inference, structure, gaps = request.param
     n = {"average": 2000, "joint": 300}[structure]
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     time = 0.1 * np.arange(n)
     X = np.sin(np.outer(time, [0.3, 0.7, 1.1])) + 0.05 * rng.normal(size=(n, 3))
     Y = np.sin(X @ rng.normal(size=(3, 3))) + 0.1 * rng.normal(size=(n, 3))

@@ -4,6 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.distance import cdist
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
@@ -70,7 +72,7 @@ class FourMethods(MultiOutputKernel):
 
 def waves(seed=0, n=40):
     """Two outputs of opposite sign of one regressor, in the units of a force and of a coefficient."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = np.linspace(0, 10, n)[:, None]
     Y = np.column_stack([50 * np.sin(X[:, 0]), -2e-3 * np.sin(X[:, 0])])
     return X, Y + rng.normal(size=Y.shape) * [2.0, 1e-4]
@@ -109,8 +111,8 @@ class TestUnits:
         _, std = model.predict(FAR, return_std=True)
         X, _ = waves()
         of_mean = 0.0 if trend is None else model.noise_variance_ / len(X)
-        np.testing.assert_allclose(std**2, np.square([[50.0, 2e-3]]) + of_mean)
-        np.testing.assert_allclose(model.kernel_.diag(FAR), np.square([50.0, 2e-3]))
+        assert_allclose(std**2, np.square([[50.0, 2e-3]]) + of_mean)
+        assert_allclose(model.kernel_.diag(FAR), np.square([50.0, 2e-3]))
 
     def test_a_trend_has_the_scales_that_were_given(self):
         X, Y = waves()
@@ -119,12 +121,12 @@ class TestUnits:
         model = DependentGPRegressor(kernel, structure="joint", trend=None).fit(X, Y)
         at = np.array([[5.0], [7.0]])
         expected = np.square([30.0, 30.0, 1e-3, 1e-3]) + np.square([0, 6.0, 0, 4e-4])
-        np.testing.assert_allclose(model.kernel_.diag(at), expected)
+        assert_allclose(model.kernel_.diag(at), expected)
         # Bayesian linear regression, typed from the textbook
         Phi, tau = np.column_stack([np.ones(len(X)), X - 5.0]), np.array([30.0, 3.0])
         A = np.diag(tau**-2) + Phi.T @ Phi / model.noise_variance_[0]
         weights = np.linalg.solve(A, Phi.T @ Y[:, 0] / model.noise_variance_[0])
-        np.testing.assert_allclose(model.predict(at)[:, 0], weights @ [[1, 1], [0, 2]], rtol=1e-6)
+        assert_allclose(model.predict(at)[:, 0], weights @ [[1, 1], [0, 2]], rtol=1e-6)
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     @pytest.mark.parametrize(
@@ -150,11 +152,9 @@ class TestUnits:
         here = quick(kernel, **options).fit(X, Y)
         there = quick(kernel.rescaled(gain), **options).fit(X, gain * Y)
         for mine, other in zip(here.predict(X, True), there.predict(X, True), strict=True):
-            np.testing.assert_allclose(
-                other / gain / Y.std(axis=0), mine / Y.std(axis=0), rtol=1e-6
-            )
+            assert_allclose(other / gain / Y.std(axis=0), mine / Y.std(axis=0), rtol=1e-6)
         rows = np.repeat(gain, len(X))
-        np.testing.assert_allclose(
+        assert_allclose(
             there.kernel_(X), here.kernel_(X) * np.multiply.outer(rows, rows), rtol=1e-6
         )
 
@@ -177,7 +177,7 @@ class TestUnits:
             kernel = FourMethods([30.0 * start, -3e-3 * start], [1.5])
             model = quick(kernel, trend="constant", max_iter=100).fit(X, Y)
             ends.append(model.log_marginal_likelihood_value_)
-        np.testing.assert_allclose(ends, ends[0], atol=0.1)
+        assert_allclose(ends, ends[0], atol=0.1)
 
     @pytest.mark.parametrize("factor", [[1.0, 2.0], [1.0, 2.0, 3.0, 4.0]])
     def test_factors_are_one_for_each_output(self, factor):
@@ -275,7 +275,7 @@ class TestTerms:
         same = DependentGPRegressor(model.kernel_, structure="joint", optimizer=None, **known)
         same.fit(X, Y, **time)
         for mine, other in zip(model.predict(X, True), same.predict(X, True), strict=True):
-            np.testing.assert_allclose(other, mine, rtol=1e-6, atol=1e-9)
+            assert_allclose(other, mine, rtol=1e-6, atol=1e-9)
 
     def test_a_kernel_with_a_trend_is_averaged_with_the_trend(self):
         X, Y = waves()
@@ -305,7 +305,7 @@ class TestKernelsOfScikitLearn:
         ).fit(X, Y[:, 0])
         new = np.linspace(-1, 11, 7)[:, None]
         for mine, other in zip(model.predict(new, True), theirs.predict(new, True), strict=True):
-            np.testing.assert_allclose(mine, other, rtol=1e-6, atol=1e-6)
+            assert_allclose(mine, other, rtol=1e-6, atol=1e-6)
 
     @pytest.mark.parametrize(
         "kernel", [RBF(), ConstantKernel() * RBF([1.0]), RBF() + Matern(), RBF(2.0, "fixed")]
@@ -352,13 +352,13 @@ class TestSamples:
         mean, cov = model.predict(at, return_cov=True)
         stacked = samples.swapaxes(0, 1).reshape(6, -1)
         std = np.sqrt(np.diag(cov))
-        np.testing.assert_allclose(stacked.mean(axis=1) / std, mean.T.ravel() / std, atol=0.03)
-        np.testing.assert_allclose(
+        assert_allclose(stacked.mean(axis=1) / std, mean.T.ravel() / std, atol=0.03)
+        assert_allclose(
             np.cov(stacked) / np.multiply.outer(std, std),
             cov / np.multiply.outer(std, std),
             atol=0.04,
         )
-        np.testing.assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
+        assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
 
     def test_of_one_output_have_no_axis_of_outputs(self):
         X, Y = waves()
@@ -400,9 +400,9 @@ def test_registered_paths_are_in_the_units_of_the_outputs(inference):
     paths = model.sample_paths(3000, random_state=0)
     mean, std = model.predict(at, return_std=True)
     values = paths(at)
-    np.testing.assert_allclose((values.mean(axis=0) - mean) / std, 0.0, atol=0.08)
-    np.testing.assert_allclose(values.std(axis=0) / std, 1.0, atol=0.06)
+    assert_allclose((values.mean(axis=0) - mean) / std, 0.0, atol=0.08)
+    assert_allclose(values.std(axis=0) / std, 1.0, atol=0.06)
     slopes = paths.gradient(at).mean(axis=0)
-    np.testing.assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
+    assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
     some = model.sample_y(at, 3000, random_state=0)
-    np.testing.assert_array_equal(some, np.moveaxis(values, 0, -1))
+    assert_array_equal(some, np.moveaxis(values, 0, -1))

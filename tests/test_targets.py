@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
@@ -20,7 +22,7 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-X = np.random.default_rng(0).normal(size=(40, 2))
+X = default_rng(0).normal(size=(40, 2))
 TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
 
 
@@ -34,7 +36,7 @@ def test_names(library):
     Y = library.DataFrame(TARGETS)
     values, names, single = check_targets(Y, 40, "test")
     assert (names, single) == (["CZ", "Cm"], False)
-    np.testing.assert_array_equal(values, np.column_stack(list(TARGETS.values())))
+    assert_array_equal(values, np.column_stack(list(TARGETS.values())))
     assert check_targets(Y["Cm"], 40, "test")[1:] == (["Cm"], True)
     assert column_names(library.Series([1.0, 2.0])) == []
 
@@ -49,7 +51,7 @@ def test_what_has_no_names(y):
 def test_missing_values_are_not_observed():
     polars = pytest.importorskip("polars")
     values, *_ = check_targets(polars.DataFrame({"CZ": [1.0, None], "n": [None, 2]}), 2, "test")
-    np.testing.assert_array_equal(values, [[1.0, np.nan], [np.nan, 2.0]])
+    assert_array_equal(values, [[1.0, np.nan], [np.nan, 2.0]])
 
 
 def test_regressor(library):
@@ -84,7 +86,7 @@ def test_flights_of_another_library_are_refused():
 
 def test_transformers_hand_tables_of_polars_to_the_regressor():
     polars = pytest.importorskip("polars")
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     flight = pd.DataFrame({"time": 0.02 * np.arange(200), "airspeed": 20.0, "note": "calm"})
     waves = np.sin(flight[["time"]].to_numpy() * [3.0, 5.0, 7.0, 4.0]) + 0.01 * rng.normal(
         size=(200, 4)
@@ -104,7 +106,7 @@ def test_transformers_hand_tables_of_polars_to_the_regressor():
     got = pipeline.fit(flight, polars.from_pandas(Y)).predict(flight, return_std=True)
     assert isinstance(pipeline[:-1].transform(flight), polars.DataFrame)
     assert pipeline[-1].feature_names_in_.tolist() == ["alpha", "q_hat", "elevator"]
-    np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-9)
+    assert_allclose(got, expected, rtol=1e-6, atol=1e-9)
 
     smoothed = FlightSmoother(cutoff=4.0).set_output(transform="polars").fit_transform(flight)
     assert isinstance(smoothed, polars.DataFrame)

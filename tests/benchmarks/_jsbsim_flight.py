@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+from numpy.random import default_rng
 from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, measure
@@ -145,7 +146,7 @@ def flight_of(model, number, air, seed):
     time, aircraft = time[FRAMES - 1 :: FRAMES], aircraft_of(fdm, model)
     table = pd.DataFrame(rows, columns=[*SOURCES]).assign(time=time, flight=plan.name)
     true = with_truth(table[time >= 0].reset_index(drop=True), aircraft)
-    noise = np.random.default_rng([number, seed, len(model)])  # mostly another for each aircraft
+    noise = default_rng([number, seed, len(model)])  # mostly another for each aircraft
     return pd.concat([measure(true, 1.0, noise), true], axis=1), aircraft
 
 

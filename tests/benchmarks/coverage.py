@@ -14,6 +14,7 @@ import warnings
 
 import numpy as np
 from _common import Kept, finish, parser_of
+from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
 
@@ -44,7 +45,7 @@ FUNCTIONS = {"linear": linear, "smooth": smooth}
 
 def inside(name, d, n, seed):
     """Return the fraction of points whose function lies in the band, by place."""
-    rng = np.random.default_rng([seed, d, n])
+    rng = default_rng([seed, d, n])
     W = rng.normal(size=(d, 2)) / np.sqrt(d)
     X = rng.normal(size=(n, d))
     function = FUNCTIONS[name]

@@ -16,6 +16,7 @@ import warnings
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
+from numpy.random import default_rng
 
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import estimate_air_motion
@@ -316,7 +317,7 @@ def main(words=None):
     options = parser.parse_args(words)
     cases = list(itertools.product(SENSORS, options.aircraft, options.air, options.seeds))
     warnings.simplefilter("ignore")
-    rngs = [np.random.default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
+    rngs = [default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
     lags = [rng.uniform(0.02, 0.08) for rng in rngs]
     planes = [AIRCRAFT[name] for _, name, _, _ in cases]
     flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, SECONDS, lags).fly()

@@ -6,6 +6,8 @@ from copy import copy
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -60,7 +62,7 @@ def model():
     """Return a model whose derivatives are known to eight parts in a hundred."""
 
     def sampler(n_paths, random_state):
-        draws = np.random.default_rng(random_state).standard_normal((n_paths, *TABLE.shape))
+        draws = default_rng(random_state).standard_normal((n_paths, *TABLE.shape))
         table = TABLE * (1 + SPREAD * draws)
         return (
             lambda X: np.einsum("knd,kpd->knp", features(X), table),
@@ -94,7 +96,7 @@ def test_the_time_and_the_limits_are_kept(planned):
     for k, row in planned.manoeuvres.iterrows():
         now = table["time"].between(row["start"], row["start"] + row["duration"])
         flown = planned.inputs(k)["elevator"](table["time"][now] - row["start"])
-        np.testing.assert_allclose(table["elevator"][now], flown, atol=1e-9)
+        assert_allclose(table["elevator"][now], flown, atol=1e-9)
 
 
 def test_the_pause_is_a_quarter_of_the_phugoid(uav):
@@ -158,7 +160,7 @@ def test_the_goal_decides_which_axis_moves(model, uav, point):
 
 def flown_rows(n, size, seed):
     """Return regressors of n rows of a flight, and coefficients with errors that last five rows."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = size * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 3)), axis=0)
     noise = 0.01 * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 6)), axis=0)
     noise[:, [1, 3, 5]] *= 1e-5  # there is a trim

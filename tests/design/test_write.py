@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.design import (
     Wavetrain,
@@ -67,9 +68,9 @@ def test_the_script_gives_the_planned_signal(train, flown):
     logged, said = flown()
     table = train.table(50.0)
     assert "plan: complete" in said
-    np.testing.assert_allclose(logged["time"][: len(table)], table["time"], atol=1e-12)
+    assert_allclose(logged["time"][: len(table)], table["time"], atol=1e-12)
     for axis in train.inputs:
-        np.testing.assert_allclose(logged[axis][: len(table)], table[axis], atol=1e-6)
+        assert_allclose(logged[axis][: len(table)], table[axis], atol=1e-6)
     assert (logged[list(train.inputs)].iloc[len(table) :] == 0).all(axis=None)
 
 
@@ -92,7 +93,7 @@ def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
         ("servo1", 1500 + 500 * right), ("servo5", 1500 - 500 * right), ("servo4", 1500 + 500 * yaw),
         ("servo2", 1480 + np.where(up > 0, 520, 480) * up), ("servo3", 1000 + 1000 * (0.4 + logged["throttle"])),
     ):  # fmt: skip
-        np.testing.assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
+        assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
 
 
 def test_elevons_move_with_elevator_and_aileron(flown):
@@ -100,8 +101,8 @@ def test_elevons_move_with_elevator_and_aileron(flown):
     logged, _ = flown(full={"elevon_left": 0.4, "elevon_right": 0.5, "rudder": 0.5})
     assert (logged[["servo1", "servo2"]] == 0).all(axis=None)
     left, right = logged["elevator"] + logged["aileron"], logged["elevator"] - logged["aileron"]
-    np.testing.assert_allclose(logged["servo6"], 1500 + 500 * (0.05 - left / 0.4), atol=0.5 + 1e-6)
-    np.testing.assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
+    assert_allclose(logged["servo6"], 1500 + 500 * (0.05 - left / 0.4), atol=0.5 + 1e-6)
+    assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
 
 
 def test_v_tails_of_the_script_are_read_back_as_planned(flown):
@@ -118,8 +119,8 @@ def test_v_tails_of_the_script_are_read_back_as_planned(flown):
         name: sum(w * servo.deflection(widths[servo.channel[5:]]) for w, servo in parts)
         for name, parts in controls_of(widths, functions | ends).items()
     }
-    np.testing.assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
-    np.testing.assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)
+    assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
+    assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)
 
 
 def test_the_switch_ends_the_inputs(flown):

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.frozen import FrozenEstimator
@@ -28,7 +29,7 @@ REGRESSORS = ["alpha", "beta", "p_hat", "elevator"]
 
 @pytest.fixture(scope="module")
 def flight():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     table = pd.DataFrame(
         rng.normal(0, 0.1, (120, 6)),
         columns=["alpha", "beta", "p", "q", "elevon_left", "elevon_right"],
@@ -203,7 +204,7 @@ def test_an_estimator_that_learned_from_a_table_needs_no_pipeline(flight, target
 
 def test_paths_spread_as_the_bands_of_the_function():
     """Of a model learned from a time series, whose noise lasts: values and slopes."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = pd.DataFrame(rng.normal(size=(300, 2)), columns=["alpha", "elevator"])
     noise = np.convolve(rng.normal(size=304), np.ones(5), "valid")[:, None]
     Y = pd.DataFrame(X.to_numpy() @ rng.normal(size=(2, 6)) + 0.1 * noise, columns=COEFFICIENTS)

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
@@ -104,7 +105,7 @@ class TestDeviations:
         slopes[:, 0] = 0.3, -0.5, -4.0, -0.05, -0.5, 0.08
 
         def sampler(n_paths, random_state):
-            error = np.random.default_rng(random_state).normal(size=(n_paths, 1, 1))
+            error = default_rng(random_state).normal(size=(n_paths, 1, 1))
             draws = slopes + error * np.outer([np.cos(0.1), 0, np.sin(0.1), 0, 0, 0], [0, 1]) * 0.2
             draws = draws + error * np.outer([np.sin(0.1), 0, -np.cos(0.1), 0, 0, 0], [1, 0]) * 0.3
             return lambda X: X @ draws.swapaxes(1, 2), lambda X: np.repeat(
@@ -115,7 +116,7 @@ class TestDeviations:
 
     def test_of_sums_know_that_their_parts_err_together(self, uncertain, state):
         table = stability_derivatives(uncertain, BRUMBY, state, CONTROLS, n_paths=400)
-        size = np.random.default_rng(0).normal(size=400).std(ddof=1)
+        size = default_rng(0).normal(size=400).std(ddof=1)
         drag = (
             -0.2 * CONTROLS["elevator"]
         )  # of which CL_alpha = CX_alpha sin(alpha) - CZ_alpha cos(alpha) - CD knows
@@ -133,7 +134,7 @@ class TestDeviations:
 
     def test_are_those_of_the_learned_slopes(self, state, slope_std):
         """In body axes, what the regressor says of its gradient, within the spread of so many paths."""
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q_hat", "elevator"])
         slopes = np.array(
             [[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +18,7 @@ from skdgp.dynamics import (
     quaternion_to_matrix,
 )
 
-RNG = np.random.default_rng(3)
+RNG = default_rng(3)
 EULER = RNG.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
 
 

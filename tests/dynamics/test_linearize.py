@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy.optimize import brentq
@@ -39,9 +40,7 @@ BRUMBYS = brumby_motion().aerodynamics
 
 def sampler(n_paths, random_state):
     """Slopes that err by a tenth of themselves, each by itself."""
-    draws = SLOPES * (
-        1 + 0.1 * np.random.default_rng(random_state).normal(size=(n_paths, *SLOPES.shape))
-    )
+    draws = SLOPES * (1 + 0.1 * default_rng(random_state).normal(size=(n_paths, *SLOPES.shape)))
     return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
         draws[:, None], X.shape[1], axis=1
     )

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp.dynamics import LinearModel
@@ -60,7 +61,7 @@ def test_published_lateral_modes():
 
 
 def test_names_hold_whatever_the_order_and_units_of_states():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     scale, order = np.exp(3 * rng.normal(size=8)), rng.permutation(8)
     A = (both() * scale[:, None] / scale)[np.ix_(order, order)]
     table = mode_table(A, [(ALONG + ACROSS)[k] for k in order])
@@ -94,7 +95,7 @@ def test_an_aircraft_without_lateral_derivatives_has_four_roots_of_zero():
 
 class TestSpreadOfModes:
     def test_is_that_of_the_frequency_and_the_damping(self):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         omega, zeta = 3 + 0.1 * rng.normal(size=500), 0.4 + 0.02 * rng.normal(size=500)
         zero = np.zeros(500)
         paths = np.stack(

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.dynamics import (
@@ -241,7 +242,7 @@ def test_an_aircraft_file_has_diameter_and_pitch():
 @pytest.fixture(scope="module")
 def flown():
     """A flight with a throttle alone, and its regressors."""
-    rng, n = np.random.default_rng(0), 400
+    rng, n = default_rng(0), 400
     regressors = pd.DataFrame(rng.uniform(0, 0.1, (n, len(REGRESSORS))), columns=list(REGRESSORS))
     regressors["throttle"] = rng.uniform(0.4, 0.9, n)
     still = dict.fromkeys(("ax", "ay", "p", "q", "r"), 0.0)

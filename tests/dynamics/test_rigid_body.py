@@ -1,6 +1,7 @@
 """The rigid body against Newton and Euler; flights with known answers are in test_check_cases.py."""
 
 import numpy as np
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -9,7 +10,7 @@ from skdgp.dynamics import (
     rigid_body_derivative,
 )
 
-RNG = np.random.default_rng(5)
+RNG = default_rng(5)
 
 
 def random_states(n):

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pandas.testing import assert_frame_equal
 from scipy.integrate import solve_ivp
@@ -164,7 +165,7 @@ class TestEquations:
 
 class TestRegressors:
     def test_are_rebuilt_as_the_pipeline_builds_them(self, aircraft):
-        rng = np.random.default_rng(1)
+        rng = default_rng(1)
         words = ["alpha", "beta", "p", "q", "r", "elevon_left", "elevon_right", "rudder"]
         log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words).assign(
             airspeed=rng.uniform(18, 26, 200)
@@ -308,7 +309,7 @@ class TestControls:
         assert np.abs(at_once["phi"] - flown["phi"]).max() > 0.01
 
     def test_a_model_has_the_servo_lag_of_its_pipeline(self):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         table = pd.DataFrame(rng.normal(size=(60, 2)), columns=["alpha", "elevator"])
         table["time"] = 0.02 * np.arange(60)
         steps = LagCorrector({"surfaces": -0.06}), RegressorSelector(["alpha", "elevator"])
@@ -472,7 +473,7 @@ def uncertain(size, **options):
     """A linear model whose slopes are known with a standard deviation in proportion, drawn jointly."""
 
     def drawn(n, random_state):
-        off = np.random.default_rng(random_state).standard_normal((n, 6, 8))
+        off = default_rng(random_state).standard_normal((n, 6, 8))
         slopes = SLOPES * (1.0 + size * off)
         return (
             lambda X: INTERCEPT + np.einsum("pcd,pnd->pnc", slopes, X),
@@ -502,7 +503,7 @@ def fly_end(model, aircraft, seed):
 class TestEnsembles:
     def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, aircraft):
         paths = fly(aircraft, uncertain(0.1), duration=1.0, n_paths=3, random_state=5)
-        off = np.random.default_rng(5).standard_normal((3, 6, 8))
+        off = default_rng(5).standard_normal((3, 6, 8))
         for k, (_, path) in enumerate(paths.groupby("path")):
             alone = fly(aircraft, linear(SLOPES * (1 + 0.1 * off[k])), duration=1.0)
             assert_allclose(path[STATES], alone[STATES], atol=1e-10)

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid, quad
 from sklearn.base import clone
@@ -36,7 +37,7 @@ AIRCRAFT = Aircraft(
 
 def flights(turbulence, n_flights, duration, noise, seed, heading=0.0):
     """Straight level flights over the ground at 25 m/s, in gusts and a wind along the way."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n = round(duration / STEP)
     length, intensity = (
         np.tile(part, (n_flights, 1)) for part in (turbulence.length, turbulence.intensity)
@@ -84,7 +85,7 @@ class TestFromFlight:
     def test_each_axis_has_the_noise_of_its_sensor(self):
         """A vane that is noisier than the pitot tube does not make gusts from the side."""
         table = flights(TRUE, 2, 300.0, 0.1, seed=5)
-        vane = table["beta"] + np.random.default_rng(0).normal(0, 0.04, len(table))
+        vane = table["beta"] + default_rng(0).normal(0, 0.04, len(table))
         found = Turbulence.from_flight(table.assign(beta=vane), SPAN)
         assert_allclose(found.intensity, TRUE.intensity, rtol=0.2)
 
@@ -94,9 +95,7 @@ class TestFromFlight:
             201,
             (np.tile(part, (10, 1)) for part in (TRUE.length, TRUE.intensity)),
         )
-        gusts = dryden_gusts(
-            n, STEP, SPEED, length, intensity, SPAN, np.random.default_rng(3)
-        ).velocity
+        gusts = dryden_gusts(n, STEP, SPEED, length, intensity, SPAN, default_rng(3)).velocity
         winds = [
             pd.DataFrame(gusts[:, k], columns=WIND).assign(time=STEP * np.arange(n))
             for k in range(10)
@@ -167,7 +166,7 @@ class TestDrift:
             [TRUE.length],
             [TRUE.intensity],
             SPAN,
-            np.random.default_rng(0),
+            default_rng(0),
             n_draws=flown,
         ).rates
         effect = np.trapezoid(rates, dx=STEP, axis=0) @ self.slopes.T
@@ -397,7 +396,7 @@ def gusts():
         np.tile(LENGTH, (n, 1)),
         np.tile(INTENSITY, (n, 1)),
         WING,
-        np.random.default_rng(5),
+        default_rng(5),
     )
 
 
@@ -424,7 +423,7 @@ def test_rates_are_gradients_of_the_gusts_that_are_felt(gusts):
 def test_acceleration_is_the_slope_of_velocity():
     """Each is rough, so the trapezia err with the root of the step cubed."""
     step = 2e-4
-    fine = dryden_gusts(8000, step, AIRSPEED, [LENGTH], [INTENSITY], WING, np.random.default_rng(1))
+    fine = dryden_gusts(8000, step, AIRSPEED, [LENGTH], [INTENSITY], WING, default_rng(1))
     climbed = cumulative_trapezoid(fine.acceleration, dx=step, axis=0, initial=0.0)
     assert_allclose(fine.velocity - fine.velocity[0], climbed, atol=1e-3)
 
@@ -435,7 +434,7 @@ def test_step_does_not_change_the_law():
     for step, stride in ((0.1, 1), (0.025, 4)):
         long = dryden_gusts(
             800 * stride, step, AIRSPEED, np.tile(LENGTH, (300, 1)), np.tile(INTENSITY, (300, 1)), WING,
-            np.random.default_rng(8),
+            default_rng(8),
         ).velocity[::stride]  # fmt: skip
         covariances.append(np.mean(long[1:] * long[:-1], axis=(0, 1)))
     assert_allclose(*covariances, rtol=0.1)

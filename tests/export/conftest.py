@@ -9,6 +9,7 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
@@ -44,7 +45,7 @@ AIRCRAFT = Aircraft(
 
 def make_flight(n, seed, noise=1e-3):
     """Return a flight of random states, and the coefficients of a textbook aircraft with curves."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     x = {name: rng.normal(0.0, 0.1, n) for name in REGRESSORS}
     x["q_hat"] /= 20
     speed = rng.uniform(20.0, 30.0, n)
@@ -189,7 +190,7 @@ def case_of(request, fitted, portable_of):
         else:
             model, portable = fitted(kind) | {"flight": make_flight(30, 3)[0]}, portable_of(kind)
             model = Bunch(**model)
-        rng = np.random.default_rng(5)
+        rng = default_rng(5)
         flown = np.asarray(model.pipeline[:-2].transform(model.flight))
         X = flown[rng.choice(len(flown), 30, replace=False)]
         X[1::2] += 0.5 * flown.std(axis=0) * rng.standard_normal(X[1::2].shape)
@@ -202,7 +203,7 @@ def case_of(request, fitted, portable_of):
         """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
         case = get("average")
         model = case.model
-        further = np.random.default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
+        further = default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
 
         def added(X):
             z = (X - model.shift) / model.scale

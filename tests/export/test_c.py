@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.dynamics import Aircraft
 from skdgp.export import export_model, write_c
@@ -56,10 +57,10 @@ def test_equals_the_pipeline(case, tmp_path):
     case.assert_std(found[:, 1])
     case.assert_slopes(np.array([library("gradient", x, (P, d))[0] for x in case.X]))
     limits = (ctypes.c_double * (2 * d)).in_dll(library.library, "aero_limits")
-    np.testing.assert_array_equal(np.reshape(limits, (2, d)), model.limits)
+    assert_array_equal(np.reshape(limits, (2, d)), model.limits)
     sources = case.flight[:50][list(model.columns)]
     inputs = np.array([library("inputs", row, d)[0] for row in sources.to_numpy(float)])
-    np.testing.assert_allclose(inputs, model.regressor_values(sources), rtol=1e-12, atol=1e-14)
+    assert_allclose(inputs, model.regressor_values(sources), rtol=1e-12, atol=1e-14)
     assert ", ".join(model.columns) in (tmp_path / "aero.h").read_text()
 
 

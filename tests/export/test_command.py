@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp._cli import main
 from skdgp.export import FORMATS, load_portable, portable_model
@@ -104,4 +105,4 @@ def test_code_of_the_page_runs(fitted, flight, tmp_path, monkeypatch):
         exec(compile(block, "export.md", "exec"), names)
     assert names["slopes"].shape == (30, 6, 6)
     X = names["model"].regressor_values(flight)
-    np.testing.assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)
+    assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)

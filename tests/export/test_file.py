@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.export import PortableFileError, load_portable, save_portable
 
@@ -41,15 +43,15 @@ def test_is_the_same_model(portable, flight, tmp_path):
     for ours, theirs in zip(
         portable.predict(flight, True), found.predict(flight, True), strict=True
     ):
-        np.testing.assert_allclose(theirs, ours, rtol=1e-12)
-    np.testing.assert_allclose(
+        assert_allclose(theirs, ours, rtol=1e-12)
+    assert_allclose(
         found.predict_gradient(flight), portable.predict_gradient(flight), rtol=1e-9, atol=1e-12
     )
     assert found.content_hash == portable.content_hash
     assert found.aircraft == portable.aircraft
     assert found.provenance == portable.provenance
     for name, array in vars(portable.reference).items():
-        np.testing.assert_array_equal(getattr(found.reference, name), array)
+        assert_array_equal(getattr(found.reference, name), array)
 
 
 def test_the_reader_of_the_examples(case, tmp_path):
@@ -60,7 +62,7 @@ def test_the_reader_of_the_examples(case, tmp_path):
     spec.loader.exec_module(reader)
     model = reader.Model(save_portable(tmp_path / "model.npz", case.model))
     X = model.regressors({name: case.flight[name] for name in case.model.columns})
-    np.testing.assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
+    assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
     for noise in (1.0, 0.0):
         mean, std = case.predict(noise)
         expected = case._replace(mean=mean, std=std)
@@ -77,14 +79,14 @@ def test_loads_where_no_pickle_is_read(path, portable_of, tmp_path):
     assert done.returncode == 0, done.stderr
     model = portable_of("average")
     expected = np.stack(model.predict(model.samples, return_std=True))
-    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
+    assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
 
 
 def test_changed_content_and_a_missing_end_are_noticed(path, portable_of):
     """A changed bit is either noticed, or in a date of the archive."""
     whole = path.read_bytes()
     noticed = 0
-    for place in np.random.default_rng(0).integers(len(whole), size=60):
+    for place in default_rng(0).integers(len(whole), size=60):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         try:
             assert load_portable(path).content_hash == portable_of("average").content_hash

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import Air, FlightComputer, simulate, trim
 
@@ -26,7 +28,7 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted):
     first, _ = env.reset(seed=3)
     seen = [first, *(env.step([0.01, 0.0, 0.0])[0] for _ in range(9))]
     env.reset(seed=3)
-    path = int(np.random.default_rng(np.random.SeedSequence(3)).integers(2**31))
+    path = int(default_rng(np.random.SeedSequence(3)).integers(2**31))
     held = steady.controls | {"elevator": steady.controls["elevator"] + 0.01}
     calm = Air(gusts=None, drift=False)
 
@@ -37,6 +39,6 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted):
         )
         return rows[example.SEEN].to_numpy()
 
-    np.testing.assert_allclose(seen[1:], flown(held)[1:], atol=1e-9)
+    assert_allclose(seen[1:], flown(held)[1:], atol=1e-9)
     # the accelerometers before the first action are those at the controls of the trim
-    np.testing.assert_allclose(first, flown(steady.controls)[0], atol=1e-9)
+    assert_allclose(first, flown(steady.controls)[0], atol=1e-9)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
@@ -139,12 +140,12 @@ def test_loads_and_accelerations_are_those_of_the_coefficients(load, portable_of
     qbar_area = 0.5 * density(fdm) * AIRSPEED**2 * uav.wing_area
     force = np.array([fdm[f"forces/fb{axis}-aero-lbs"] for axis in "xyz"]) * POUND_FORCE
     moment = np.array([fdm[f"moments/{axis}-aero-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
-    np.testing.assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
-    np.testing.assert_allclose(moment, qbar_area * uav.moment_lengths * C[3:], rtol=1e-6)
+    assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
+    assert_allclose(moment, qbar_area * uav.moment_lengths * C[3:], rtol=1e-6)
     omega = np.array([fdm[f"velocities/{rate}-rad_sec"] for rate in "pqr"])
     found = np.array([fdm[f"accelerations/{rate}dot-rad_sec2"] for rate in "pqr"])
     expected = np.linalg.solve(uav.inertia, moment - np.cross(omega, uav.inertia @ omega))
-    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+    assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
     assert fdm["inertia/mass-slugs"] * POUND_FORCE / FOOT == pytest.approx(uav.mass)
 
 
@@ -158,9 +159,9 @@ def test_thrust_is_that_of_the_propeller(load, portable_of):
     state = (580.0, AIRSPEED, density(fdm))
     force, moment = line.loads(PROPELLER.thrust(*state), PROPELLER.torque(*state))
     found = np.array([fdm[f"forces/fb{axis}-external-lbs"] for axis in "xyz"]) * POUND_FORCE
-    np.testing.assert_allclose(found, force, rtol=1e-6, atol=1e-9)
+    assert_allclose(found, force, rtol=1e-6, atol=1e-9)
     found = np.array([fdm[f"moments/{axis}-external-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
-    np.testing.assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
+    assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
 
 
 def test_surfaces_follow_commands_with_the_lag_of_the_servos(load, portable_of):

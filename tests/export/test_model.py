@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
@@ -84,8 +85,8 @@ def test_the_reference_is_the_prediction_of_the_pipeline(case):
     assert reference.regressors.shape == (40, len(case.model.regressors))
     assert 15 <= case.model.inside(reference.regressors).sum() <= 40
     mean, std = case._replace(X=reference.regressors).predict(0.0)
-    np.testing.assert_allclose(reference.mean, mean, rtol=1e-12)
-    np.testing.assert_allclose(reference.std, std, rtol=1e-12)
+    assert_allclose(reference.mean, mean, rtol=1e-12)
+    assert_allclose(reference.std, std, rtol=1e-12)
 
 
 def test_the_discrepancy_is_in_the_deviation(case_of, flight):
@@ -101,7 +102,7 @@ def test_the_discrepancy_is_in_the_deviation(case_of, flight):
     assert learned.scale_.max() > 3 * learned.scale_.min()
     changed = portable_model(pipeline, case.model.aircraft).predict(case.X, True, 0.0)[1]
     growth = changed**2 - case.model.predict(case.X, True, 0.0)[1] ** 2
-    np.testing.assert_allclose(growth, [after - before] * len(growth), rtol=1e-6, atol=1e-12)
+    assert_allclose(growth, [after - before] * len(growth), rtol=1e-6, atol=1e-12)
 
 
 def test_members_may_have_trends_about_different_points(fitted):
@@ -119,8 +120,8 @@ def test_members_may_have_trends_about_different_points(fitted):
     Z = (X - model.shift) / model.scale
     mean, std = learned.predict(Z, return_std=True, include_input_noise=False)
     found, deviation = model.predict(X, True, 0.0)
-    np.testing.assert_allclose(found, mean, rtol=1e-9)
-    np.testing.assert_allclose(deviation, std, rtol=1e-6)
+    assert_allclose(found, mean, rtol=1e-9)
+    assert_allclose(deviation, std, rtol=1e-6)
 
 
 def test_noise_of_each_row(portable_of, flight):
@@ -128,16 +129,16 @@ def test_noise_of_each_row(portable_of, flight):
     noisy, factors = portable_of("noisy"), np.arange(30.0)
     exact, fit, rough = (noisy.predict(flight, True, by)[1] for by in (False, True, factors))
     assert (fit > exact).all()
-    np.testing.assert_allclose(
+    assert_allclose(
         rough**2 - exact**2, factors[:, None] * (fit**2 - exact**2), rtol=1e-6, atol=1e-18
     )
 
 
 def test_noise_is_that_of_the_regressor(kind, fitted, portable):
     regressor = fitted(kind).pipeline[-1]
-    np.testing.assert_allclose(portable.noise_variance, regressor.noise_variance_)
+    assert_allclose(portable.noise_variance, regressor.noise_variance_)
     units = np.multiply.outer(portable.scale, portable.scale)
-    np.testing.assert_allclose(portable.input_covariance, regressor.input_covariance_ * units)
+    assert_allclose(portable.input_covariance, regressor.input_covariance_ * units)
 
 
 def test_limits_are_those_of_the_flights(portable):
@@ -152,10 +153,8 @@ def test_formulas_of_the_regressors(portable_of, flight):
     by_name = dict(zip(model.regressor_names, model.regressors, strict=True))
     assert by_name["q_hat"].columns == ("q", "airspeed")
     assert by_name["aileron"].columns == ("elevon_left", "elevon_right")
-    np.testing.assert_allclose(
-        by_name["q_hat"].values(flight), flight.q * 0.5 / (2 * flight.airspeed)
-    )
-    np.testing.assert_allclose(
+    assert_allclose(by_name["q_hat"].values(flight), flight.q * 0.5 / (2 * flight.airspeed))
+    assert_allclose(
         by_name["aileron"].values(flight), (flight.elevon_left - flight.elevon_right) / 2
     )
     direct = flight.drop(columns=["elevon_left", "elevon_right"]).assign(elevator=0.1, aileron=0.0)
@@ -221,6 +220,4 @@ def test_any_scaling_is_exported(flight, portable_of):
     model = make_pipeline(RegressorSelector(["alpha", "beta"]), *scalers, START)
     model.fit(flight, np.sin(np.outer(10 * flight["alpha"] - flight["beta"], np.arange(1, 7))))
     portable = portable_model(model, portable_of("trend").aircraft)
-    np.testing.assert_allclose(
-        portable.predict(flight), model.predict(flight), rtol=1e-9, atol=1e-9
-    )
+    assert_allclose(portable.predict(flight), model.predict(flight), rtol=1e-9, atol=1e-9)

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Air, Aircraft, standard_density, trim
@@ -40,7 +42,7 @@ def example():
 @pytest.fixture(scope="module")
 def pipeline():
     """Return a model of 600 noisy samples of a textbook aircraft whose lift curve bends."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(CENTRE, SPREAD, (600, 8))
     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
     flight = pd.DataFrame(X, columns=[name.removesuffix("_hat") for name in REGRESSORS])
@@ -69,8 +71,8 @@ def test_the_margin_keeps_the_limits_for_95_percent(example, pipeline):
     model = portable_model(pipeline, AIRCRAFT)
     motion, start = example.motion_of(model, AIRCRAFT, steady, DENSITY)
     rates, limited = motion(start, steady.controls["elevator"])
-    np.testing.assert_allclose(np.array(rates).ravel(), 0.0, atol=1e-5)
-    np.testing.assert_allclose(np.array(limited).ravel()[0], steady.alpha)
+    assert_allclose(np.array(rates).ravel(), 0.0, atol=1e-5)
+    assert_allclose(np.array(limited).ravel()[0], steady.alpha)
 
     margin = np.zeros((len(example.TIME), 2))
     exceeding = []

@@ -4,6 +4,8 @@ import pickle
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
 
@@ -20,12 +22,12 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N, D, P = 60, 2, 2
 WEIGHTS = np.array([[0.5, 0.1], [0.2, 0.3], [0.3, 0.6]])
-AT = np.random.default_rng(5).uniform(-2.5, 2.5, (7, D))
+AT = default_rng(5).uniform(-2.5, 2.5, (7, D))
 
 
 def kernel_of(order=slice(None), outputs=slice(None)):
     """Return a trend, main effects and processes that outputs share, with given values."""
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     kernel = LinearTrend(np.full(P, 0.5), np.full((P, D), 0.4), np.zeros(D))
     for k in range(D):
         single = {"amplitude": np.diag([0.5, 0.4]), "length_scale": np.full((P, P, D), 1.0 + k)}
@@ -39,7 +41,7 @@ def kernel_of(order=slice(None), outputs=slice(None)):
 
 @pytest.fixture(scope="module")
 def data():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.uniform(-2, 2, (N, D))
     Y = np.column_stack([np.sin(X[:, 0] + X[:, 1]) + 0.3 * X[:, 1], X[:, 0] - np.cos(X[:, 1])])
     Y += rng.normal(0, 0.2, Y.shape)
@@ -78,7 +80,7 @@ class TestMixture:
     def test_members_have_fewer_and_fewer_terms_of_one_kernel(self, mixture):
         theta = [member.kernel.theta for member in mixture.members]
         for shorter in theta[1:]:  # the same hyperparameters
-            np.testing.assert_array_equal(shorter, theta[0][: len(shorter)])
+            assert_array_equal(shorter, theta[0][: len(shorter)])
         sizes = [len(member.kernel.summands()) for member in mixture.members]
         assert sizes == [4, 3, 1]
 
@@ -87,8 +89,8 @@ class TestMixture:
         expected = sums_of(*zip(*parts, strict=True))
         found = mixture.predict(AT, return_variance=True)
         for got, value in zip(found, expected, strict=True):
-            np.testing.assert_allclose(got, value, rtol=1e-10, atol=1e-12)
-        np.testing.assert_allclose(mixture.predict(AT), expected[0], rtol=1e-10, atol=1e-12)
+            assert_allclose(got, value, rtol=1e-10, atol=1e-12)
+        assert_allclose(mixture.predict(AT), expected[0], rtol=1e-10, atol=1e-12)
 
     def test_of_equal_weights_for_all_outputs_is_one_mixture(self, mixture):
         """Then all outputs have the same member: the covariance is the weighted sum of whole ones, and of scatter."""
@@ -100,18 +102,16 @@ class TestMixture:
             w[k] * (m.covariance(AT) + np.outer(off[k], off[k]))
             for k, m in enumerate(mixture.members)
         )
-        np.testing.assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
+        assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
 
     def test_paths_have_its_mean_and_covariance(self, mixture):
         n, at = 2000, AT[:4]
         values = mixture.paths(n, 1).values(at[None]).swapaxes(1, 2).reshape(n, -1)  # output-major
         covariance = mixture.covariance(at)
         size = np.sqrt(np.diag(covariance))
-        np.testing.assert_allclose(
-            values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.1
-        )
+        assert_allclose(values.mean(axis=0) / size, mixture.predict(at).T.ravel() / size, atol=0.1)
         scale = np.multiply.outer(size, size)
-        np.testing.assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.15)
+        assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.15)
 
     def test_paths_are_those_of_members_in_proportion_to_the_weights(self, mixture):
         """Far from the samples a trend grows, as no process does."""
@@ -119,7 +119,7 @@ class TestMixture:
         paths = mixture.paths(50, 0)
         values = paths.values(far[None])
         again = pickle.loads(pickle.dumps(paths))
-        np.testing.assert_allclose(again.values(far[None]), values, rtol=1e-12)
+        assert_allclose(again.values(far[None]), values, rtol=1e-12)
         counts = np.array([(paths.member == k).sum(axis=0) for k in range(3)])
         assert (np.abs(counts - 50 * WEIGHTS) <= 1).all()
 
@@ -129,10 +129,10 @@ class TestMixture:
             [paths.each((AT + h)[None]) for h in sign * 1e-5 * np.eye(D)] for sign in (1, -1)
         )
         slopes = np.moveaxis(np.subtract(up, down), 0, -1) / 2e-5
-        np.testing.assert_allclose(paths.gradient(AT[None]), slopes, atol=1e-6)
-        points = np.random.default_rng(0).uniform(-1, 1, (20, 4, D))
+        assert_allclose(paths.gradient(AT[None]), slopes, atol=1e-6)
+        points = default_rng(0).uniform(-1, 1, (20, 4, D))
         fifth = paths.each(points[5:6].repeat(20, axis=0))[5]
-        np.testing.assert_allclose(paths.each(points)[5], fifth, rtol=1e-9, atol=1e-12)
+        assert_allclose(paths.each(points)[5], fifth, rtol=1e-9, atol=1e-12)
 
 
 def test_a_trend_of_weights_is_the_exact_posterior(data):
@@ -142,7 +142,7 @@ def test_a_trend_of_weights_is_the_exact_posterior(data):
     assert not isinstance(trend, ExactPosterior)
     dense = ExactPosterior(trend.kernel, trend.noise, trend.data)
     for got, expected in zip(trend.predict(AT, True), dense.predict(AT, True), strict=True):
-        np.testing.assert_allclose(got, expected, rtol=1e-6)
+        assert_allclose(got, expected, rtol=1e-6)
 
 
 class TestParts:
@@ -163,10 +163,10 @@ class TestParts:
             numbers: of_terms(kernel, numbers)(X)
             for numbers in [(0,), (0, 2), (0, 1, 3), (0, 1, 2, 3)]
         }
-        np.testing.assert_allclose(
+        assert_allclose(
             found[0, 1, 3] + found[0, 2] - found[0,], found[0, 1, 2, 3], rtol=1e-12, atol=1e-12
         )
-        np.testing.assert_allclose(found[0, 1, 2, 3], kernel(X))
+        assert_allclose(found[0, 1, 2, 3], kernel(X))
 
 
 class TestStacking:
@@ -176,7 +176,7 @@ class TestStacking:
     @pytest.mark.parametrize("prior_rows", [0.5, 3.0])
     def test_maximise(self, n, prior_rows):
         offset = np.array([[0.8], [0.0], [-0.2]])  # the first is the best
-        scores = np.random.default_rng(0).normal(size=(3, n)) + offset
+        scores = default_rng(0).normal(size=(3, n)) + offset
 
         # rows of the prior, by the distances from the best in standard errors
         shortfall = scores[0] - scores
@@ -191,10 +191,10 @@ class TestStacking:
         best = softmax(minimize(loss, np.zeros(3), tol=1e-12).x)
         found = stacked(scores, AverageSettings(prior_rows=prior_rows))
         assert found.sum() == pytest.approx(1.0)
-        np.testing.assert_allclose(found, best, atol=1e-3)
+        assert_allclose(found, best, atol=1e-3)
 
     def test_without_rows_the_trend_has_all(self):
-        np.testing.assert_array_equal(stacked(np.empty((3, 0))), [0.0, 0.0, 1.0])
+        assert_array_equal(stacked(np.empty((3, 0))), [0.0, 0.0, 1.0])
 
 
 class TestHeldOut:
@@ -204,7 +204,7 @@ class TestHeldOut:
         fit, rows = fit_of(inference, X, Y), np.arange(N)
         mean, variance = held_out(fit.posterior, fit.learned.noise, X, Y, rows)
         known = np.isfinite(Y)
-        np.testing.assert_array_equal(np.isfinite(mean), known)
+        assert_array_equal(np.isfinite(mean), known)
         for a, i in [(4, 0), (37, 1), (59, 0)]:
             a = a if known[a, i] else np.flatnonzero(known[:, i])[a // 2]
             other = Y.copy()
@@ -212,7 +212,7 @@ class TestHeldOut:
             again, same = held_out(fit.posterior, fit.learned.noise, X, other, rows)
             assert again[a, i] == pytest.approx(mean[a, i], rel=1e-9, abs=1e-9)
             assert np.nanmax(np.abs(again - mean)) > 0.01  # others feel it
-            np.testing.assert_allclose(same, variance, rtol=1e-9)
+            assert_allclose(same, variance, rtol=1e-9)
 
     def test_rows_that_are_whole_are_left_out_whole(self, data):
         X, Y = data[0], np.where(np.isfinite(data[1]), data[1], 0.0)
@@ -253,11 +253,11 @@ class TestWeights:
         sized = DependentGPRegressor(**options).fit(X, Y * scale).weights_
         turned = DependentGPRegressor(**options).fit(X, Y[:, ::-1]).weights_
         for name, weights in here.items():
-            np.testing.assert_allclose(sized[name], weights, rtol=1e-6)
-            np.testing.assert_allclose(turned[name][::-1], weights, atol=1e-3)
+            assert_allclose(sized[name], weights, rtol=1e-6)
+            assert_allclose(turned[name][::-1], weights, atol=1e-3)
 
     def test_a_function_of_two_regressors_together_needs_all_terms(self):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = rng.uniform(-2, 2, (200, 2))
         y = np.sin(2 * X[:, 0]) * np.sin(2 * X[:, 1]) + 0.1 * rng.normal(size=200)
         weights = DependentGPRegressor(n_latent=0, random_state=0, max_iter=30).fit(X, y).weights_
@@ -265,7 +265,7 @@ class TestWeights:
 
     def test_a_sum_of_functions_of_one_regressor_needs_no_more(self):
         """The opinion shares what main effects explain as well."""
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = rng.uniform(-2, 2, (200, 3))
         y = np.sin(3 * X).sum(axis=1) + 0.1 * rng.normal(size=200)
         model = DependentGPRegressor(n_latent=0, input_noise=None, random_state=0, max_iter=30)
@@ -276,7 +276,7 @@ class TestWeights:
         """30 rows of 8 regressors: bands of 95 % hold new values of the function, with errors like those of a line."""
         held, ratios = [], []
         for seed in range(6):
-            rng = np.random.default_rng(seed)
+            rng = default_rng(seed)
             slopes, X, new = (
                 rng.normal(size=(8, 2)),
                 rng.normal(size=(30, 8)),
@@ -299,7 +299,7 @@ class TestWeights:
     def test_two_outliers_of_150_do_not_widen_the_bands_of_the_others(self):
         """They lie nearer to the trend: 1 % of it would make the standard deviation five times the error."""
         for seed in range(3):
-            rng = np.random.default_rng(seed)
+            rng = default_rng(seed)
             x = rng.uniform(-3, 3, (150, 1))
             y = np.sin(2 * x[:, 0]) + 0.03 * rng.normal(size=150)
             y[:2] += [0.6, -0.6]
@@ -311,7 +311,7 @@ class TestWeights:
 
     def test_what_another_output_says_of_gaps_counts_for_all_terms(self):
         """A quick function of time that one output has as well: no trend or main effect of the regressor follows it."""
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         x = np.sort(rng.uniform(0, 40, (240, 1)), axis=0)
         common = np.sin(4 * x[:, 0]) + np.sin(2.7 * x[:, 0])
         Y = np.column_stack([common, -2 * common]) + 0.1 * rng.normal(size=(240, 2))
@@ -326,7 +326,7 @@ class TestWeights:
         """Errors that last as long as the regressor's excursions look like a function to random folds."""
         with_time, without = [], []
         for seed in range(6):
-            rng = np.random.default_rng(seed)
+            rng = default_rng(seed)
             x, drift = (
                 np.convolve(rng.normal(size=260), np.ones(20) / 20**0.5, "valid")[:240]
                 for _ in range(2)
@@ -351,9 +351,7 @@ class TestRegressor:
         model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data)
         members = np.array([member.noise for member in model.posterior_.members])
         weights = np.array(list(model.weights_.values()))
-        np.testing.assert_allclose(
-            model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0)
-        )
+        assert_allclose(model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0))
 
     def test_an_interrupt_while_members_are_fitted_keeps_the_whole(self, data):
         """The search has ended: what it found is kept, alone."""
@@ -370,4 +368,4 @@ class TestRegressor:
         ):
             model = DependentGPRegressor(**options).fit(*data)
         assert list(model.weights_) == ["joint"]
-        np.testing.assert_allclose(model.predict(AT), joint.predict(AT), rtol=1e-6, atol=1e-9)
+        assert_allclose(model.predict(AT), joint.predict(AT), rtol=1e-6, atol=1e-9)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, Objective, log_likelihood
@@ -14,7 +15,7 @@ STD = 0.1, 0.01
 @pytest.fixture(scope="module")
 def time_series():
     """Two noisy regressors, which two outputs that share nothing else both feel."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     x = rng.uniform(-2, 2, (800, 2))
     Y = np.column_stack([np.sin(x[:, 0]) + np.cos(x[:, 1]), np.cos(x[:, 0]) + np.sin(x[:, 1])])
     return x + rng.normal(0, STD, x.shape), Y + rng.normal(0, 0.02, Y.shape)
@@ -23,7 +24,7 @@ def time_series():
 def test_the_objective_keeps_or_neglects_it(time_series):
     X, Y = time_series[0][:40], time_series[1][:40]
     kernel = ConvolvedGaussian(0).initialize(X, Y, np.random.RandomState(0))
-    loading = np.random.default_rng(1).normal(size=(40, 2, 1))
+    loading = default_rng(1).normal(size=(40, 2, 1))
     data, noise = Data.from_table(X, Y, loading), np.array([0.1, 0.2, 0.3])
     theta = np.concatenate([kernel.theta, np.log(noise)])
     alone = [np.where(np.arange(2) == i, Y, np.nan) for i in range(2)]

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
@@ -31,7 +33,7 @@ class TestResiduals:
     @pytest.fixture
     def log(self):
         """Four flights, each with its own clock from zero and its own drift."""
-        rng = np.random.default_rng(5)
+        rng = default_rng(5)
         time = np.tile(self.step * np.arange(300), 4)
         x = np.sin(2 * np.pi * 0.1 * time + np.repeat([0, 1, 2, 3], 300)) + 0.1 * rng.normal(
             size=1200
@@ -67,12 +69,10 @@ class TestResiduals:
         for found, expected in zip(
             *(m.posterior_.posterior.predict(X[:9], True) for m in (model, other)), strict=True
         ):
-            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+            assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
         totals = [m.noise_variance_ + m.misfit_variance_ for m in (model, other)]
-        np.testing.assert_allclose(*totals, rtol=1e-6)
-        np.testing.assert_array_equal(
-            clone(model).set_params(max_iter=1).fit(X, Y).drift_variance_, 0.0
-        )
+        assert_allclose(*totals, rtol=1e-6)
+        assert_array_equal(clone(model).set_params(max_iter=1).fit(X, Y).drift_variance_, 0.0)
 
     def test_flights_are_independent(self, log):
         """Any order of the flights has the same likelihood."""
@@ -86,13 +86,13 @@ class TestResiduals:
             residual_drift(Nothing(), Y[rows], Y[rows], np.column_stack([time[rows], flight[rows]]))
             for rows in orders
         )
-        np.testing.assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
+        assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
 
     def test_the_end_of_a_flight_tells_nothing_of_the_next(self):
         """Errors that only change from flight to flight last as long as a flight can show."""
         offset, white = (
-            np.random.default_rng(0).choice([-1.0, 1.0], 40),
-            np.random.default_rng(1).normal(0, 0.1, 800),
+            default_rng(0).choice([-1.0, 1.0], 40),
+            default_rng(1).normal(0, 0.1, 800),
         )
         Y, time = (np.repeat(offset, 20) + white)[:, None], 0.1 * np.arange(800)
         apart = residual_drift(
@@ -104,7 +104,7 @@ class TestResiduals:
         "flight", [np.arange(60), np.arange(60) // 2], ids=["alone", "in pairs"]
     )
     def test_rows_that_show_no_drift_have_none(self, flight):
-        Y = np.random.default_rng(0).normal(size=(60, 1))
+        Y = default_rng(0).normal(size=(60, 1))
         white, variance, _ = residual_drift(
             Nothing(), Y, Y, np.column_stack([0.1 * np.arange(60), flight])
         )
@@ -133,6 +133,6 @@ class Nothing:
     ],
 )
 def test_rows_must_say_when_they_were(clock, words):
-    X = np.random.default_rng(0).normal(size=(50, 1))
+    X = default_rng(0).normal(size=(50, 1))
     with pytest.raises(ValueError, match=words):
         DependentGPRegressor(structure="trend").fit(X, X[:, 0], **clock)

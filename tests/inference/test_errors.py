@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import function_errors
@@ -24,7 +26,7 @@ def wandering(rng, n, memory):
 @pytest.fixture(scope="module")
 def series():
     """Return a flight with lasting noise and a kink: regressors, two outputs, time."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = np.column_stack([wandering(rng, 240, 8), 5 * wandering(rng, 240, 5)])
     noise = 0.1 * np.column_stack([wandering(rng, 240, 3), wandering(rng, 240, 3)])
     Y = np.column_stack([X[:, 0] + np.abs(X[:, 0]), 0.3 * X[:, 1] - X[:, 0]]) + noise
@@ -52,8 +54,8 @@ class TestOnePosterior:
         X = series[0][::50]
         mean, std = model.predict(X, return_std=True, **switches)
         again, cov = model.predict(X, return_cov=True, **switches)
-        np.testing.assert_allclose(again, mean)
-        np.testing.assert_allclose(np.diag(cov), std.T.ravel() ** 2, rtol=1e-9)
+        assert_allclose(again, mean)
+        assert_allclose(np.diag(cov), std.T.ravel() ** 2, rtol=1e-9)
 
     def test_samples_have_the_joint_covariance(self, model, series, noise, input_noise):
         switches = {"include_noise": noise, "include_input_noise": input_noise}
@@ -64,15 +66,15 @@ class TestOnePosterior:
         std = np.sqrt(np.diag(cov))
         assert np.abs(off.mean(axis=0) / std).max() < 5 / np.sqrt(N_DRAWN)
         correlation = np.cov(off.T) / np.outer(std, std)
-        np.testing.assert_allclose(correlation, cov / np.outer(std, std), atol=2 * WITHIN)
+        assert_allclose(correlation, cov / np.outer(std, std), atol=2 * WITHIN)
 
 
 def test_paths_are_the_function_at_exact_regressors(model, series):
     X = series[0][:80:20]
     mean, std = model.predict(X, return_std=True, include_input_noise=False)
     drawn = model.sample_paths(N_DRAWN, random_state=2)(X)
-    np.testing.assert_allclose(drawn.std(axis=0), std, rtol=2 * WITHIN)
-    np.testing.assert_allclose(drawn.mean(axis=0), mean, atol=5 * std.max() / np.sqrt(N_DRAWN))
+    assert_allclose(drawn.std(axis=0), std, rtol=2 * WITHIN)
+    assert_allclose(drawn.mean(axis=0), mean, atol=5 * std.max() / np.sqrt(N_DRAWN))
 
 
 def test_slopes_of_paths_are_those_of_their_values(model, series):
@@ -80,7 +82,7 @@ def test_slopes_of_paths_are_those_of_their_values(model, series):
     paths = model.sample_paths(6, random_state=3)
     for k, unit in enumerate(np.eye(2) * step):
         change = (paths(X + unit) - paths(X - unit)) / (2 * step)
-        np.testing.assert_allclose(paths.gradient(X)[..., k], change, rtol=1e-4, atol=1e-4)
+        assert_allclose(paths.gradient(X)[..., k], change, rtol=1e-4, atol=1e-4)
 
 
 def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
@@ -93,7 +95,7 @@ def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
         np.sqrt(cov[a, a] + cov[b, b] - 2 * cov[a, b]) / (2 * step) for a, b in ((0, 1), (2, 3))
     ]
     slopes = model.sample_paths(N_DRAWN, random_state=4).gradient(x[None])[:, 0, :, 0]
-    np.testing.assert_allclose(slopes.std(axis=0), expected, rtol=2 * WITHIN)
+    assert_allclose(slopes.std(axis=0), expected, rtol=2 * WITHIN)
 
 
 def test_at_the_centre_the_function_is_known_as_the_mean(series):
@@ -101,7 +103,7 @@ def test_at_the_centre_the_function_is_known_as_the_mean(series):
     X, Y, _ = series
     model = DependentGPRegressor(structure="trend").fit(X, Y)
     std = model.predict(X.mean(axis=0, keepdims=True), return_std=True)[1]
-    np.testing.assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=1e-6)
+    assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=1e-6)
     errors = model.function_errors()
     assert not errors.slopes()[0].any()
     uncentred = DependentGPRegressor(ConvolvedGaussian(1), trend=None, max_iter=2)
@@ -113,9 +115,9 @@ def test_discrepancy_is_in_the_units_of_the_outputs(series):
     model = DependentGPRegressor(structure="trend", random_state=0).fit(X, Y, time=time)
     assert model.misfit_variance_[0] > 0  # the kink
     errors = model.function_errors()
-    np.testing.assert_allclose(errors.discrepancy, model.misfit_variance_)
+    assert_allclose(errors.discrepancy, model.misfit_variance_)
     linear = np.sum(errors.linear(X[:3]) ** 2, axis=0)
-    np.testing.assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
+    assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
 
 
 def test_too_few_samples_show_the_discrepancy_alone(series):
@@ -125,14 +127,14 @@ def test_too_few_samples_show_the_discrepancy_alone(series):
     assert not errors.slopes()[0].any()
     of_mean = errors.variance(X[:2]) - model.misfit_variance_
     assert (of_mean > 0).all()
-    np.testing.assert_allclose(of_mean[0], of_mean[1])
+    assert_allclose(of_mean[0], of_mean[1])
 
 
 def test_random_errors_are_the_scatter_over_many_series():
     """Slopes by least squares with noise and regressors that last five samples (Liang & Zeger 1986)."""
     slopes, stated = [], []
     for seed in range(60):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         x = wandering(rng, 1200, 5)[:, None]
         y = 2.0 * x + wandering(rng, 1200, 5)[:, None]
         model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
@@ -145,19 +147,19 @@ def test_random_errors_are_the_scatter_over_many_series():
 
 def test_outputs_err_together():
     """Both outputs have the same error, so the difference of their functions has none."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     x = wandering(rng, 500, 5)[:, None]
     y = x + wandering(rng, 500, 4)[:, None]
     model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
     errors = function_errors(model.fit(x, np.hstack([y, y])).posterior_, np.zeros(2))
     of_blocks = errors.random[2:]  # the first are of the means
     assert np.abs(of_blocks).max() > 0.001
-    np.testing.assert_allclose(of_blocks[..., 0], of_blocks[..., 1], atol=1e-9)
+    assert_allclose(of_blocks[..., 0], of_blocks[..., 1], atol=1e-9)
 
 
 def test_outputs_with_different_gaps_err_together_where_both_were_observed():
     """The first tenth of the second output is missing, and its error elsewhere is that of the first."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     x = wandering(rng, 1200, 5)[:, None]
     y = x + wandering(rng, 1200, 8)[:, None]
     Y = np.hstack([y, y])
@@ -174,7 +176,7 @@ def test_slopes_of_a_line_err_as_stated(inference, memory):
     """White and lasting noise: errors over deviations have a root mean square near one."""
     ratios = []
     for seed in range(12):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         x = np.column_stack([wandering(rng, 1200, 10), wandering(rng, 1200, 10)])
         y = x @ [1.0, -0.5] + 0.5 * wandering(rng, 1200, memory)
         model = DependentGPRegressor(
@@ -191,7 +193,7 @@ def flown_in_gusts(memory):
     The load turns the rate, so its lasting error is in the rate, and least squares finds too little
     damping.
     """
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     gust, stick, rate = wandering(rng, 9000, memory), wandering(rng, 9000, 20), np.zeros(9000)
     for t in range(1, 9000):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
@@ -211,7 +213,7 @@ def test_errors_by_method_hold_what_gusts_take_from_the_damping(memory):
 
 def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
     """Slope 2 by the truth, 40 % of the variance is noise: least squares finds 1.2 (Fuller 1987)."""
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     truth, error = rng.normal(size=(2, 20000, 1)) * np.sqrt([[[0.6]], [[0.4]]])
     x, y = truth + error, 2 * truth
     model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1).fit(x, y)
@@ -224,11 +226,11 @@ def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
 
 
 def test_more_rows_narrow_slopes_as_least_squares():
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     x = rng.normal(size=(100, 2))
     model = DependentGPRegressor(structure="trend").fit(x, x @ [[1.0], [2.0]])
     same_again = model.narrowing(x)
-    np.testing.assert_allclose(same_again, np.sqrt(0.5) * np.ones((1, 2)), rtol=1e-6)
+    assert_allclose(same_again, np.sqrt(0.5) * np.ones((1, 2)), rtol=1e-6)
     wide = np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1))
     assert model.narrowing(wide)[0, 1] < 0.3
     assert model.narrowing(wide)[0, 0] == pytest.approx(1.0, abs=0.05)

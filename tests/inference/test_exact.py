@@ -4,6 +4,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
@@ -18,7 +20,7 @@ from skdgp.inference import (
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
-NEW = np.random.default_rng(5).normal(size=(6, 2))
+NEW = default_rng(5).normal(size=(6, 2))
 
 
 def at(problem, theta):
@@ -69,7 +71,7 @@ class TestLikelihood:
         assert everything[-3:].all()
 
     def test_of_outputs_that_are_not_coupled_adds_up(self, one_problem):
-        rng = np.random.default_rng(7)
+        rng = default_rng(7)
         kernel = LinearTrend(np.ones(3), np.ones((3, 2)), np.zeros(2)) + ConvolvedGaussian(
             0, amplitude=np.diag([0.5, 1.0, 2.0]), length_scale=rng.uniform(0.5, 1.5, (3, 3, 2))
         )
@@ -83,15 +85,13 @@ class TestLikelihood:
         ]
         assert len(parts) == 2
         assert sum(value for value, _ in parts) == pytest.approx(expected[0], rel=1e-10)
-        np.testing.assert_allclose(
-            sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10
-        )
+        assert_allclose(sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10)
 
 
 class TestPosterior:
     def test_mean_is_equation_17(self, problem):
         expected = cross(problem, NEW) @ np.linalg.solve(problem.K, problem.y)
-        np.testing.assert_allclose(
+        assert_allclose(
             posterior_of(problem).predict(NEW), expected.reshape(-1, len(NEW)).T, rtol=1e-9
         )
 
@@ -99,10 +99,10 @@ class TestPosterior:
         Ks = cross(problem, NEW)
         expected = problem.kernel(NEW) - Ks @ np.linalg.solve(problem.K, Ks.T)
         posterior = posterior_of(problem)
-        np.testing.assert_allclose(posterior.covariance(NEW), expected, rtol=1e-8, atol=1e-10)
+        assert_allclose(posterior.covariance(NEW), expected, rtol=1e-8, atol=1e-10)
         mean, variance = posterior.predict(NEW, return_variance=True)
-        np.testing.assert_allclose(variance, np.diag(expected).reshape(-1, len(NEW)).T, rtol=1e-8)
-        np.testing.assert_allclose(mean, posterior.predict(NEW), rtol=1e-12)
+        assert_allclose(variance, np.diag(expected).reshape(-1, len(NEW)).T, rtol=1e-8)
+        assert_allclose(mean, posterior.predict(NEW), rtol=1e-12)
 
 
 class TestTrendIntegratedOut:
@@ -139,8 +139,8 @@ class TestTrendIntegratedOut:
         mean = Ks @ np.linalg.solve(Ky, y) + R @ weights
         cov = dependent(NEW) - Ks @ np.linalg.solve(Ky, Ks.T) + R @ np.linalg.solve(precision, R.T)
         posterior = posterior_of(one_problem)
-        np.testing.assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-8)
-        np.testing.assert_allclose(posterior.covariance(NEW), cov, rtol=1e-8, atol=1e-9)
+        assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-8)
+        assert_allclose(posterior.covariance(NEW), cov, rtol=1e-8, atol=1e-9)
 
     def test_likelihood(self, one_problem, parts):
         _, _, B, Ky, H, _ = parts
@@ -178,9 +178,9 @@ class TestTiles:
             )
         assert again == pytest.approx(value, rel=1e-12)
         assert one_value == pytest.approx(value, rel=1e-12)
-        np.testing.assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
+        assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
         for a, b in zip((*got[0], *got[1:]), (*expected[0], *expected[1:]), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+            assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
 def peak_memory(function):
@@ -195,7 +195,7 @@ def peak_memory(function):
 
 @pytest.fixture(scope="module")
 def large():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X, Y = rng.normal(size=(500, 4)), rng.normal(size=(500, 3))
     kernel = LinearTrend() + ConvolvedGaussian(1)
     return kernel.initialize(X, Y, 0), np.full(3, 0.3), Data.from_table(X, Y)

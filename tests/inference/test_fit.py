@@ -4,6 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from threadpoolctl import threadpool_limits
 
 from skdgp import listening
@@ -24,7 +26,7 @@ FITS = {"exact": fit_exact, "sparse": partial(fit_sparse, n_inducing=40)}
 @pytest.fixture(scope="module")
 def drawn():
     """Two dependent outputs drawn from a known prior: length scale .8, noise variances .01 and .09."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     X = np.sort(rng.uniform(-9, 9, (110, 1)), axis=0)
     kernel = ConvolvedGaussian(
         1,
@@ -52,7 +54,7 @@ class TestFit:
     def test_recovers_noise_and_coupling(self, fit, drawn):
         X, Y, _, noise = drawn
         found = fit(ConvolvedGaussian(1), X, Y, **OPTIONS).posterior
-        np.testing.assert_allclose(found.noise, noise, rtol=0.5)
+        assert_allclose(found.noise, noise, rtol=0.5)
         origin = np.zeros((1, 1))
         size = [found.kernel.block_diag(i, origin)[0] for i in range(2)]
         assert found.kernel.block(0, 1, origin, origin)[0, 0] / np.sqrt(np.prod(size)) < -0.7
@@ -73,7 +75,7 @@ class TestFit:
         once = fit(ConvolvedGaussian(1), X, Y, **options).posterior
         with threadpool_limits(threads, user_api="blas"):
             again = fit(ConvolvedGaussian(1), X, Y, **options).posterior
-        np.testing.assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
+        assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
 
     def test_stages_are_told(self, fit, drawn):
         X, Y, *_ = drawn
@@ -96,7 +98,7 @@ class TestGivenKernel:
             1, length_scale=self.lengths, parameter_bounds={"length_scale": "fixed"}
         )
         found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
-        np.testing.assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
+        assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
 
     def test_bounds_are_kept(self, fit, drawn):
         X, Y, *_ = drawn
@@ -112,8 +114,8 @@ class TestGivenKernel:
         fitted = fit(kernel, X, Y, **(OPTIONS | {"optimizer": None}))
         found = fitted.posterior.kernel
         assert fitted.learned.n_iter == 0
-        np.testing.assert_allclose(found.amplitude, self.amplitude, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
+        assert_allclose(found.amplitude, self.amplitude, rtol=1e-9, atol=1e-10)
+        assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
 
     def test_fixed_trend_stays(self, fit, drawn):
         X, Y, *_ = drawn
@@ -126,8 +128,8 @@ class TestGivenKernel:
         found = fit(
             trend + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
         ).posterior.kernel
-        np.testing.assert_array_equal(found.k1.intercept_scale, [1.0, 2.0])
-        np.testing.assert_array_equal(found.k1.slope_scale, [[0.5], [0.6]])
+        assert_array_equal(found.k1.intercept_scale, [1.0, 2.0])
+        assert_array_equal(found.k1.slope_scale, [[0.5], [0.6]])
 
 
 def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
@@ -145,7 +147,7 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
 
 
 def test_a_rare_output_survives_the_subset_of_the_sparse_start():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(900, 1))
     Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))
     Y[:4, 1] = np.cos(X[:4, 0])

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
@@ -12,7 +14,7 @@ NOISE = 0.3
 
 def log_of(function, n=2000, seed=0, errors=None):
     """Return regressors (n, 1), noisy values (n, 1) and true ones of a log of one sample a second."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     x = rng.uniform(-1, 1, (n, 1))
     truth = function(x)
     return x, truth + (rng.normal(0, NOISE, x.shape) if errors is None else errors(rng, n)), truth
@@ -106,15 +108,13 @@ class TestBand:
             slopes = model.sample_paths(3, random_state=0).gradient(x[:4])
             found.append([cov, paths, slopes])
         for without, with_misfit in zip(*found, strict=True):
-            np.testing.assert_allclose(without, with_misfit, rtol=1e-6, atol=1e-9)
+            assert_allclose(without, with_misfit, rtol=1e-6, atol=1e-9)
 
     def test_of_measurements_is_that_of_the_function_and_noise(self, kinked):
         x, y, _, model = kinked
         mean, std = model.predict(x, return_std=True, include_noise=True)
         assert np.mean(np.abs(y - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
         of_function = model.predict(x, return_std=True)[1]
-        np.testing.assert_allclose(
-            std**2 - of_function**2, np.full_like(std, model.noise_variance_[0])
-        )
+        assert_allclose(std**2 - of_function**2, np.full_like(std, model.noise_variance_[0]))
         # Without the misfit, which the search took for noise, too:
         assert model.noise_variance_[0] == pytest.approx(NOISE**2, rel=0.1)

@@ -2,19 +2,21 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 
 from skdgp.inference import Data, ExactPosterior, SparsePosterior, log_likelihood
 from skdgp.kernels import inducing_features
 
-NEW = np.random.default_rng(5).normal(size=(6, 2))
-Z = np.random.default_rng(6).normal(size=(7, 2))
+NEW = default_rng(5).normal(size=(6, 2))
+Z = default_rng(6).normal(size=(7, 2))
 
 
 @pytest.fixture
 def noisy(one_problem):
     """The problem, with noise that two regressors carry into all outputs; S is the noise of the stacked values."""
-    loading = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
+    loading = default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
     one_problem.loading = loading
     one_problem.data = Data.from_table(one_problem.X, one_problem.Y, loading)
     return one_problem
@@ -41,9 +43,9 @@ def sparse(problem, kernel=None, noise=None, features=None):
 def test_every_second_value_keeps_its_own_noise(noisy):
     some, (samples, loading) = noisy.data.every(2), noisy.data.sample_noise
     for i, x in enumerate(noisy.data.X):
-        np.testing.assert_array_equal(some.X[i], x[::2])
-        np.testing.assert_array_equal(some.sample_noise.sample[i], samples[i][::2])
-        np.testing.assert_array_equal(some.sample_noise.loading[i], loading[i][::2])
+        assert_array_equal(some.X[i], x[::2])
+        assert_array_equal(some.sample_noise.sample[i], samples[i][::2])
+        assert_array_equal(some.sample_noise.loading[i], loading[i][::2])
 
 
 class TestSlopes:
@@ -66,7 +68,7 @@ class TestSlopes:
         for i, (rows, loading) in enumerate(
             zip(np.isfinite(carried.Y).T, carried.data.sample_noise.loading, strict=True)
         ):
-            np.testing.assert_allclose(loading, carried.loading[rows, i], atol=1e-6)
+            assert_allclose(loading, carried.loading[rows, i], atol=1e-6)
 
     def test_likelihood(self, carried):
         expected = multivariate_normal(cov=dense(carried)).logpdf(carried.y)
@@ -80,8 +82,8 @@ def test_outputs_of_the_same_rows_share_their_inputs():
     data = Data.from_table(X, Y)
     assert data.X[0] is data.X[1] is X
     assert data.X[2] is data.X[3]
-    np.testing.assert_array_equal(data.X[2], X[[0, 2, 3]])
-    np.testing.assert_array_equal(data.sample[2], [0, 2, 3])
+    assert_array_equal(data.X[2], X[[0, 2, 3]])
+    assert_array_equal(data.sample[2], [0, 2, 3])
 
 
 class TestExact:
@@ -118,8 +120,8 @@ class TestExact:
         cross = noisy.kernel([NEW] * 3, noisy.data.X)
         expected = cross @ np.linalg.solve(dense(noisy), noisy.y)
         left = noisy.kernel(NEW) - cross @ np.linalg.solve(dense(noisy), cross.T)
-        np.testing.assert_allclose(mean.T.ravel(), expected, rtol=1e-8, atol=1e-10)
-        np.testing.assert_allclose(variance.T.ravel(), np.diag(left), rtol=1e-7, atol=1e-10)
+        assert_allclose(mean.T.ravel(), expected, rtol=1e-8, atol=1e-10)
+        assert_allclose(variance.T.ravel(), np.diag(left), rtol=1e-7, atol=1e-10)
 
 
 class TestSparse:
@@ -141,9 +143,7 @@ class TestSparse:
         weights = np.linalg.solve(
             Kuu + Kfu.T @ np.linalg.solve(S, Kfu), Kfu.T @ np.linalg.solve(S, noisy.y)
         )
-        np.testing.assert_allclose(
-            sparse(noisy).predict(NEW).T.ravel(), Ksu @ weights, rtol=1e-7, atol=1e-9
-        )
+        assert_allclose(sparse(noisy).predict(NEW).T.ravel(), Ksu @ weights, rtol=1e-7, atol=1e-9)
 
     def test_a_zero_factor_is_no_shared_noise(self, noisy):
         apart = SparsePosterior(

@@ -4,6 +4,7 @@ from threading import Event
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import listening
 from skdgp.inference import maximize
@@ -26,7 +27,7 @@ def ridge(theta):
 
 def test_finds_the_top():
     best = maximize(hill, np.array([4.0, 4.0]), BOUNDS, Event())
-    np.testing.assert_allclose(best.theta, [1, -2], atol=1e-4)
+    assert_allclose(best.theta, [1, -2], atol=1e-4)
     assert best.value == pytest.approx(3.0)
     assert best.value == pytest.approx(hill(best.theta)[0])
     assert best.n_iter > 0
@@ -41,7 +42,7 @@ def test_keeps_to_the_bounds():
 
     bounds = np.array([[2.0, 3.0], [-1.0, 4.0]])
     best = maximize(watched, np.array([10.0, -10.0]), bounds, Event())
-    np.testing.assert_allclose(best.theta, [2.0, -1.0])
+    assert_allclose(best.theta, [2.0, -1.0])
     seen = np.array(seen)
     assert (seen >= bounds[:, 0]).all()
     assert (seen <= bounds[:, 1]).all()
@@ -52,7 +53,7 @@ def test_iterations_are_limited():
     many = maximize(ridge, np.array([-1.2, 1.0]), BOUNDS, Event(), max_iter=200)
     assert few.n_iter == 3
     assert few.value < many.value
-    np.testing.assert_allclose(many.theta, 1.0, atol=1e-2)
+    assert_allclose(many.theta, 1.0, atol=1e-2)
     assert not few.converged
     assert 0.1 < few.remaining / (many.value - few.value) < 10
     assert many.converged
@@ -86,7 +87,7 @@ def test_a_start_that_fails_says_so_by_its_value():
 
     best = maximize(nowhere, np.zeros(2), BOUNDS, Event())
     assert best.value == -np.inf
-    np.testing.assert_array_equal(best.theta, 0.0)
+    assert_array_equal(best.theta, 0.0)
 
 
 class TestInterrupt:
@@ -112,4 +113,4 @@ class TestInterrupt:
         assert stop.is_set()
         value, theta = max(points, key=lambda point: point[0])
         assert best.value == value
-        np.testing.assert_array_equal(best.theta, theta)
+        assert_array_equal(best.theta, theta)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp.inference import (
     Data,
@@ -13,7 +15,7 @@ from skdgp.inference import (
 from skdgp.kernels import inducing_features
 
 N_PATHS = 4000
-Z = np.random.default_rng(6).normal(size=(7, 2))
+Z = default_rng(6).normal(size=(7, 2))
 
 
 def exact(problem, data=None):
@@ -71,7 +73,7 @@ def test_slopes_have_the_posteriors_moments(one_problem, make, slope_std):
 
 def test_noise_that_outputs_share(one_problem, make):
     """Noisy regressors carry the same error into all outputs of a sample."""
-    loading = np.random.default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
+    loading = default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
     data = Data.from_table(one_problem.X, one_problem.Y, loading)
     assert_moments(make(one_problem, data), points(one_problem))
 
@@ -87,6 +89,6 @@ def test_a_path_is_one_function_between_two_points(one_problem, make):
     paths = make(one_problem).paths(50, 4)
     near = Z[:1] + np.array([[0.0, 0.0], [1e-6, 0.0]])
     values = paths.values(near[None])
-    np.testing.assert_allclose(values[:, 0], values[:, 1], atol=1e-4)
+    assert_allclose(values[:, 0], values[:, 1], atol=1e-4)
     slope = paths.slopes(near[None])[:, 0, :, 0]
-    np.testing.assert_allclose((values[:, 1] - values[:, 0]) / 1e-6, slope, rtol=1e-3, atol=1e-3)
+    assert_allclose((values[:, 1] - values[:, 0]) / 1e-6, slope, rtol=1e-3, atol=1e-3)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.signal import lfilter
 
 from skdgp.inference import SearchSettings, autocorrelation_time, fit_sparse
@@ -10,7 +11,7 @@ from skdgp.kernels import ConvolvedGaussian
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8, 0.95])
 def test_of_an_autoregression_is_the_known_one(rho):
-    noise = lfilter([1.0], [1.0, -rho], np.random.default_rng(0).normal(size=200_000))
+    noise = lfilter([1.0], [1.0, -rho], default_rng(0).normal(size=200_000))
     assert autocorrelation_time(noise) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
 
 
@@ -39,7 +40,7 @@ class TestSparseFit:
     x = np.linspace(0, 8, 3000)[:, None]
     truth = np.sin(2 * x)
     noise = 0.3 * lfilter(
-        [np.sqrt(1 - 0.9**2)], [1.0, -0.9], np.random.default_rng(3).normal(size=(3000, 4)), axis=0
+        [np.sqrt(1 - 0.9**2)], [1.0, -0.9], default_rng(3).normal(size=(3000, 4)), axis=0
     )
 
     def test_deviations_are_as_large_as_errors(self):
@@ -52,6 +53,6 @@ class TestSparseFit:
         assert fit.learned.noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
 
     def test_shuffled_rows_are_independent_evidence(self):
-        order = np.random.default_rng(4).permutation(len(self.x))
+        order = default_rng(4).permutation(len(self.x))
         fit = fitted(self.x[order], (self.truth + self.noise)[order, :1])
         assert fit.posterior.noise == pytest.approx(fit.learned.noise, rel=0.3)

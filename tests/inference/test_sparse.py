@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
@@ -9,8 +11,8 @@ from skdgp._compute import parallel
 from skdgp.inference import ExactPosterior, ShareSettings, SparsePosterior, log_likelihood
 from skdgp.kernels import inducing_features
 
-NEW = np.random.default_rng(5).normal(size=(6, 2))
-Z = np.random.default_rng(6).normal(size=(7, 2))
+NEW = default_rng(5).normal(size=(6, 2))
+Z = default_rng(6).normal(size=(7, 2))
 
 
 def sparse(problem, inputs=Z):
@@ -58,9 +60,7 @@ class TestBound:
         )
         exact = ExactPosterior(trend, one_problem.noise, one_problem.data)
         assert posterior.log_marginal_likelihood == pytest.approx(exact.log_marginal_likelihood)
-        np.testing.assert_allclose(
-            posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8
-        )
+        assert_allclose(posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8)
 
 
 class TestPosterior:
@@ -71,11 +71,11 @@ class TestPosterior:
         mean = Ks @ np.linalg.solve(B, Kfu.T @ (problem.y / S))
         cov = problem.kernel(NEW) - Ks @ (np.linalg.inv(Kuu) - np.linalg.inv(B)) @ Ks.T
         posterior = sparse(problem)
-        np.testing.assert_allclose(posterior.covariance(NEW), cov, rtol=1e-6, atol=1e-8)
+        assert_allclose(posterior.covariance(NEW), cov, rtol=1e-6, atol=1e-8)
         found, variance = posterior.predict(NEW, True)
-        np.testing.assert_allclose(found, mean.reshape(3, -1).T, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(variance, np.diag(cov).reshape(3, -1).T, rtol=1e-6)
-        np.testing.assert_allclose(posterior.predict(NEW), found)
+        assert_allclose(found, mean.reshape(3, -1).T, rtol=1e-7, atol=1e-9)
+        assert_allclose(variance, np.diag(cov).reshape(3, -1).T, rtol=1e-6)
+        assert_allclose(posterior.predict(NEW), found)
 
 
 class TestNoise:
@@ -87,7 +87,7 @@ class TestNoise:
             expected.log_marginal_likelihood, rel=1e-10
         )
         for a, b in zip(got.predict(NEW, True), expected.predict(NEW, True), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-10)
+            assert_allclose(a, b, rtol=1e-9, atol=1e-10)
 
     def test_that_is_seen_never_lowers_the_bound(self, problem):
         posterior = sparse(problem).with_noise(30 * problem.noise)
@@ -111,4 +111,4 @@ class TestRows:
             again = SparsePosterior(*whole, share_settings=ShareSettings(rows=3))
             got = again.log_marginal_likelihood, *again.predict(NEW, True)
         for a, b in zip(got, expected, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
+            assert_allclose(a, b, rtol=1e-6, atol=1e-7)

@@ -6,6 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern
 
@@ -26,7 +28,7 @@ def convolved(
     n_latent=2, P=3, d=2, covariance_type="diag", private=True, seed=0, shift=False, **bounds
 ):
     """A kernel whose every amplitude, width and, on request, shift is different."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     M = n_latent + P * private
     widths = {"tied": (M, 1, d)}.get(covariance_type, (M, P, d))
     feeds = np.concatenate([np.ones((n_latent, P)), np.eye(P) * private])[:M]
@@ -46,7 +48,7 @@ def convolved(
 
 
 def trend(P=3, d=2, seed=1):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return LinearTrend(
         rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d)
     )
@@ -54,7 +56,7 @@ def trend(P=3, d=2, seed=1):
 
 def coregionalized(kernel, seed=2, **parameters):
     """One shared process and a private one of each of three outputs."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     amplitude = np.concatenate([rng.uniform(0.5, 2.0, (1, 3)) * [1, -1, 1], np.eye(3)])
     return Coregionalized(kernel, amplitude=amplitude, **parameters)
 
@@ -112,7 +114,7 @@ def n_features(kernel):
 
 
 def inputs(kernel, sizes=(4, 3, 5), seed=2):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     return [rng.normal(0, 1.2, (n, n_features(kernel))) for n in sizes[: kernel.n_outputs]]
 
 
@@ -131,7 +133,7 @@ def gradient_by_differences(central_difference):
 
 
 def equal(a, b, **tolerance):
-    np.testing.assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
+    assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
 
 
 def test_every_public_kernel_is_in_the_list():
@@ -172,7 +174,7 @@ class TestContract:
         self, kernel, name, gradient_by_differences
     ):
         X = inputs(kernel)
-        rng = np.random.default_rng(6)
+        rng = default_rng(6)
         edges = np.cumsum([0, *map(len, X)])
         expected = gradient_by_differences(name)
         for i, Xi in enumerate(X):
@@ -258,7 +260,7 @@ class TestContract:
         assert (np.abs(gradient_by_differences(name)).max(axis=(0, 1)) > 1e-6).all()
 
     def test_stationary_kernels_do_not_see_a_common_shift(self, kernel):
-        rng = np.random.default_rng(8)
+        rng = default_rng(8)
         d = n_features(kernel)
         X = [rng.integers(-16, 16, (n, d)) / 8 for n in (4, 3, 5)[: kernel.n_outputs]]
         away = (
@@ -315,7 +317,7 @@ class TestUse:
         block = kernel.block(0, last, X[0], X[last])
         parts = [kernel.block(0, last, part, X[last]) for part in np.split(X[0], 9)]
         equal(np.vstack(parts), block)
-        W = np.random.default_rng(1).normal(size=block.shape)
+        W = default_rng(1).normal(size=block.shape)
         slope = kernel.block_gradient(0, last, X[0], X[last], W)
         slopes = [
             kernel.block_gradient(0, last, part, X[last], weights)
@@ -325,8 +327,8 @@ class TestUse:
 
     def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
         P = kernel.n_outputs
-        X = np.random.default_rng(4).normal(size=(7, n_features(kernel)))
-        seen = np.random.default_rng(5).random((P, 7)) < 0.6
+        X = default_rng(4).normal(size=(7, n_features(kernel)))
+        seen = default_rng(5).random((P, 7)) < 0.6
         picked = np.flatnonzero(seen.ravel())
         assert kernel(X).shape == (7 * P, 7 * P)
         equal(kernel([X[s] for s in seen]), kernel(X)[np.ix_(picked, picked)])
@@ -339,14 +341,14 @@ class TestUse:
     def test_block_and_gradient_are_those_that_are_computed_together(self, kernel):
         X = inputs(kernel)
         for i, j in np.ndindex(len(X), len(X)):
-            W = np.random.default_rng(3).normal(size=(len(X[i]), len(X[j])))
+            W = default_rng(3).normal(size=(len(X[i]), len(X[j])))
             block, gradient = kernel.block_with_gradient(i, j, X[i], X[j])
             equal(block, kernel.block(i, j, X[i], X[j]))
             equal(gradient(W), kernel.block_gradient(i, j, X[i], X[j], W))
 
     @pytest.mark.parametrize("name", FEW)
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
-        X = np.random.default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
+        X = default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
         paths = prior_paths(kernel, 8000, 4, np.random.RandomState(12)).values(X[None])
         stacked = paths.swapaxes(1, 2).reshape(len(paths), -1)
         K = kernel(X)
@@ -359,7 +361,7 @@ class TestUse:
 
     @pytest.mark.parametrize("name", FEW)
     def test_slopes_of_paths_are_their_derivatives(self, kernel, central_difference):
-        X = np.random.default_rng(13).normal(size=(3, 4, n_features(kernel)))
+        X = default_rng(13).normal(size=(3, 4, n_features(kernel)))
         paths = prior_paths(kernel, 3, 8, np.random.RandomState(14))
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
@@ -368,7 +370,7 @@ class TestUse:
         self, kernel, central_difference
     ):
         X = inputs(kernel)
-        rng = np.random.default_rng(15)
+        rng = default_rng(15)
         points = rng.normal(size=(3, n_features(kernel)))
         c = rng.normal(size=(2, sum(map(len, X))))
         K = kernel([points] * len(X), X)
@@ -384,7 +386,7 @@ class TestUse:
     def test_theta_goes_round(self, kernel):
         K = kernel(inputs(kernel))
         other = kernel.clone_with_theta(
-            kernel.theta + np.random.default_rng(7).uniform(0.02, 0.1, kernel.n_dims)
+            kernel.theta + default_rng(7).uniform(0.02, 0.1, kernel.n_dims)
         )
         equal(kernel.clone_with_theta(other.theta).theta, other.theta)
         equal(kernel.clone_with_theta(kernel.theta)(inputs(kernel)), K)

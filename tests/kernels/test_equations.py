@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import trapezoid
 
 from skdgp.kernels import ConvolvedGaussian
 
 
 def kernel_of(covariance_type, d, n_latent=2, P=2, seed=0):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     M = n_latent + P
     widths = {"tied": (M, 1, d)}.get(covariance_type, (M, P, d))
     shift = rng.normal(0, 0.5, (M, P, d)) * (np.arange(M) < n_latent)[:, None, None]
@@ -57,7 +59,7 @@ def test_covariance_is_the_integral_of_the_filters(covariance_type):
 @pytest.mark.parametrize("covariance_type", ["diag", "tied"])
 def test_covariance_is_equation_16(covariance_type, d):
     kernel = kernel_of(covariance_type, d, P=3, seed=d)
-    rng = np.random.default_rng(9)
+    rng = default_rng(9)
     X, Z = rng.normal(size=(3, d)), rng.normal(size=(2, d))
     A, v, mu = matrices(kernel), kernel.v, kernel.mu
     for i in range(3):
@@ -86,10 +88,10 @@ def test_published_parameters(covariance_type):
     assert kernel.mu.shape == (4, 2, 3)
     assert kernel.A.shape == (4, 2, 3)
     # Shared latents first, then one for each output, which feeds that output alone.
-    np.testing.assert_array_equal(kernel.v[2:] != 0, np.eye(2, dtype=bool))
+    assert_array_equal(kernel.v[2:] != 0, np.eye(2, dtype=bool))
     assert (np.linalg.eigvalsh(matrices(kernel)) > 0).all()
     # w = v pi^(d/4) |A|^(-1/4): the variance is the sum of squared amplitudes.
     w = kernel.v * np.pi**0.75 / np.linalg.det(matrices(kernel)) ** 0.25
-    np.testing.assert_allclose(w, kernel.amplitude, rtol=1e-12)
+    assert_allclose(w, kernel.amplitude, rtol=1e-12)
     for i in range(2):
-        np.testing.assert_allclose(kernel.block_diag(i, np.zeros((1, 3))), (w[:, i] ** 2).sum())
+        assert_allclose(kernel.block_diag(i, np.zeros((1, 3))), (w[:, i] ** 2).sum())

@@ -4,6 +4,8 @@ import pickle
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -22,7 +24,7 @@ OPEN = {
 
 @pytest.fixture
 def data():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
     Z = (X - X.mean(axis=0)) / X.std(axis=0)
     Y = np.column_stack(
@@ -51,7 +53,7 @@ class TestOpenKernels:
 
     def test_seed_decides(self, kernel, data):
         first, again, other = (kernel.initialize(*data, seed) for seed in (3, 3, 4))
-        np.testing.assert_allclose(first.theta, again.theta, rtol=1e-9, atol=1e-10)
+        assert_allclose(first.theta, again.theta, rtol=1e-9, atol=1e-10)
         # Only shared latents need chance, to part from each other.
         chance = not np.allclose(first.theta, other.theta)
         assert chance == ("ConvolvedGaussian" in repr(kernel) and "n_latent=0" not in repr(kernel))
@@ -69,17 +71,17 @@ class TestGivenValues:
     def test_stay(self, data):
         amplitude = [[1.0, 2.0, 3.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
         found = ConvolvedGaussian(1, amplitude=amplitude).initialize(*data, 0)
-        np.testing.assert_array_equal(found.amplitude, amplitude)
+        assert_array_equal(found.amplitude, amplitude)
         lengths = np.full((4, 3, 3), 2.5)
         found = ConvolvedGaussian(
             1, length_scale=lengths, parameter_bounds={"length_scale": "fixed"}
         ).initialize(*data, 0)
-        np.testing.assert_array_equal(found.length_scale, lengths)
+        assert_array_equal(found.length_scale, lengths)
         found = LinearTrend(slope_scale=np.full((3, 3), 2.0), center=[1.0, 2.0, 3.0]).initialize(
             *data, 0
         )
-        np.testing.assert_array_equal(found.slope_scale, 2.0)
-        np.testing.assert_array_equal(found.center, [1.0, 2.0, 3.0])
+        assert_array_equal(found.slope_scale, 2.0)
+        assert_array_equal(found.center, [1.0, 2.0, 3.0])
 
     @pytest.mark.parametrize(
         ("kernel", "message"),
@@ -120,26 +122,24 @@ class TestSpacing:
     def test_is_of_the_output_that_is_observed_most(self, data, kind):
         X, Y = data
         most = np.isfinite(Y).sum(axis=0).max()
-        np.testing.assert_allclose(self.smallest(X, Y, covariance_type=kind), most ** (-1 / 3))
+        assert_allclose(self.smallest(X, Y, covariance_type=kind), most ** (-1 / 3))
 
     def test_only_regressors_with_an_effect_count(self, data):
         X, Y = data
         most = np.isfinite(Y).sum(axis=0).max()
-        np.testing.assert_allclose(
-            self.smallest(X, Y, regressors=[0, 2])[..., [0, 2]], most ** (-1 / 2)
-        )
+        assert_allclose(self.smallest(X, Y, regressors=[0, 2])[..., [0, 2]], most ** (-1 / 2))
         still = np.column_stack([X, np.full(len(X), 3.0)])
-        np.testing.assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
+        assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
 
     def test_is_never_below_the_bound_of_other_kernels(self, data):
         X, Y = data
         other = ConvolvedGaussian(0).initialize(X, Y, 0).parameter_bounds["length_scale"]
-        np.testing.assert_allclose(other[..., 0] / X.std(axis=0), 0.05)
-        np.testing.assert_allclose(self.smallest(X, Y, regressors=[0])[..., 0], 0.05)
+        assert_allclose(other[..., 0] / X.std(axis=0), 0.05)
+        assert_allclose(self.smallest(X, Y, regressors=[0])[..., 0], 0.05)
 
     def test_counts_at_most_400_samples(self):
-        X = np.random.default_rng(0).normal(size=(900, 9))
-        np.testing.assert_allclose(self.smallest(X, X[:, :2]), 400 ** (-1 / 9))
+        X = default_rng(0).normal(size=(900, 9))
+        assert_allclose(self.smallest(X, X[:, :2]), 400 ** (-1 / 9))
 
 
 class TestRefused:
@@ -209,7 +209,7 @@ class TestBounds:
     )
 
     def test_are_of_the_parameters_that_they_name(self):
-        np.testing.assert_allclose(self.kernel.bounds, np.log([[0.5, 2.0]] * 2))
+        assert_allclose(self.kernel.bounds, np.log([[0.5, 2.0]] * 2))
         assert [h.name for h in self.kernel.hyperparameters if not h.fixed] == ["length_scale"]
         fixed = clone(self.kernel).set_params(parameter_bounds={"length_scale": "fixed"})
         assert [h.name for h in fixed.hyperparameters if not h.fixed] == ["amplitude"]
@@ -217,7 +217,7 @@ class TestBounds:
     def test_survive_copies(self):
         for copy in (clone(self.kernel), pickle.loads(pickle.dumps(self.kernel))):
             assert copy == self.kernel
-            np.testing.assert_array_equal(copy.bounds, self.kernel.bounds)
+            assert_array_equal(copy.bounds, self.kernel.bounds)
         changed = {"amplitude": "fixed", "length_scale": np.array([0.5, 3.0])}
         assert clone(self.kernel).set_params(parameter_bounds=changed) != self.kernel
         assert "parameter_bounds={'amplitude': 'fixed', 'length_scale': [0.5, 2]}" in repr(

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.gaussian_process.kernels import RBF
 
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -9,7 +11,7 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 @pytest.fixture
 def rng():
-    return np.random.default_rng(0)
+    return default_rng(0)
 
 
 def correlation(kernel, delta, i=0, j=1):
@@ -36,7 +38,7 @@ class TestNothingShared:
             for j in range(3):
                 block = K[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]
                 expected = self.amplitude[i] ** 2 * RBF(self.lengths[i])(X) if i == j else 0.0
-                np.testing.assert_allclose(block, np.broadcast_to(expected, (6, 6)), rtol=1e-12)
+                assert_allclose(block, np.broadcast_to(expected, (6, 6)), rtol=1e-12)
 
 
 def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
@@ -52,7 +54,7 @@ def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
     expected = sum(
         np.kron(np.outer(w, w), RBF(length[0])(X)) for w, length in zip(W, lengths, strict=True)
     )
-    np.testing.assert_allclose(kernel(X), expected, rtol=1e-12)
+    assert_allclose(kernel(X), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -97,7 +99,7 @@ def test_tied_widths_are_equal_ones(rng):
         )(X)
 
     tied = np.broadcast_to(rng.uniform(0.5, 2, (1, 1, 3)), (1, 2, 3))
-    np.testing.assert_allclose(matrix("tied", tied), matrix("diag", tied), rtol=1e-12)
+    assert_allclose(matrix("tied", tied), matrix("diag", tied), rtol=1e-12)
 
 
 def test_trend_is_a_bayesian_linear_model(rng):
@@ -108,9 +110,7 @@ def test_trend_is_a_bayesian_linear_model(rng):
     K = LinearTrend(intercept, slope, center)(X)
     for i in range(2):
         prior = np.diag(np.r_[intercept[i], slope[i]] ** 2)
-        np.testing.assert_allclose(
-            K[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], Phi @ prior @ Phi.T, rtol=1e-12
-        )
+        assert_allclose(K[4 * i : 4 * i + 4, 4 * i : 4 * i + 4], Phi @ prior @ Phi.T, rtol=1e-12)
     assert (K[:4, 4:] == 0).all()
 
 

@@ -5,6 +5,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import norm
 
 from skdgp.plotting import TimeHistoryDisplay
@@ -14,7 +16,7 @@ COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 
 def outputs(n=200, n_outputs=6, seed=0):
     """Return time, measured, mean and std of outputs whose intervals are honest."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     time = np.arange(n) / 40.0
     mean = np.sin(time[:, None] * np.arange(1, n_outputs + 1))
     std = np.full((n, n_outputs), 0.2)
@@ -115,8 +117,8 @@ class TestCoefficients:
         drawn = {"measured": measured, "estimated": mean, "truth": 2 * mean}
         for k, key in enumerate(COEFFICIENTS):
             for label, values in drawn.items():
-                np.testing.assert_array_equal(line(display, key, label).get_ydata(), values[:, k])
-            np.testing.assert_array_equal(line(display, key, "truth").get_xdata(), time)
+                assert_array_equal(line(display, key, label).get_ydata(), values[:, k])
+            assert_array_equal(line(display, key, "truth").get_xdata(), time)
         corners = {tuple(row) for row in band(display.axes_[1, 0]).round(5)}
         half = norm.ppf(0.975) * std[:, 1]
         for edge in (mean[:, 1] - half, mean[:, 1] + half):
@@ -128,8 +130,8 @@ class TestCoefficients:
         ax = Figure().subplots()
         display.residuals().draw(ax, "Cm")
         shown, zero = ax.lines
-        np.testing.assert_allclose(shown.get_ydata(), (measured - mean)[:, 4])
-        np.testing.assert_array_equal(zero.get_ydata(), 0)
+        assert_allclose(shown.get_ydata(), (measured - mean)[:, 4])
+        assert_array_equal(zero.get_ydata(), 0)
         assert band(ax)[:, 1].min() == pytest.approx(-norm.ppf(0.975) * std.max())
         assert ax.get_ylabel() == "$C_m$ less estimate"
 
@@ -154,12 +156,10 @@ def test_a_replay_is_in_degrees_and_breaks_between_windows():
         time=time, window=np.arange(100) // 25
     )
     display = TimeHistoryDisplay.from_replay(replayed, flown, ax=Figure())
-    np.testing.assert_array_equal(
-        line(display, "v_east", "measured").get_ydata()[:25], measured[:25, 0]
-    )
+    assert_array_equal(line(display, "v_east", "measured").get_ydata()[:25], measured[:25, 0])
     shown = line(display, "p", "replayed").get_ydata()
     assert np.isnan(shown).sum() == 3
-    np.testing.assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
+    assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         TimeHistoryDisplay.from_replay(replayed, flown.iloc[1:])
 
@@ -168,6 +168,6 @@ def test_inputs():
     display = TimeHistoryDisplay.from_inputs(flight(), ax=Figure())
     assert [y for _, y in labels(display)] == ["throttle", "elevator [deg]", "rudder [deg]"]
     shown = line(display, "elevator", "measured").get_ydata()
-    np.testing.assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
+    assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
     with pytest.raises(ValueError, match="without inputs"):
         TimeHistoryDisplay.from_inputs(flight()[["time"]])

@@ -20,6 +20,14 @@ def test_is_never_less_than_one(values):
     assert autocorrelation_time(values) == 1.0
 
 
+X = np.linspace(0, 8, 3000)[:, None]
+TRUTH = np.sin(2 * X)
+# Lasting noise of variance 0.09
+NOISE = 0.3 * lfilter(
+    [np.sqrt(1 - 0.9**2)], [1.0, -0.9], default_rng(3).normal(size=(3000, 4)), axis=0
+)
+
+
 def fitted(X, Y):
     return fit_sparse(
         ConvolvedGaussian(0),
@@ -37,22 +45,15 @@ def fitted(X, Y):
 class TestSparseFit:
     """Samples taken so fast that neighbours share their noise teach no more than the noise lets them."""
 
-    x = np.linspace(0, 8, 3000)[:, None]
-    truth = np.sin(2 * x)
-    noise = 0.3 * lfilter(
-        [np.sqrt(1 - 0.9**2)], [1.0, -0.9], default_rng(3).normal(size=(3000, 4)), axis=0
-    )
-
     def test_deviations_are_as_large_as_errors(self):
-        fit = fitted(self.x, self.truth + self.noise)
-        mean, variance = fit.posterior.predict(self.x, True)
-        z = (mean - self.truth) / np.sqrt(variance)
-        assert (
-            0.6 < np.sqrt(np.mean(z**2)) < 1.5
-        )  # counted as independent, errors are about four deviations
+        """Counted as independent, errors are about four deviations."""
+        fit = fitted(X, TRUTH + NOISE)
+        mean, variance = fit.posterior.predict(X, True)
+        z = (mean - TRUTH) / np.sqrt(variance)
+        assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
         assert fit.learned.noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
 
     def test_shuffled_rows_are_independent_evidence(self):
-        order = default_rng(4).permutation(len(self.x))
-        fit = fitted(self.x[order], (self.truth + self.noise)[order, :1])
+        order = default_rng(4).permutation(len(X))
+        fit = fitted(X[order], (TRUTH + NOISE)[order, :1])
         assert fit.posterior.noise == pytest.approx(fit.learned.noise, rel=0.3)

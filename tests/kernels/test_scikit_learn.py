@@ -73,11 +73,6 @@ class TestEveryKernel:
         assert not np.allclose(kernel(X), before[0])
         assert not np.allclose(kernel.theta, before[1])
 
-    def test_products_and_powers_are_refused(self, kernel):
-        for combine in (lambda k: 2 * k, lambda k: k * 2, lambda k: k * RBF(), lambda k: k**2):
-            with pytest.raises(TypeError, match=r"can be added, not multiplied.*Coregionalized"):
-                combine(kernel)
-
 
 class TestEntries:
     def test_of_lists_and_of_bounds_count_too(self):
@@ -147,18 +142,6 @@ class TestCoregionalized:
         kernel = Coregionalized(inner, 2, private_latents=False, amplitude=W)
         assert_allclose(kernel(X), np.kron(W.T @ W, inner(X)), rtol=1e-12)
         assert_allclose(kernel(X, X[:2]), np.kron(W.T @ W, inner(X, X[:2])), rtol=1e-12)
-
-    def test_of_an_rbf_is_the_tied_convolved_kernel(self):
-        W = default_rng(1).normal(size=(1, 3))
-        tied = ConvolvedGaussian(
-            1,
-            private_latents=False,
-            covariance_type="tied",
-            amplitude=W,
-            length_scale=np.broadcast_to([0.8, 1.5], (1, 3, 2)),
-        )
-        same = Coregionalized(RBF([0.8, 1.5]), private_latents=False, amplitude=W)
-        assert_allclose(same(X), tied(X), rtol=1e-12)
 
     def test_private_processes_couple_nothing(self):
         alone = Coregionalized(RBF(), 0, amplitude=np.diag([1.0, 2.0]))

@@ -7,7 +7,7 @@ import pandas as pd
 from numpy.random import default_rng
 from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp.datasets._example_flights import COMMANDS, FLIGHT_PLANS, measure
+from skdgp.datasets import COMMANDS, FLIGHT_PLANS, measure
 from skdgp.dynamics import (
     Aircraft,
     air_velocity,

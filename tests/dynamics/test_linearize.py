@@ -9,11 +9,12 @@ from pandas.testing import assert_frame_equal
 from scipy.optimize import brentq
 from scipy.signal import find_peaks, lsim
 
-from skdgp.datasets._example_flights import brumby_motion
+from skdgp.datasets import brumby_motion
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    Mixing,
     Motion,
     euler_to_quaternion,
     linearize,
@@ -21,7 +22,6 @@ from skdgp.dynamics import (
     simulate,
     trim,
 )
-from skdgp.dynamics._aerodynamics import Mixing
 
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)

@@ -19,6 +19,7 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    Drift,
     FlightComputer,
     SimulationWarning,
     Simulator,
@@ -29,7 +30,6 @@ from skdgp.dynamics import (
     trajectory_bands,
     trim,
 )
-from skdgp.dynamics._aerodynamics import Drift
 from skdgp.preprocessing import (
     ElevonSplitter,
     LagCorrector,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.datasets._example_flights import BRUMBY, brumby_motion
+from skdgp.datasets import BRUMBY, brumby_motion
 from skdgp.dynamics import (
     Aerodynamics,
     Air,

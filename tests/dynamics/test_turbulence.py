@@ -11,23 +11,23 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import Pipeline
 
-from skdgp._flight.channels import WIND
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    Drift,
     Motion,
     Turbulence,
     as_aerodynamics,
+    dryden_gusts,
     dryden_wind,
     simulate,
 )
-from skdgp.dynamics._aerodynamics import Drift
-from skdgp.dynamics._dryden import dryden_gusts, dryden_system
+from skdgp.dynamics._dryden import dryden_system
 from skdgp.dynamics._path_air import drift_in, without_rotation
-from skdgp.dynamics._turbulence import FEET
 from skdgp.identification import make_identification_pipeline
 
+WIND = ["wind_north", "wind_east", "wind_down"]
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 AIRCRAFT = Aircraft(
@@ -441,15 +441,15 @@ def test_step_does_not_change_the_law():
 
 
 def test_low_altitude_model_joins_the_standards_corner_at_1000_feet():
-    turbulence = Turbulence.low_altitude(1000 * FEET, 10.0)
-    assert_allclose(turbulence.length, 1000 * FEET)
+    turbulence = Turbulence.low_altitude(304.8, 10.0)
+    assert_allclose(turbulence.length, 304.8)
     assert_allclose(turbulence.intensity, 1.0)
 
 
 def test_a_wind_to_fly_in_has_the_intensities_of_its_height():
     options = {"wind_at_6m": 8.0, "span": 0.01, "dt": 0.05}
     winds = [dryden_wind(200.0, 30.0, 40.0, **options, random_state=k) for k in range(12)]
-    gusts = np.concatenate([wind[[*WIND]].to_numpy() for wind in winds])
+    gusts = np.concatenate([wind[WIND].to_numpy() for wind in winds])
     intensity = Turbulence.low_altitude(40.0, 8.0).intensity
     assert_allclose(gusts.std(axis=0), intensity, rtol=0.15)
     assert abs(np.corrcoef(gusts.T)[0, 1]) < 0.15

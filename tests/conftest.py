@@ -10,6 +10,7 @@ from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import joblib
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
@@ -113,9 +114,11 @@ def command():
 
 
 @pytest.fixture(scope="session")
-def first_minute():
-    """Return `load_example_flights` of the first minute alone, flown in a third of the time."""
-    return partial(datasets.load_example_flights, duration=60.0)
+def first_minute(once):
+    """Return a function to the first minute of the example flights, flown once by one of the processes."""
+    load = partial(datasets.load_example_flights, duration=60.0)
+    folder = once("first minute", lambda folder: joblib.dump(load(), folder / "flights"))
+    return lambda: joblib.load(folder / "flights")
 
 
 @pytest.fixture

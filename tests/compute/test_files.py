@@ -9,8 +9,8 @@ import time
 import warnings
 from itertools import count
 
-import numpy as np
 import pytest
+from numpy.random import default_rng
 from sklearn.linear_model import LinearRegression
 
 from skdgp.dynamics import Aircraft
@@ -70,7 +70,7 @@ class TestWriting:
     @pytest.mark.skipif(os.name == "nt", reason="there are no forks there")
     def test_a_killed_process_leaves_the_old_file_or_the_new_one(self, target):
         """Kill -9, at moments drawn by chance."""
-        for moment in np.random.default_rng(3).uniform(0.0, 0.05, 4):
+        for moment in default_rng(3).uniform(0.0, 0.05, 4):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # forks of threads
                 process = os.fork()

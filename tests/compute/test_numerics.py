@@ -7,6 +7,7 @@ from contextvars import ContextVar
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_limits
 
@@ -22,7 +23,7 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import SMALL, few_threads, n_threads, one_blas_thread, thread_map
 
-ROOT = np.random.default_rng(0).normal(size=(7, 7))
+ROOT = default_rng(0).normal(size=(7, 7))
 K = ROOT @ ROOT.T + np.eye(7)
 
 
@@ -38,7 +39,7 @@ class TestCholesky:
         assert_allclose(np.tril(cholesky(matrix)), np.linalg.cholesky(K), rtol=1e-12)
 
     def test_of_a_singular_matrix_raises_the_diagonal_and_says_so(self):
-        x = np.random.default_rng(1).normal(size=(6, 3))
+        x = default_rng(1).normal(size=(6, 3))
         singular = 1e4 * x @ x.T
         words = r"6 values was not positive definite.*; (\S+) of its diagonal"
         with pytest.warns(JitterWarning, match=words) as caught:
@@ -77,7 +78,7 @@ class TestCholesky:
         b = np.arange(7.0)
         assert_allclose(cholesky_solve(L, b), np.linalg.solve(K, b), rtol=1e-10)
         assert log_determinant(L) == pytest.approx(np.linalg.slogdet(K)[1])
-        B = np.random.default_rng(2).normal(size=(7, 3))
+        B = default_rng(2).normal(size=(7, 3))
         expected = np.linalg.solve(np.tril(L), B)
         assert_allclose(triangular_solve(L, np.array(B, order="F")), expected, rtol=1e-10)
         inverse = np.tril(cholesky_inverse(L))

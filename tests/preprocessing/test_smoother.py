@@ -3,7 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from pandas.testing import assert_frame_equal
 from scipy import signal
 from sklearn.pipeline import make_pipeline
 
@@ -25,7 +27,7 @@ def clock(n, start=0.0):
 def noisy_sine(n=2400, noise=0.05, frequency=0.4, seed=0):
     time = clock(n)
     truth = np.sin(2 * np.pi * frequency * time + 0.3)
-    return time, truth, truth + np.random.default_rng(seed).normal(0, noise, n)
+    return time, truth, truth + default_rng(seed).normal(0, noise, n)
 
 
 def rms(error):
@@ -83,7 +85,7 @@ class TestSmooth:
     def test_auto_leaves_a_noise_free_channel_alone(self):
         """Commands in steps, whose spectrum falls as f^-2, and a walk, as an Ornstein-Uhlenbeck process does."""
         time, truth, _ = noisy_sine()
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         steps = np.repeat(rng.normal(size=80), rng.integers(10, 51, 80))[:2400]
         walk = signal.lfilter([1], [1, -0.95], rng.normal(size=2400))
         channels = np.column_stack([truth, steps, walk])
@@ -106,9 +108,9 @@ class TestSmooth:
         assert_allclose(out[:1200], smooth(noisy[:1200], time[:1200], cutoff=2.0), atol=1e-12)
 
     def test_jittered_clock(self):
-        jittered = clock(2400) + np.random.default_rng(0).uniform(-0.2, 0.2, 2400) / RATE
+        jittered = clock(2400) + default_rng(0).uniform(-0.2, 0.2, 2400) / RATE
         truth = np.sin(2 * np.pi * 0.4 * jittered)
-        noisy = truth + np.random.default_rng(1).normal(0, 0.05, 2400)
+        noisy = truth + default_rng(1).normal(0, 0.05, 2400)
         assert rms(smooth(noisy, jittered) - truth) < 0.02
         _, rate = filtered(truth, jittered, cutoff=None)
         exact = 0.8 * np.pi * np.cos(0.8 * np.pi * jittered)
@@ -116,7 +118,7 @@ class TestSmooth:
 
     def test_lost_samples_are_bridged(self):
         time, truth, noisy = noisy_sine()
-        kept = np.sort(np.random.default_rng(0).choice(2400, 2350, replace=False))
+        kept = np.sort(default_rng(0).choice(2400, 2350, replace=False))
         assert rms(smooth(noisy[kept], time[kept]) - truth[kept]) < 0.02
 
     def test_rounded_clock_makes_no_noise(self):
@@ -146,7 +148,7 @@ class TestJoint:
 
     def motion(self, n=9600, seed=0):
         """Return a table, and its truth."""
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         poles = np.poly([0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j)]).real
         alpha = signal.lfilter([1], poles, rng.normal(size=n))
         alpha *= 0.03 / alpha.std()
@@ -167,7 +169,7 @@ class TestJoint:
         together, alone = (
             FlightSmoother(cutoff=2.0, joint=joint).fit_transform(noisy) for joint in (True, False)
         )
-        pd.testing.assert_frame_equal(together, alone)
+        assert_frame_equal(together, alone)
 
     def test_scale_and_order_of_channels_do_not_matter(self):
         noisy, _ = self.motion(2400)
@@ -180,8 +182,8 @@ class TestJoint:
 
     def test_unrelated_channels_are_smoothed_as_if_alone(self):
         time, _, alpha = noisy_sine(9600)
-        drift = np.cumsum(np.random.default_rng(3).normal(size=9600))
-        airspeed = drift + np.random.default_rng(4).normal(0, 3, 9600)
+        drift = np.cumsum(default_rng(3).normal(size=9600))
+        airspeed = drift + default_rng(4).normal(0, 3, 9600)
         both = pd.DataFrame({"time": time, "alpha": alpha, "airspeed": airspeed})
         change = FlightSmoother().fit_transform(both).alpha - smooth(alpha, time)
         assert change.std() < 0.1 * alpha.std()
@@ -238,7 +240,7 @@ def test_senseless_cutoffs(cutoff, message):
 
 def flight(name="one", n=1200):
     """Return a table of measured channels whose heading passes through pi."""
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     t = clock(n)
     truth = {
         "airspeed": 30.0 + 0 * t, "alpha": 0.1 * np.sin(t), "beta": 0.05 * np.cos(1.3 * t), "p": 0 * t,

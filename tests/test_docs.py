@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from skdgp.datasets import _example_flights
+from skdgp import datasets
+from skdgp.datasets import load_example_flights
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN_ELSEWHERE = {
@@ -53,8 +54,8 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
     if page.name == "design.md":
         request.getfixturevalue("few_manoeuvres")
     if page.name in SECONDS:
-        made = partial(_example_flights._flights, duration=SECONDS[page.name])
-        monkeypatch.setattr(_example_flights, "_flights", made)
+        short = partial(load_example_flights, duration=SECONDS[page.name])
+        monkeypatch.setattr(datasets, "load_example_flights", short)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = {}

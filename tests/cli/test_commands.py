@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp._cli import _use, main
 from skdgp._flight.channels import COEFFICIENTS
@@ -74,9 +75,9 @@ class TestPredict:
             *COEFFICIENTS,
             *(f"{name}_std" for name in COEFFICIENTS),
         ]
-        np.testing.assert_array_equal(table["time"], flight["time"])
-        np.testing.assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
-        np.testing.assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
+        assert_array_equal(table["time"], flight["time"])
+        assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
+        assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
         assert said["flights"] == {"two_altitudes": 300}
 
     def test_noise(self, run, model, tmp_path):
@@ -86,9 +87,7 @@ class TestPredict:
         assert measured["flight"].unique().tolist() == ["two_altitudes", "lateral"]
         names = [f"{name}_std" for name in COEFFICIENTS]
         noise = np.sqrt(measured[names] ** 2 - function[names] ** 2)
-        np.testing.assert_allclose(
-            noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6
-        )
+        assert_allclose(noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6)
 
     def test_rows_that_were_not_sampled_are_left_out(self, path, tmp_path, capsys):
         table = pd.read_csv("test.csv")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp._cli import _shared, main
@@ -83,12 +84,10 @@ class TestIdentify:
         of = next(iter(metrics["test"].values()))["coefficients"]["measured"]
         error = median_relative_error(Y, mean, multioutput="raw_values")
         inside = interval_coverage(Y, mean, std, multioutput="raw_values")
-        np.testing.assert_allclose(
+        assert_allclose(
             error, [of[name]["median_relative_error"] for name in COEFFICIENTS], rtol=1e-9
         )
-        np.testing.assert_allclose(
-            inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9
-        )
+        assert_allclose(inside, [of[name]["interval_coverage"] for name in COEFFICIENTS], rtol=1e-9)
 
     def test_the_function_gives_what_the_command_gives(self, folder, identified, monkeypatch):
         monkeypatch.undo()  # flight mechanics are among the metrics

@@ -6,8 +6,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
+from pandas.testing import assert_frame_equal
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._compute.findings import Code
@@ -36,7 +38,7 @@ def benchmark():
 def simulated(case, seconds, *, pulses=True, seed=3, deflections=False, bank=0.0):
     """Return table and plane of a flight of the trainer, with commands of servos 50 ms late, or deflections."""
     module = benchmark()
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     plane = module.AIRCRAFT["trainer"]
     fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
     fleet.legs = [(bank + 0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
@@ -90,7 +92,7 @@ def test_derivatives_lie_inside_their_bands():
     assert np.mean(abs(z) < 1.96) >= 0.85
     assert np.median(1.96 * std / np.abs(value)) < 0.4
     assert np.all(std < 1.05 * prior)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.derivatives["std"])
+    assert_allclose(np.sqrt(np.diag(found.covariance)), found.derivatives["std"])
 
 
 def test_lag_wind_and_gusts_are_found():
@@ -155,11 +157,11 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
     assert errors[0] < np.deg2rad(0.6)
     assert errors[0] < 0.75 * errors[1]
     held = estimate_air_motion(table, as_aircraft(plane), known=found)
-    np.testing.assert_allclose(held.derivatives["value"], found.derivatives["value"])
-    np.testing.assert_allclose(held.air["alpha"], out["alpha"])
+    assert_allclose(held.derivatives["value"], found.derivatives["value"])
+    assert_allclose(held.air["alpha"], out["alpha"])
     lag = found.constants.loc["servo_lag", "value"]
     late = delayed_surfaces(flights_of(table)[0].sensors, table[SURFACES].to_numpy(), lag)
-    np.testing.assert_allclose(out[SURFACES], late)
+    assert_allclose(out[SURFACES], late)
     assert list(reconstruction().get_feature_names_out()) == [
         name for name in out if name != "alpha_true"
     ]
@@ -174,9 +176,9 @@ def test_slopes_of_a_model_are_the_derivatives_with_their_covariance():
         [d["CX_alpha"] + 2 * alpha * d["CX_alpha2"], np.nan, np.nan],
         [d["Cm_alpha"], d["Cm_q"], np.nan],
     ]
-    np.testing.assert_allclose(value, expected)
+    assert_allclose(value, expected)
     of_Cm = found.covariance.loc[["Cm_alpha", "Cm_q"], ["Cm_alpha", "Cm_q"]]
-    np.testing.assert_allclose(errors[1, :2] @ errors[1, :2].T, of_Cm, rtol=1e-6)
+    assert_allclose(errors[1, :2] @ errors[1, :2].T, of_Cm, rtol=1e-6)
 
 
 def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
@@ -188,8 +190,8 @@ def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
     flown = stability_derivatives(*at, n_paths=500, thrust=None)
     names = [name for name in found.derivatives.index if name in flown.index and name[:2] != "CX"]
     value, std, _ = found.derivatives.loc[names].to_numpy().T
-    np.testing.assert_array_less(abs(flown.loc[names, "value"] - value), 0.5 * std)
-    np.testing.assert_array_less(0.95 * std, flown.loc[names, "std"])  # of 500 paths, 3 %
+    assert_array_less(abs(flown.loc[names, "value"] - value), 0.5 * std)
+    assert_array_less(0.95 * std, flown.loc[names, "std"])  # of 500 paths, 3 %
 
 
 def test_calm_flight_without_inputs_has_wide_bands():
@@ -227,7 +229,7 @@ def test_aircraft_known_without_thrust_is_reconstructed_by_its_measured_axial_fo
     without = estimate_air_motion(table, aircraft, thrust=None, known=known)
     assert abs(without.constants.loc["thrust_scale", "value"]) < 1e-4
     again = estimate_air_motion(table, aircraft, known=without)
-    pd.testing.assert_frame_equal(again.air, without.air)
+    assert_frame_equal(again.air, without.air)
 
 
 def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
@@ -240,9 +242,9 @@ def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     known = [name for name in truth if name in found.derivatives.index]
     value, std, _ = found.derivatives.loc[known].to_numpy().T
     assert np.mean(abs(value - [truth[name] for name in known]) < 1.96 * std) >= 0.85
-    np.testing.assert_allclose(found.air["ax"].mean(), table["ax"].mean(), atol=0.05)
+    assert_allclose(found.air["ax"].mean(), table["ax"].mean(), atol=0.05)
     value, _ = found.slopes(["CX", "CZ"], ["alpha"])
-    np.testing.assert_array_equal(np.isnan(value[:, 0]), [True, False])
+    assert_array_equal(np.isnan(value[:, 0]), [True, False])
 
 
 def test_without_terms_of_drag_the_axial_force_is_no_measurement_of_aerodynamics():
@@ -252,8 +254,8 @@ def test_without_terms_of_drag_the_axial_force_is_no_measurement_of_aerodynamics
     settings = AirSettings(max_passes=1)
     found = estimate_air_motion(flight, aircraft, terms=terms, settings=settings)
     without = estimate_air_motion(flight, aircraft, thrust=None, settings=settings)
-    pd.testing.assert_frame_equal(found.derivatives, without.derivatives)
-    pd.testing.assert_frame_equal(found.air, without.air)
+    assert_frame_equal(found.derivatives, without.derivatives)
+    assert_frame_equal(found.air, without.air)
 
 
 def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():

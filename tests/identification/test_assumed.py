@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_array_equal
 
 from skdgp import DependentGPRegressor
 from skdgp._compute.findings import Code, Finding
@@ -74,7 +75,7 @@ class TestThrust:
         table = pd.DataFrame({"throttle": [0.5], "airspeed": [20.0], "density": [1.2], column: 3.0})
         assert thrust_sources("auto", [table]) == ["columns"]
         force, _ = propulsive_loads(table, self.UNKNOWN)
-        np.testing.assert_array_equal(force, [[3.0, 0.0, 0.0]])
+        assert_array_equal(force, [[3.0, 0.0, 0.0]])
 
 
 class TestWords:

@@ -12,6 +12,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
+from pandas.testing import assert_index_equal
 from sklearn import config_context
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
@@ -44,7 +47,7 @@ AVERAGE = clone(QUICK).set_params(structure="average")
 
 def flights(n=300, names=("a", "b"), seed=0):
     """Return flights of a delta wing, and two coefficients that depend on their non-dimensional regressors."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     tables = []
     for k, name in enumerate(names):
         t = np.arange(n) * 0.05
@@ -93,8 +96,8 @@ class TestPipeline:
             model[:-1].transform(table), learned, time=table["time"], flight=table["flight"]
         )
         assert (by_hand.drift_variance_ > 0).all()
-        np.testing.assert_allclose(model[-1].drift_variance_, by_hand.drift_variance_, rtol=1e-6)
-        np.testing.assert_allclose(model[-1].drift_memory_, by_hand.drift_memory_, rtol=1e-6)
+        assert_allclose(model[-1].drift_variance_, by_hand.drift_variance_, rtol=1e-6)
+        assert_allclose(model[-1].drift_memory_, by_hand.drift_memory_, rtol=1e-6)
         assert not hasattr(clone(model)[-1], "drift_variance_")
         untimed = clone(model).fit(table.drop(columns="flight")[:300], learned[:300])
         assert (untimed[-1].drift_variance_ > 0).all()  # one flight
@@ -103,12 +106,12 @@ class TestPipeline:
         model, table, _, learned = fitted
         with config_context(enable_metadata_routing=True):
             plain = clone(model).fit(table, learned)
-            np.testing.assert_array_equal(plain[-1].drift_variance_, 0.0)
+            assert_array_equal(plain[-1].drift_variance_, 0.0)
             asked = clone(model)
             asked[-1].set_fit_request(time=True, flight=True)
             asked.fit(table, learned, time=table["time"], flight=table["flight"])
-        np.testing.assert_allclose(asked[-1].drift_variance_, model[-1].drift_variance_, rtol=1e-6)
-        np.testing.assert_allclose(asked.predict(table), model.predict(table), rtol=1e-6, atol=1e-9)
+        assert_allclose(asked[-1].drift_variance_, model[-1].drift_variance_, rtol=1e-6)
+        assert_allclose(asked.predict(table), model.predict(table), rtol=1e-6, atol=1e-9)
 
     def test_a_list_of_regressors_asks_for_no_other_column(self):
         table, Y = flights()
@@ -248,14 +251,12 @@ class TestIdentify:
         }
         model = load_model(folder / "model.joblib")
         expected = result.pipeline.predict(example[2])
-        np.testing.assert_allclose(
-            model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13
-        )
+        assert_allclose(model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13)
         assert model.fit == result.fit.to_dict()
         judged = validate(model, example[2], horizons=[1.0])
         assert judged.metrics["test"].keys() == result.metrics["test"].keys()
         found, expected = (list(numbers(one.metrics["test"])) for one in (judged, result))
-        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+        assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
         shown = {"converged": judged.pipeline[-1].converged_}
         assert judged.metrics["fit"] == result.metrics["fit"] | shown
         assert json.loads((folder / "metrics.json").read_text()) == result.metrics
@@ -390,7 +391,7 @@ class TestModelFile:
         assert model.aircraft == AIRCRAFT
         assert model.options == {"thrust": None}
         assert set(model.versions) >= {"skdgp", "scikit-learn", "numpy", "python"}
-        np.testing.assert_allclose(
+        assert_allclose(
             model.pipeline.predict(fitted[1]), fitted[0].predict(fitted[1]), rtol=1e-9, atol=1e-10
         )
 
@@ -405,8 +406,8 @@ class TestModelFile:
         subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=tmp_path, check=True)
         mean, std = pickle.loads((tmp_path / "found.pkl").read_bytes())
         expected = fitted[0].predict(fitted[1], return_std=True, include_noise=True)
-        np.testing.assert_allclose(mean, expected[0], rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(std, expected[1], rtol=1e-9, atol=1e-10)
+        assert_allclose(mean, expected[0], rtol=1e-9, atol=1e-10)
+        assert_allclose(std, expected[1], rtol=1e-9, atol=1e-10)
 
     def test_tables_are_arrays_and_names(self, fitted, tmp_path):
         """Of pandas and pyarrow the file names nothing."""
@@ -429,15 +430,15 @@ class TestModelFile:
         model = load_model(path)
         assert list(model.table["flight"].fillna("none")) == ["monday", "none"]
         assert list(model.table["kind"]) == ["a", "b"]
-        np.testing.assert_array_equal(model.table["rows"], [1.0, np.nan])
-        pd.testing.assert_index_equal(model.table.index, table.index)
+        assert_array_equal(model.table["rows"], [1.0, np.nan])
+        assert_index_equal(model.table.index, table.index)
 
     def test_a_single_flipped_bit(self, model_file):
         """In each byte of the closing line, and many of the model: what loads is what was saved."""
         data = model_file.read_bytes()
         n, closing = 8 * len(data), 8 * data.rindex(MAGIC)
         for place in [
-            *np.random.default_rng(0).choice(closing, 100, replace=False),
+            *default_rng(0).choice(closing, 100, replace=False),
             *range(closing, n, 7),
         ]:
             flipped = bytearray(data)

@@ -8,6 +8,8 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft
@@ -21,7 +23,7 @@ MOVING = ["airspeed", "alpha", "beta", "p", "q", "r", "throttle", *SURFACES]
 
 def flights(n=120):
     """Return two flights and two coefficients that depend on what they hold."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     tables = []
     for k, name in enumerate(["monday", "tuesday"]):
         t = np.arange(n) * 0.05 + 7.0 * k
@@ -90,10 +92,10 @@ def test_dtypes_index_and_order_of_columns_decide_nothing(clothes):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", "The indices of X and y differ", UserWarning)
-        dressed = CLOTHES[clothes](table.copy(), np.random.default_rng(0))
+        dressed = CLOTHES[clothes](table.copy(), default_rng(0))
         got = pipeline().fit(dressed, Y).predict(dressed, return_std=True)
     for values, expected in zip(got, plain(), strict=True):
-        np.testing.assert_allclose(values, expected, rtol=1e-9)
+        assert_allclose(values, expected, rtol=1e-9)
 
 
 def test_the_order_of_flights_decides_nothing():
@@ -103,7 +105,7 @@ def test_the_order_of_flights_decides_nothing():
     plain = pipeline().fit(table, Y).predict(table, return_std=True)
     got = pipeline().fit(table.iloc[rows], Y.iloc[rows]).predict(table.iloc[rows], return_std=True)
     for values, expected in zip(got, plain, strict=True):
-        np.testing.assert_allclose(values, expected[rows], rtol=1e-6)
+        assert_allclose(values, expected[rows], rtol=1e-6)
 
 
 # -- whatever is wrong with a table: finite numbers, or an error that says what
@@ -209,7 +211,7 @@ FAULTS = [  # in this order: values first, then rows, then columns
 )
 def test_a_faulty_table_gives_finite_numbers_or_one_error(seed, faults, of_training):
     """Faults of the flights learned from, or of those asked about; warnings are of the documented kind alone."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     table, Y = flights()
     faulty = table
     for number in sorted(faults):

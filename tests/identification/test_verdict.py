@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from pandas.testing import assert_frame_equal
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._flight.channels import COEFFICIENTS
@@ -87,7 +89,7 @@ def flight():
 
 def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
     """Return a flight whose errors are these parts of the spread, exactly."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     measured, noise = rng.normal(size=(2, n, 6))
     measured = (measured - measured.mean(axis=0)) / measured.std(axis=0)
     noise /= np.sqrt((noise**2).mean(axis=0))
@@ -227,10 +229,10 @@ class TestSimulation:
         assert (known["lasts"] >= 4 * still["lasts"].min()).all()
         turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
         found = simulation_errors(glider(), AIRCRAFT, [turns], SETTINGS)
-        pd.testing.assert_frame_equal(found, known, rtol=1e-6)
+        assert_frame_equal(found, known, rtol=1e-6)
 
     def test_flights_too_short_to_show_their_noise_do_not_narrow_the_limit(self, flight):
-        noise = np.random.default_rng(0).normal(0, 0.05, len(flight))
+        noise = default_rng(0).normal(0, 0.05, len(flight))
         noisy = flight.assign(q=flight["q"] + noise)
         tables = [noisy, noisy[:8], noisy[8:16].reset_index(drop=True)]
         alone, found = (
@@ -372,7 +374,7 @@ class TestMechanics:
         expected = stability_derivatives(
             glider(), AIRCRAFT, point, thrust=None, air=Air(density=1.225)
         )
-        pd.testing.assert_frame_equal(found.derivatives, expected)
+        assert_frame_equal(found.derivatives, expected)
         assert {"short period", "Dutch roll"} <= set(found.modes.index)
         assert (found.simulation["lasts"] == found.simulation["horizon"]).all()
 

@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.spatial.transform import Rotation
 
 ULOG_CODES = {
@@ -352,7 +353,7 @@ def tlog(flight):
         mavlink.MAVLink(None, srcSystem=1, srcComponent=1),
         mavlink.MAVLink(None, srcSystem=255),
     )
-    rng, sent = np.random.default_rng(0), []
+    rng, sent = default_rng(0), []
 
     def send(time, message, by=plane):
         sent.append((time, message.pack(by)))

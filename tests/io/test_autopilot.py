@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp._flight.channels import CHANNELS
 from skdgp.io import AUTOPILOTS, EQUIVALENT, QUATERNION, FlightReadError, read_flight
@@ -70,7 +72,7 @@ class TestEveryChannelComesBack:
         assert table.notna().all(axis=None)
         assert_is(table, flight, names)
         assert (table.flight == "sortie").all()
-        np.testing.assert_allclose(np.diff(table.time), 0.02, rtol=1e-9)
+        assert_allclose(np.diff(table.time), 0.02, rtol=1e-9)
 
     def test_ardupilot(self, write, ardupilot, flight):
         table = read_flight(write("sortie.BIN", ardupilot), servos=ARDUPILOT_SERVOS)
@@ -156,8 +158,8 @@ class TestChoices:
         )
         log.topic("actuator_motors", t, **late, control=("float[1]", np.sin(t) ** 2))
         table = read_flight(write("a.ulg", log), airborne=False).iloc[10:-10]
-        np.testing.assert_allclose(table.p, np.sin(table.time), atol=1e-3)
-        np.testing.assert_allclose(table.throttle, np.sin(table.time) ** 2, atol=1e-3)
+        assert_allclose(table.p, np.sin(table.time), atol=1e-3)
+        assert_allclose(table.throttle, np.sin(table.time) ** 2, atol=1e-3)
 
     def test_the_servo_file_is_believed_before_the_rules(self, write, ulog):
         t = self.time()
@@ -185,7 +187,7 @@ class TestFlights:
         table = read_flight(write("log.ulg", self.log(ulog, airspeed, t)))
         spans = table.groupby("flight").time.agg(["min", "max"])
         assert spans.index.tolist() == ["log", "log#2"]
-        np.testing.assert_allclose(spans.to_numpy(), [[20.05, 49.95], [70.05, 99.95]], atol=0.051)
+        assert_allclose(spans.to_numpy(), [[20.05, 49.95], [70.05, 99.95]], atol=0.051)
         assert len(
             read_flight(write("log.ulg", self.log(ulog, airspeed, t)), airborne=False)
         ) == len(t)
@@ -195,7 +197,7 @@ class TestFlights:
         t[t > 30] += 3600
         table = read_flight(write("log.ulg", self.log(ulog, np.full(t.size, 20.0), t)))
         spans = table.groupby("flight").time.agg(["min", "max"])
-        np.testing.assert_allclose(spans, [[0, 30], [3630.05, 3659.95]], atol=0.051)
+        assert_allclose(spans, [[0, 30], [3630.05, 3659.95]], atol=0.051)
 
     def test_rows_at_the_ends_that_lack_a_slow_channel_are_left_out(self, write, ulog):
         t = np.arange(0, 60, 0.05)
@@ -244,7 +246,7 @@ class TestFlights:
             .round(1)
             .to_numpy()
         )
-        np.testing.assert_allclose(spans, [[100.0, 140.0, 20.0], [5.0, 45.0, 25.0]], atol=0.2)
+        assert_allclose(spans, [[100.0, 140.0, 20.0], [5.0, 45.0, 25.0]], atol=0.2)
 
 
 class TestRefusals:
@@ -307,9 +309,7 @@ class TestWithoutAnAccelerometer:
         log, load = self.log(ulog)
         table = read_flight(write("log.ulg", log))
         found = table[(table.time > 2) & (table.time < 28)][["ax", "ay", "az"]].to_numpy()
-        np.testing.assert_allclose(
-            found, np.broadcast_to([0.0, 0.0, -load], found.shape), atol=0.03
-        )
+        assert_allclose(found, np.broadcast_to([0.0, 0.0, -load], found.shape), atol=0.03)
         assert (
             table.attrs["sources"]["az"] == "velocity and attitude, as no accelerometer is of use"
         )
@@ -388,14 +388,14 @@ class TestStamps:
         stamps[[3, 77, 199, 499]] = wrong
         with pytest.warns(FlightDataWarning, match="4 of 500 messages have a time that cannot be"):
             table = read(stamps, time - 100)
-        np.testing.assert_allclose(table["p"], table["time"] - 100, atol=1e-5)
+        assert_allclose(table["p"], table["time"] - 100, atol=1e-5)
 
     def test_messages_out_of_order_are_sorted(self, read):
         time = np.arange(500) * 0.02
         time[[100, 101, 102]] = time[[102, 100, 101]]
         with pytest.warns(FlightDataWarning, match="1 messages stand out of order"):
             table = read(time, time)
-        np.testing.assert_allclose(table["p"], table["time"], atol=1e-5)
+        assert_allclose(table["p"], table["time"], atol=1e-5)
 
     @pytest.mark.parametrize("n", [2, 30, 60])
     def test_a_short_log_far_from_zero_keeps_its_messages(self, read, n):
@@ -411,7 +411,7 @@ class TestRates:
 
     def test_what_the_new_rate_carries_passes_without_delay(self, read):
         p, expected = self.sine(read, 3.0, own=400.0)
-        np.testing.assert_allclose(p, expected, atol=2e-3)
+        assert_allclose(p, expected, atol=2e-3)
 
     @pytest.mark.parametrize("frequency", [45.0, 55.0, 130.0])
     def test_what_it_cannot_carry_is_not_folded_back(self, read, frequency):
@@ -432,15 +432,15 @@ class TestRates:
         ends = time[logged][time[logged] < 4].max(), time[logged][time[logged] > 4].min()
         inside = (table["time"] > ends[0] + 1e-9) & (table["time"] < ends[1] - 1e-9)
         assert table["p"][inside].isna().all()
-        np.testing.assert_allclose(table["p"][~inside], table["time"][~inside], atol=1e-5)
+        assert_allclose(table["p"][~inside], table["time"][~inside], atol=1e-5)
 
 
 def test_signs_of_quaternions_do_not_matter(tmp_path, ulog):
     time = 0.02 * np.arange(600)
     half = 0.1 * time
-    signs = np.random.default_rng(1).choice([-1.0, 1.0], (600, 1))
+    signs = default_rng(1).choice([-1.0, 1.0], (600, 1))
     q = signs * np.column_stack([np.cos(half), np.sin(half), 0 * half, 0 * half])
     log = ulog().topic("vehicle_attitude", time, q=q)
     (tmp_path / "log.ulg").write_bytes(bytes(log))
     table = read_flight(tmp_path / "log.ulg", airborne=False)
-    np.testing.assert_allclose(table["phi"], 0.2 * table["time"], atol=1e-3)
+    assert_allclose(table["phi"], 0.2 * table["time"], atol=1e-3)

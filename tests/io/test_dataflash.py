@@ -2,8 +2,8 @@
 
 import struct
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.io import AUTOPILOTS, FlightReadError
 
@@ -43,7 +43,7 @@ def assert_as_pymavlink(path):
         for field in messages[0]:
             if field in topic:
                 expected = [fields[field] for fields in messages]
-                np.testing.assert_allclose(topic[field], expected, rtol=1e-14, equal_nan=True)
+                assert_allclose(topic[field], expected, rtol=1e-14, equal_nan=True)
 
 
 class TestAsPymavlink:
@@ -91,7 +91,7 @@ class TestWhatTheLogSaysOfItself:
             )
         topics = read(log).topics
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
-        np.testing.assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
+        assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
     def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
         log = dataflash().topic(
@@ -99,7 +99,7 @@ class TestWhatTheLogSaysOfItself:
         )
         kind = log.types["ABC"][0]
         log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
-        np.testing.assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
+        assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
 
     def test_scaled_integers(self, read, dataflash):
         log = dataflash().topic(
@@ -110,9 +110,9 @@ class TestWhatTheLogSaysOfItself:
             L=("L", [48.1234567, -9.0]),
         )
         topic = read(log).topics["S"]
-        np.testing.assert_allclose(topic["c"], [-1.25, 1.25])
-        np.testing.assert_allclose(topic["C"], [3.5, 350.25])
-        np.testing.assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
+        assert_allclose(topic["c"], [-1.25, 1.25])
+        assert_allclose(topic["C"], [3.5, 350.25])
+        assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
 
 
 class TestDamage:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 
 from skdgp._cli import main
 from skdgp.identification._flights import named_flights
@@ -103,7 +104,7 @@ class TestSummary:
         assert all(f"{name!r} (did you mean {meant}?)" in said for name, meant in names.items())
 
     def test_the_faults_of_a_table_at_seconds_of_the_log(self, tmp_path):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500)})
         table = table.assign(flight="a", alpha=rng.normal(0.1, 0.01, 500))
         table.loc[200:260, "alpha"] = table.alpha[200]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.design import Wavetrain, ardupilot_script, doublet
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight, read_servos
@@ -18,14 +19,12 @@ def deflection(values, **entry):
 
 class TestAngles:
     def test_ends(self):
-        np.testing.assert_allclose(
-            deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4]
-        )
+        assert_allclose(deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4])
 
     def test_points_in_any_order_and_lines_beyond(self):
         points = [[1, 0.3], [-1, -0.5], [0, 0.1]]
         found = deflection([-1.5, -1, -0.5, 0.5, 1, 1.5], channel="a.b", points=points)
-        np.testing.assert_allclose(found, [-0.8, -0.5, -0.2, 0.2, 0.3, 0.4])
+        assert_allclose(found, [-0.8, -0.5, -0.2, 0.2, 0.3, 0.4])
 
     def test_no_pulse_is_no_angle(self):
         assert np.isnan(deflection([0.0, 65.0], **ENDS)).all()
@@ -91,8 +90,8 @@ class TestFullThrow:
         parts = read_flight(tmp_path / "log.bin", servos="full throw")
         (tmp_path / "servo.toml").write_text('elevator = "25 deg"\nrudder = ".5 rad"\n')
         table = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
-        np.testing.assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
-        np.testing.assert_allclose(table["rudder"], 0.5 * parts["rudder"])
+        assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
+        assert_allclose(table["rudder"], 0.5 * parts["rudder"])
         assert "aileron" not in table
         with pytest.raises(
             FlightReadError,

@@ -4,8 +4,9 @@ import struct
 import sys
 
 import numpy as np
-import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 
 from skdgp.io import FlightReadError, read_flight
 
@@ -24,9 +25,9 @@ class TestTelemetry:
             ("altitude", 0.1),
             ("density", 2e-3),
         ):
-            np.testing.assert_allclose(table[name], flight[name](time), atol=error)
-        np.testing.assert_allclose(table["elevator"], flight["elevator"](time) / 0.4, atol=5e-3)
-        np.testing.assert_allclose(
+            assert_allclose(table[name], flight[name](time), atol=error)
+        assert_allclose(table["elevator"], flight["elevator"](time) / 0.4, atol=5e-3)
+        assert_allclose(
             table["airspeed"], flight["airspeed"](time), atol=0.3
         )  # it has no clock but arrival
         assert abs(np.mean(table["airspeed"] - flight["airspeed"](time))) < 0.05
@@ -40,7 +41,7 @@ class TestTelemetry:
         for name, content in (("a", tlog), ("b", bursts)):
             (tmp_path / f"{name}.tlog").write_bytes(b"".join(content))
             tables.append(read_flight(tmp_path / f"{name}.tlog", flight="sortie"))
-        pd.testing.assert_frame_equal(*tables)
+        assert_frame_equal(*tables)
         assert tables[0]["airspeed"].notna().all()
 
     def test_damage_costs_only_itself(self, tlog, tmp_path):

@@ -5,6 +5,9 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
@@ -27,7 +30,7 @@ GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, spa
 
 def log(seconds=60.0, seed=0, name="sortie"):
     """Return a flight of noisy sensors and a pilot's controls."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     time = STEP * np.arange(round(seconds / STEP))
     levels = {"airspeed": (30, 2, 0.3), "alpha": (0.06, 0.03, 0.005), "beta": (0, 0.03, 0.005)}
     levels |= {
@@ -88,9 +91,7 @@ class TestCleanLogs:
     def test_a_filtered_heading_on_a_grid_is_not_stuck_where_it_turns_back(self):
         table = log()
         turns = np.abs(np.cos(0.4 * table.time)) < 0.2
-        noise = np.convolve(
-            np.random.default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same"
-        )
+        noise = np.convolve(default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same")
         heading = 0.3 + 0.02 * np.sin(0.4 * table.time) + 0.002 * noise * ~turns
         assert faults(table.assign(psi=1e-4 * (heading / 1e-4).round())) == []
 
@@ -142,9 +143,7 @@ class TestFaults:
         assert found[["flight", "channel", "kind", "n_samples"]].values.tolist() == [
             ["sortie", channel, kind, len(rows)]
         ]
-        np.testing.assert_allclose(
-            found[["start", "end"]].to_numpy()[0], [STEP * rows[0], STEP * rows[-1]]
-        )
+        assert_allclose(found[["start", "end"]].to_numpy()[0], [STEP * rows[0], STEP * rows[-1]])
 
     def test_is_taken_out_and_told_once(self, channel, kind, spoil, rows):
         clean, table = log(), spoil(log())
@@ -157,7 +156,7 @@ class TestFaults:
         gone = np.zeros(len(table), bool)
         gone[list(rows)] = True
         assert out[channel].isna().to_numpy().tolist() == gone.tolist()
-        pd.testing.assert_frame_equal(out[~gone], clean[~gone])
+        assert_frame_equal(out[~gone], clean[~gone])
 
 
 def test_a_slow_sensor_that_sticks_is_found():
@@ -180,7 +179,7 @@ class TestBridging:
             out = FlightCheck().fit_transform(table)
         assert out.index[out.alpha.isna()].tolist() == list(range(900, 910))
         line = np.interp(table.time[500:508], table.time[[499, 508]], table.alpha[[499, 508]])
-        np.testing.assert_allclose(out.alpha[500:508], line)
+        assert_allclose(out.alpha[500:508], line)
 
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
         table = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
@@ -203,7 +202,7 @@ class TestClock:
         table = log()
         table.loc[1000:, "time"] += 5.0
         assert faults(table) == [("time", "gap")]
-        pd.testing.assert_frame_equal(FlightCheck().fit_transform(table), table)
+        assert_frame_equal(FlightCheck().fit_transform(table), table)
 
 
 class TestDownstream:
@@ -238,7 +237,7 @@ class TestDownstream:
             Y = aerodynamic_coefficients(held(table, "q", 700, 800), GLIDER, thrust=None)
         assert Y.index[Y.isna().any(axis=1)].tolist() == list(range(701, 801))
         far = np.abs(np.arange(len(table)) - 750) > 400
-        np.testing.assert_allclose(Y[far], expected[far], atol=0.01 * expected.std().max())
+        assert_allclose(Y[far], expected[far], atol=0.01 * expected.std().max())
         assert (
             aerodynamic_coefficients(held(table, "q", 700, 800), GLIDER, thrust=None, ignore=["q"])
             .notna()
@@ -257,7 +256,7 @@ class TestDownstream:
 
     def test_single_lost_samples_leave_no_rows_out(self):
         """3 % of the cells of each channel are missing, one sample at a time."""
-        table, rng = log(), np.random.default_rng(0)
+        table, rng = log(), default_rng(0)
         sparse = table.copy()
         for name in sparse.columns.difference(["time", "flight"]):
             lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)

@@ -7,6 +7,9 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal, assert_series_equal
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.preprocessing import StandardScaler
@@ -41,7 +44,7 @@ TRANSFORMERS = [
 
 def flight_table(n=200, flights=("one", "two"), seed=3):
     """Flights with every regressor's raw material, plus strangers: text, truth and an unknown column."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     parts = []
     for flight in flights:
         t = 0.02 * np.arange(n)
@@ -121,13 +124,13 @@ class TestContract:
         for name in ("flight", "remark", "my_sensor", "alpha_true"):
             assert isinstance(transformer, RegressorSelector) == (name not in out)
             if name in out:
-                pd.testing.assert_series_equal(out[name], table[name])
+                assert_series_equal(out[name], table[name])
 
     def test_input_is_not_written_to(self, transformer):
         table = ready_table()
         before = table.copy(deep=True)
         clone(transformer).fit_transform(table)
-        pd.testing.assert_frame_equal(table, before)
+        assert_frame_equal(table, before)
 
     def test_index_is_kept(self, transformer):
         table = ready_table().set_index(np.arange(400) + 5000)
@@ -139,16 +142,16 @@ class TestContract:
         other = table[table.columns[::-1]].drop(columns=["alpha_true", "remark"]).assign(new=2.0)
         expected, got = fitted.transform(table), fitted.transform(other)
         shared = [name for name in expected.columns if name in got]
-        pd.testing.assert_frame_equal(got[shared], expected[shared])
+        assert_frame_equal(got[shared], expected[shared])
 
     def test_pickle_and_clone(self, transformer):
         table = ready_table()
         fitted = clone(transformer).fit(table)
         again = pickle.loads(pickle.dumps(fitted))
-        pd.testing.assert_frame_equal(again.transform(table), fitted.transform(table))
+        assert_frame_equal(again.transform(table), fitted.transform(table))
 
     def test_an_array_is_refused(self, transformer):
-        for X in (np.random.default_rng(0).normal(size=(20, 3)), ready_table().to_numpy()):
+        for X in (default_rng(0).normal(size=(20, 3)), ready_table().to_numpy()):
             with pytest.raises(TypeError, match=r"Got ndarray .*but expected a pandas DataFrame"):
                 clone(transformer).fit(X)
 
@@ -171,7 +174,7 @@ class TestContract:
         twice = clone(transformer).fit(table[:200].assign(new=1.0)).fit(table)
         assert vars(once).keys() == vars(twice).keys()
         assert once.n_features_in_ == twice.n_features_in_ == table.shape[1]
-        pd.testing.assert_frame_equal(once.transform(table), twice.transform(table))
+        assert_frame_equal(once.transform(table), twice.transform(table))
 
     def test_fit_and_transform_keep_the_parameters_and_what_was_learned(self, transformer):
         table, fitted = ready_table(), clone(transformer)
@@ -187,11 +190,11 @@ class TestContract:
         first = StandardScaler(with_mean=False, with_std=False).set_output(transform="polars")
         made = first.fit_transform(table)
         expected = clone(transformer).fit_transform(table)
-        pd.testing.assert_frame_equal(clone(transformer).fit_transform(made), expected)
+        assert_frame_equal(clone(transformer).fit_transform(made), expected)
 
     def test_array_after_a_table_is_read_by_position(self, transformer):
         table = ready_table().select_dtypes("number")[:200]
         fitted = clone(transformer).fit(table)
         with pytest.warns(UserWarning, match="does not have valid feature names"):
             out = fitted.transform(table.to_numpy())
-        np.testing.assert_allclose(out.to_numpy(), fitted.transform(table).to_numpy())
+        assert_allclose(out.to_numpy(), fitted.transform(table).to_numpy())

@@ -3,6 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
@@ -31,7 +34,7 @@ def late(table, **lags):
 
 def linear_aircraft(seed, air=0.0, surfaces=0.0, seconds=60.0):
     """Return a log of an aircraft whose accelerations are linear in vanes, surfaces and rates, sensors late."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     time = STEP * np.arange(-80, round(seconds / STEP) + 80)
 
     def wave():
@@ -101,14 +104,14 @@ class TestEstimate:
 
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
         table = linear_aircraft(0)
-        rng = np.random.default_rng(9)
+        rng = default_rng(9)
         names = ["alpha", "beta", "elevator", "aileron", "rudder"]
         noise = table.assign(**{name: rng.normal(size=len(table)) for name in names})
         assert LagCorrector().fit(noise).lags_.remark.tolist() == ["not shown by these flights"] * 4
 
     def test_a_linear_model_that_explains_little_still_shows_a_lag(self):
         """Gusts, which no regressor has, turn the aircraft as much as all that regressors have."""
-        table, rng = linear_aircraft(1, surfaces=0.05, seconds=240), np.random.default_rng(1)
+        table, rng = linear_aircraft(1, surfaces=0.05, seconds=240), default_rng(1)
         for name in ("p", "q", "r"):
             gust = gaussian_filter1d(rng.normal(size=len(table)), 6)
             gust *= np.std(np.diff(table[name])) / gust.std()
@@ -134,7 +137,7 @@ class TestEstimate:
 
     def test_flights_without_inertial_sensors_tell_nothing(self):
         table = linear_aircraft(0).drop(columns="q")
-        pd.testing.assert_frame_equal(LagCorrector().fit_transform(table), table)
+        assert_frame_equal(LagCorrector().fit_transform(table), table)
 
 
 class TestTransform:
@@ -146,16 +149,14 @@ class TestTransform:
         assert error[20:-20].std() < 0.1 * (spoilt.elevator - truth.elevator)[20:-20].std()
 
     def test_clean_flights_pass_unchanged(self, latlon):
-        pd.testing.assert_frame_equal(LagCorrector().fit_transform(latlon[:1600]), latlon[:1600])
+        assert_frame_equal(LagCorrector().fit_transform(latlon[:1600]), latlon[:1600])
 
     def test_lags_are_undone(self, latlon):
         there = late(latlon, air=0.08, psi=0.03)
         back = LagCorrector({"air": 0.08, "psi": 0.03}).fit_transform(there)
         inner = slice(20, -20)
         for name in ("alpha", "psi"):  # noise, and turns of 2 pi, as they were
-            np.testing.assert_allclose(
-                back[name][inner], latlon[name][inner], atol=0.02 * latlon[name].std()
-            )
+            assert_allclose(back[name][inner], latlon[name][inner], atol=0.02 * latlon[name].std())
         changed = [name for name in latlon if not latlon[name].equals(there[name])]
         assert sorted(changed) == ["airspeed", "alpha", "beta", "psi"]
 
@@ -177,7 +178,7 @@ class TestTransform:
         )
         for lag in (0.3, -0.3):
             out = LagCorrector({"alpha": lag}).fit_transform(table)
-            np.testing.assert_allclose(out.alpha, table.alpha)
+            assert_allclose(out.alpha, table.alpha)
 
     def test_what_was_not_sampled_stays_so(self):
         time = np.arange(0, 10, STEP)
@@ -187,7 +188,7 @@ class TestTransform:
         out = LagCorrector({"alpha": 0.1}).fit_transform(table)
         assert out.alpha.isna().equals(table.alpha.isna())
         known = out.alpha.notna() & ~table.index.isin([*range(92, 100), *range(390, 400)])
-        np.testing.assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
+        assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
 
     @pytest.mark.parametrize(
         ("lags", "words"),

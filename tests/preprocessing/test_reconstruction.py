@@ -7,6 +7,9 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -41,7 +44,7 @@ def flown(seconds=60.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, lo
     vertical at ``loop`` [rad/s]; gusts are a random walk [m/s in one second]; ``lags`` holds how
     long ago [s] sensors saw what they report.
     """
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     step = 0.0025
     t = np.arange(-1.0, seconds + 1.0, step)
     moving, rolling = turn != 0.0, loop == 0.0
@@ -210,7 +213,7 @@ class TestHonesty:
 
     def test_whether_paths_converged_travels_with_the_model(self):
         table = flown(20.0)
-        noise = np.random.default_rng(0).uniform(-3, 3, len(table))
+        noise = default_rng(0).uniform(-3, 3, len(table))
         both = pd.concat([table.assign(flight="a"), table.assign(flight="b", psi=noise)])
         with pytest.warns(UserWarning, match="did not converge: b"):
             reconstruction = FlightPathReconstruction().fit(both.reset_index(drop=True))
@@ -221,7 +224,7 @@ class TestHonesty:
         two = flown(20.0, seed=1, gusts=0.3).assign(flight="two")
         both = reconstruction.transform(pd.concat([one, two], ignore_index=True))
         apart = pd.concat([alone, reconstruction.transform(two)], ignore_index=True)
-        pd.testing.assert_frame_equal(both, apart)
+        assert_frame_equal(both, apart)
 
     def test_rates_of_change(self):
         table = flown(40.0)
@@ -236,7 +239,7 @@ class TestIncomplete:
         flight = flown(20).drop(columns="phi")
         reconstruction = FlightPathReconstruction(optional=True).fit(flight)
         assert reconstruction.missing_ == ["phi"]
-        pd.testing.assert_frame_equal(reconstruction.transform(flight), flight)
+        assert_frame_equal(reconstruction.transform(flight), flight)
 
     def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):
         second = flown(20).assign(flight="two", p=np.nan)
@@ -263,7 +266,7 @@ def late(table, names, seconds):
 
 def wandering(table, names, std, seconds=5.0):
     """The table with errors of exponential correlation."""
-    rng, memory = np.random.default_rng(5), np.exp(-np.median(np.diff(table.time)) / seconds)
+    rng, memory = default_rng(5), np.exp(-np.median(np.diff(table.time)) / seconds)
     errors = lfilter(
         [std * np.sqrt(1 - memory**2)],
         [1, -memory],
@@ -293,7 +296,7 @@ class TestInconsistent:
         table, unchecked, out = reconstructed(gusts=0.3)
         checked = FlightPathReconstruction(optional=True).fit(table)
         assert checked.used_
-        pd.testing.assert_frame_equal(checked.transform(table), out)
+        assert_frame_equal(checked.transform(table), out)
         assert list(checked.get_feature_names_out()) == list(unchecked.get_feature_names_out())
 
     @pytest.mark.parametrize(
@@ -319,7 +322,7 @@ class TestInconsistent:
         reconstruction = FlightPathReconstruction(optional=True).fit(table)
         assert not reconstruction.used_
         assert reason in reconstruction.reason_
-        pd.testing.assert_frame_equal(reconstruction.transform(table), table)
+        assert_frame_equal(reconstruction.transform(table), table)
         assert "gust" not in reconstruction.get_feature_names_out()
         out, smooth = (
             one.fit_transform(table) for one in (FlightPathReconstruction(), FlightSmoother())
@@ -420,4 +423,4 @@ def test_heading_between_thinned_rows_does_not_cross_zero_at_pi():
     thinned = air[[*AIR, *PATH_CHANNELS[:-1], *WIND]]
     thinned.iloc[1::2] = np.nan
     columns = air_columns(thinned, flights_of(table)[0].sensors)
-    np.testing.assert_allclose(np.cos(columns["psi"] - psi), 1.0, atol=1e-4)
+    assert_allclose(np.cos(columns["psi"] - psi), 1.0, atol=1e-4)

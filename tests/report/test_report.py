@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp._compute.findings import Code, Finding
@@ -67,7 +68,7 @@ class Page(HTMLParser):
 
 
 def table(n, seed=0):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     t = np.arange(n) / 40.0
     columns = {
         "time": t,
@@ -85,7 +86,7 @@ def table(n, seed=0):
 
 
 def result(n=800, name="test", truth=True, seed=0, **changes):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     flight = table(n, seed)
     mean = 0.1 * np.sin(flight["time"].to_numpy()[:, None] * np.arange(1, 7)) + 0.01
     std = np.full((n, 6), 0.01)
@@ -237,7 +238,7 @@ class TestWords:
 
     def test_many_flights_are_a_table_and_only_the_worst_has_figures(self):
         few = [result(100, name=name, replay=None) for name in "ab"]
-        noise = np.random.default_rng(0).normal(size=(100, 6))
+        noise = default_rng(0).normal(size=(100, 6))
         bad = replace(few[0], name="c", mean=few[0].mean + 10 * noise)
         many = [*few, bad, replace(few[0], name="d")]
         html = render_report(content(test=many))

@@ -1,6 +1,7 @@
 """Effects: independent terms that add up to the mean, with the posterior of each."""
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, effects
-from skdgp.inference import SparsePosterior
+from skdgp.inference import SearchSettings, SparsePosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, inducing_features
 
 NAMES, OUTPUTS = ["alpha", "beta", "elevator"], ["CZ", "Cm"]
@@ -45,7 +46,14 @@ def alone(X):
     )
 
 
-pytestmark = pytest.mark.usefixtures("short_fits")
+SEARCH = SearchSettings(values=(300, 300), trial_iterations=2, single_iterations=2)
+
+
+def quick(**options):
+    """Return a regressor with one short search: what it learns matters little."""
+    model = DependentGPRegressor(**{"max_iter": 6, "random_state": 0} | options)
+    model.settings = replace(model.settings, n_searches=1, search=SEARCH)
+    return model
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +71,7 @@ def fitted(data):
 
     def get(name):
         if name not in models:
-            regressor = DependentGPRegressor(max_iter=6, random_state=0, **MODELS[name])
-            models[name] = make_pipeline(StandardScaler(), regressor).fit(*data)
+            models[name] = make_pipeline(StandardScaler(), quick(**MODELS[name])).fit(*data)
         return models[name]
 
     return get
@@ -117,8 +124,7 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
 
 
 def test_sparse_terms_approach_the_exact_ones(data):
-    options = {"structure": "additive", "n_latent": 0, "max_iter": 15, "random_state": 0}
-    exact = DependentGPRegressor(**options).fit(data[0] / SCALE, data[1])
+    exact = quick(structure="additive", n_latent=0, max_iter=15).fit(data[0] / SCALE, data[1])
     kernel, noise = exact.posterior_.kernel, exact.posterior_.noise
     sparse = copy(exact)
     X = data[0].to_numpy() / SCALE
@@ -152,7 +158,7 @@ def test_bands_of_a_time_series_are_those_of_its_functions(data, structure):
     rng = default_rng(3)
     lasting = np.convolve(rng.normal(size=129), np.ones(10), "valid")[:, None]
     Y = Y + 0.1 * lasting * [1.0, -2.0]
-    model = DependentGPRegressor(structure=structure, n_latent=0, random_state=0)
+    model = quick(structure=structure, n_latent=0, max_iter=60)
     model.fit(X, Y.fillna(0.0), time=0.1 * np.arange(120.0))
     errors = model.function_errors()
     points = X.iloc[::20]

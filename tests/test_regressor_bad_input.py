@@ -13,7 +13,6 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, FewRowsWarning
-from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -254,17 +253,6 @@ class TestQuestions:
 
 
 class TestMemory:
-    @pytest.mark.filterwarnings("ignore:3 inducing inputs leave")
-    def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
-        monkeypatch.setattr(linalg, "_physical_memory", lambda: 6e4)
-        with pytest.raises(ValueError, match="Exact inference on 60 values"):
-            quick(inference="exact").fit(X, Y)
-        quick(inference="sparse", n_inducing=3).fit(X, Y)
-        with pytest.raises(
-            ValueError, match=r"Sparse inference with \d+ values needs.*Lower n_inducing"
-        ):
-            quick(inference="sparse", n_inducing=25).fit(X, Y)
-
     def test_too_few_inducing_inputs_are_said_to_cost_accuracy(self):
         """A fast sine is not told by four inducing inputs; by forty it is, and nothing is said."""
         rng = default_rng(0)
@@ -277,13 +265,12 @@ class TestMemory:
         errors = [np.std(model.predict(x) - np.sin(20 * x[:, 0])) for model in (few, many)]
         assert errors[1] < 0.05 < errors[0]
 
-    def test_auto_chooses_by_the_number_of_values(self, X, Y, monkeypatch):
-        assert quick().fit(X, Y).inference_ == "exact"
-        settings = replace(DependentGPRegressor.settings, exact_values=59)
-        monkeypatch.setattr(DependentGPRegressor, "settings", settings)
-        assert quick(n_inducing=10).fit(X, Y).inference_ == "sparse"
+    def test_auto_chooses_by_the_number_of_values(self, X, Y):
+        model = quick(n_inducing=10)
+        model.settings = replace(model.settings, exact_values=59)
+        assert model.fit(X, Y).inference_ == "sparse"
         Y[0] = np.nan
-        assert quick(n_inducing=10).fit(X, Y).inference_ == "exact"
+        assert model.fit(X, Y).inference_ == "exact"
 
 
 class TestFewRows:

@@ -1,15 +1,10 @@
 """Example data with known truth, simulated by `skdgp.dynamics`; nothing is downloaded.
 
-Names imported as themselves are not part of the public interface: tests and benchmarks use them.
+Names imported as themselves are not part of the public interface: benchmarks use them.
 """
 
-from skdgp.datasets._example_flights import BRUMBY as BRUMBY
 from skdgp.datasets._example_flights import COMMANDS as COMMANDS
 from skdgp.datasets._example_flights import FLIGHT_PLANS as FLIGHT_PLANS
-from skdgp.datasets._example_flights import REGRESSORS as REGRESSORS
-from skdgp.datasets._example_flights import brumby_coefficients as brumby_coefficients
-from skdgp.datasets._example_flights import brumby_derivatives as brumby_derivatives
-from skdgp.datasets._example_flights import brumby_motion as brumby_motion
 from skdgp.datasets._example_flights import load_example_flights
 from skdgp.datasets._example_flights import measure as measure
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from numpy.testing import assert_allclose
 
-from skdgp.datasets import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     KINDS,
     MOMENTS,
@@ -22,6 +22,8 @@ from skdgp.dynamics import (
     trim,
 )
 
+EXAMPLE = load_example_flights(duration=1.0)
+BRUMBY = EXAMPLE.aircraft
 # Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read
 # again.
 PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
@@ -213,10 +215,11 @@ class TestWhatErrorsDo:
         moments = aircraft.inertia / BRUMBY.inertia.diagonal() * BRUMBY.moment_lengths
         moments = moments / aircraft.moment_lengths[:, None]
         scale = scipy.linalg.block_diag(force, moments) * BRUMBY.wing_area / aircraft.wing_area
-        reduced = np.ones(len(REGRESSORS))
+        reduced = np.ones(10)
         reduced[2:5] = BRUMBY.moment_lengths / (2 * 36.0)  # p, q, r
         reduced[5:7] = BRUMBY.moment_lengths[1:] / (2 * 36.0)  # alpha_dot, beta_dot
-        return Aerodynamics(lambda X: brumby_coefficients(X * reduced) @ scale.T, REGRESSORS)
+        names = EXAMPLE.regressor_names
+        return Aerodynamics(lambda X: EXAMPLE.aerodynamics(X * reduced) @ scale.T, names)
 
     @pytest.mark.parametrize(
         "cause", ["mass", "span", "aspect ratio", "length", "product of inertia", *AXES[::2]]

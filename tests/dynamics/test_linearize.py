@@ -9,7 +9,7 @@ from pandas.testing import assert_frame_equal
 from scipy.optimize import brentq
 from scipy.signal import find_peaks, lsim
 
-from skdgp.datasets import brumby_motion
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -35,7 +35,11 @@ SLOPES[L, [BETA, P, R, AILERON, RUDDER]] = -0.05, -0.4, 0.1, 0.1, 0.01
 SLOPES[M, [ALPHA, Q, ELEVATOR]] = -0.6, -9.0, -1.0
 SLOPES[N, [BETA, P, R, AILERON, RUDDER]] = 0.08, -0.03, -0.1, -0.005, -0.06
 AIR = Air(density=1.1, gravity=9.79)
-BRUMBYS = brumby_motion().aerodynamics
+EXAMPLE = load_example_flights(duration=1.0)
+BRUMBYS = Aerodynamics(
+    EXAMPLE.aerodynamics,
+    [f"{name}_hat" if 2 <= k < 7 else name for k, name in enumerate(EXAMPLE.regressor_names)],
+)
 
 
 def sampler(n_paths, random_state):

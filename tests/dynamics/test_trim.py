@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.datasets import BRUMBY, brumby_motion
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -42,7 +42,12 @@ def linear(X):
 
 
 TEXTBOOK = Aerodynamics(linear, NAMES)
-BRUMBYS = brumby_motion().aerodynamics
+EXAMPLE = load_example_flights(duration=1.0)
+BRUMBY = EXAMPLE.aircraft
+BRUMBYS = Aerodynamics(
+    EXAMPLE.aerodynamics,
+    [f"{name}_hat" if 2 <= k < 7 else name for k, name in enumerate(EXAMPLE.regressor_names)],
+)
 AIR = {"air": Air(density=DENSITY, gravity=GRAVITY)}
 
 

@@ -15,9 +15,8 @@ from sklearn.utils import Bunch
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.export import portable_model
-from skdgp.identification import _identification, identify, make_identification_pipeline
+from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
-from skdgp.report import FlightMechanics
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
@@ -76,44 +75,36 @@ IDENTIFIED = "identified"
 
 def with_discrepancy(regressor, variance):
     """Give a regressor that learned from a time series a discrepancy of these variances (6,)."""
-    errors = regressor.posterior_.errors
-    discrepancy = variance / regressor.scale_**2
-    regressor.posterior_.errors = errors._replace(discrepancy=discrepancy)
+    posterior = regressor.posterior_
+    posterior.errors = posterior.errors._replace(discrepancy=variance / regressor.scale_**2)
     regressor.misfit_variance_ = variance
-
-
-def fit_identified(folder, data):
-    """Write the model that `identify` makes by default, of few rows: two searches, sparse, with a discrepancy."""
-    regressor = DependentGPRegressor(
-        inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
-    )
-    train = data.train[data.train["time"] < 25]
-    test = data.test[data.test["time"] < 5]
-    found = identify(
-        train, data.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
-    )
-    learned = found.pipeline[-1]
-    # Few rows show none; a longer flight shows some of this size
-    with_discrepancy(learned, np.linspace(0.1, 0.6, 6) * learned.noise_variance_)
-    joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
 
 
 @pytest.fixture(scope="session")
 def identified(once, first_minute, cut_short):
-    """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen."""
+    """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen.
+
+    The default model of few rows: two searches, sparse, with a discrepancy.
+    """
 
     def write(folder):
-        with cut_short(), warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
+        data = first_minute()
+        train, test = data.train[data.train["time"] < 25], data.test[data.test["time"] < 5]
+        regressor = DependentGPRegressor(
+            inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
+        )
+        options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [2.0]}
+        with cut_short(n_searches=2), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
-            settings = replace(DependentGPRegressor.settings, n_searches=2)
-            patch.setattr(DependentGPRegressor, "settings", settings)
-            mechanics = FlightMechanics()
-            patch.setattr(_identification, "flight_mechanics", lambda *_: mechanics)
-            fit_identified(folder, first_minute())
+            found = identify(train, data.aircraft, **options)
+        learned = found.pipeline[-1]
+        # Few rows show none; a longer flight shows some of this size
+        with_discrepancy(learned, np.linspace(0.1, 0.6, 6) * learned.noise_variance_)
+        joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
 
-    names = ("pipeline", "aircraft", "flight")
     path = once("identified to export", write) / "model.joblib"
-    return Bunch(**dict(zip(names, joblib.load(path), strict=True)))
+    pipeline, aircraft, flight = joblib.load(path)
+    return Bunch(pipeline=pipeline, aircraft=aircraft, flight=flight)
 
 
 @pytest.fixture(scope="session")
@@ -125,11 +116,10 @@ def fitted(cut_short):
         options = {"max_iter": 2, "random_state": 0} | KINDS[kind]
         if "kernel" not in options:
             options["n_latent"] = 1
+        flight, Y = make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
-            model = pipeline_of(DependentGPRegressor(**options)).fit(
-                *make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
-            )
+            model = pipeline_of(DependentGPRegressor(**options)).fit(flight, Y)
         return Bunch(
             pipeline=model, aircraft=AIRCRAFT, created="2026-01-01", versions={"skdgp": "1"}
         )

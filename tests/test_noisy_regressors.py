@@ -101,9 +101,9 @@ def test_nonsense_is_refused(learned):
 def test_bands_of_a_flight_widen_with_its_gusts(first_minute):
     """The test flight's air is rougher than that of the training flight, which calm air is not."""
     flights = first_minute()
-    train = flights.train.iloc[:1200]
-    calm = load_example_flights(turbulence=0.0, duration=30.0)
-    tests = [each.test.iloc[:1200] for each in (flights, calm)]
+    train = flights.train.iloc[:800]
+    calm = load_example_flights(turbulence=0.0, duration=20.0)
+    tests = [each.test.iloc[:800] for each in (flights, calm)]
     learned = thin_targets(aerodynamic_coefficients(train, flights.aircraft)[["CZ", "Cm"]], 40)
     options = {"dependentgpregressor__max_iter": 4, "dependentgpregressor__random_state": 0}
     model = make_identification_pipeline(flights.aircraft, memory=None).set_params(**options)

@@ -13,6 +13,7 @@ the centre.
 import warnings
 
 import numpy as np
+import pandas as pd
 from _common import Kept, finish, parser_of
 from numpy.random import default_rng
 
@@ -65,15 +66,10 @@ def inside(name, d, n, seed):
 
 def table(runs):
     """Return a row for each function, number of regressors and of rows, with the mean over seeds in percent."""
-    groups = {}
-    for run in runs:
-        key = f"{run['function']}, {run['regressors']} regressors, {run['rows']} rows"
-        groups.setdefault(key, []).append(run)
-    return [
-        {"function": key}
-        | {f"{place}, %": 100 * float(np.mean([run[place] for run in some])) for place in PLACES}
-        for key, some in groups.items()
-    ]
+    groups = pd.DataFrame(runs).groupby(["function", "regressors", "rows"], sort=False)
+    means = 100 * groups[[*PLACES]].mean().add_suffix(", %")
+    means.index = [f"{name}, {d} regressors, {n} rows" for name, d, n in means.index]
+    return means.reset_index(names="function").to_dict("records")
 
 
 def main(words=None):

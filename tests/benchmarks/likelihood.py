@@ -105,11 +105,10 @@ def ready(case):
 def compare(case, repeats):
     """Return a row for each contender: seconds, over LAPACK."""
     contenders, pause = ready(case), partial(time.sleep, PAUSE)
-    turns = [
-        {name: timeit(function, pause, number=1) for name, function in contenders.items()}
-        for _ in range(repeats)  # in turns: whatever slows the machine slows all of them
-    ]
-    seconds = {name: min(turn[name] for turn in turns) for name in contenders}
+    seconds = dict.fromkeys(contenders, np.inf)
+    for _ in range(repeats):  # in turns: whatever slows the machine slows all of them
+        for name, function in contenders.items():
+            seconds[name] = min(seconds[name], timeit(function, pause, number=1))
     return [
         {"what": name, "seconds": each, "over LAPACK": each / seconds[FLOOR]}
         for name, each in seconds.items()

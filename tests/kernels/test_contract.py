@@ -195,7 +195,8 @@ class TestContract:
     def test_in_another_unit_it_is_the_covariance_of_the_outputs_in_that_unit(self, kernel):
         factor = np.array([1e-3, 2.0, 50.0])[: kernel.n_outputs]
         X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
-        rows, columns = (np.repeat(factor, [len(x) for x in inputs]) for inputs in (X, Z))
+        rows = np.repeat(factor, [len(x) for x in X])
+        columns = np.repeat(factor, [len(z) for z in Z])
         other = kernel.rescaled(factor)
         equal(other(X, Z), kernel(X, Z) * np.multiply.outer(rows, columns))
         equal(other.diag(X), kernel.diag(X) * rows**2)

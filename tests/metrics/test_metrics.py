@@ -73,10 +73,8 @@ class TestEveryMetric:
     def test_reference_with_missing_targets(self, metric, n):
         y, mean, std = sample(n)
         y[default_rng(1).random(y.shape) < 0.3] = np.nan
-        expected = [
-            reference(metric, *(column.tolist() for column in columns))
-            for columns in zip(*(a.T for a in (y, mean, std)), strict=True)
-        ]
+        columns = np.stack([y, mean, std]).swapaxes(0, 2).swapaxes(1, 2).tolist()
+        expected = [reference(metric, *column) for column in columns]
         got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
         assert_allclose(got, expected, rtol=1e-12)
         assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), 1e-12)

@@ -24,9 +24,10 @@ def ensemble(n_paths=20):
 
 
 def lines_of(display):
-    return [
-        {line.get_label(): line.get_ydata() for line in ax.lines} for ax in display.axes_.T.flat
-    ]
+    found = []
+    for ax in display.axes_.T.flat:
+        found.append({line.get_label(): line.get_ydata() for line in ax.lines})
+    return found
 
 
 def test_the_band_holds_95_of_100_paths_and_headings_do_not_tear():

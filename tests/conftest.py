@@ -142,7 +142,8 @@ def cut_short():
         search = SearchSettings(
             values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
         )
-        short = replace(DependentGPRegressor.settings, n_searches=1, search=search, **others)
+        settings = {"n_searches": 1, "search": search} | others
+        short = replace(DependentGPRegressor.settings, **settings)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(DependentGPRegressor, "settings", short)
             yield

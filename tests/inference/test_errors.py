@@ -6,8 +6,8 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import function_errors
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.inference import Data, ExactPosterior, function_errors, mean_errors
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N_DRAWN = 2000
 # Relative error of a standard deviation of so many draws, five of its own
@@ -95,6 +95,18 @@ def test_at_the_centre_the_function_is_known_as_the_mean(series):
     assert not errors.slopes()[0].any()
     uncentred = DependentGPRegressor(ConvolvedGaussian(1), trend=None, max_iter=2)
     assert uncentred.fit(X, Y).function_errors() is None
+
+
+def test_the_mean_of_values_of_different_noise_is_known_by_their_precision():
+    """1 / v = sum of 1 / s_a^2; a prior of variance t^2 holds t^2 v / (t^2 + v) of it, and the rest is added."""
+    rng = default_rng(0)
+    X, loading = rng.normal(size=(40, 1)), rng.normal(size=(40, 1, 1))
+    trend = LinearTrend([0.3], [[1.0]], [0.0])
+    data = Data.from_table(X, rng.normal(size=(40, 1)), loading)
+    errors = mean_errors(ExactPosterior(trend, np.array([0.2]), data))
+    v = 1 / np.sum(1 / (0.2 + loading**2))
+    held = 0.3**2 * v / (0.3**2 + v)
+    assert_allclose(errors.variance(np.zeros((1, 1))), [[v - held]])
 
 
 def test_discrepancy_is_in_the_units_of_the_outputs(series):

@@ -6,7 +6,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.kernels import ConvolvedGaussian, inducing_features
 
 
 @pytest.fixture
@@ -54,6 +54,23 @@ def test_initialize_fixes_the_others_in_their_units(given, data):
     assert kernel.n_dims == 4 + 4  # amplitudes and widths of the shared and the private latents
     K = kernel(X)
     assert_allclose(K, kernel(X * [1, 0, 0]), atol=1e-9 * K.max())
+
+
+def test_functions_of_one_regressor_need_few_inducing_inputs(rng):
+    """However many are given; they hold all of its variance within the range of the given ones."""
+    Z = rng.uniform(-1, 1, (600, 3))
+    kernel, both = (
+        ConvolvedGaussian(0, regressors=columns, amplitude=[[1.0]], length_scale=0.5 + np.zeros(3))
+        for columns in ([1], [0, 1])
+    )
+    few, many, more = (inducing_features(kernel, Z[:n]) for n in (7, 300, 600))
+    assert few.size == 7
+    assert many.size == more.size < 100
+    assert inducing_features(both, Z).size == 600
+    X = rng.uniform(-0.9, 0.9, (20, 3))
+    Kfu = more.Kfu(0, X)
+    held = np.einsum("nk,nk->n", Kfu, np.linalg.solve(more.Kuu(), Kfu.T).T)
+    assert_allclose(held, kernel.diag(X), rtol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -153,6 +153,16 @@ class Case(NamedTuple):
         mean, std = tail.predict(table, return_std=True, include_input_noise=noise)
         return mean, std if self.added is None else np.sqrt(std**2 + self.added(self.X))
 
+    def with_noise(self, noise):
+        """Return the case whose moments are those with a factor of the regressors' noise."""
+        mean, std = self.predict(noise)
+        return self._replace(mean=mean, std=std)
+
+    def assert_moments(self, moments):
+        mean, std = moments
+        self.assert_mean(mean)
+        self.assert_std(std)
+
     def assert_mean(self, mean, tolerance=1e-9):
         """The tolerance is of the largest value of each coefficient."""
         assert (np.abs(mean - self.mean) <= tolerance * np.abs(self.mean).max(axis=0)).all()
@@ -185,9 +195,7 @@ def case_of(request, fitted, portable_of):
         X = flown[rng.choice(len(flown), 30, replace=False)]
         X[1::2] += 0.5 * flown.std(axis=0) * rng.standard_normal(X[1::2].shape)
         slopes = as_aerodynamics(model.pipeline).gradient(X)
-        case = Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes)
-        mean, std = case.predict(0.0)
-        return case._replace(mean=mean, std=std)
+        return Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes).with_noise(0.0)
 
     def widened():
         """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
@@ -207,8 +215,7 @@ def case_of(request, fitted, portable_of):
         known = model.reference
         std = np.sqrt(known.std**2 + added(known.regressors))
         model = replace(model, parts=tuple(parts), reference=replace(known, std=std))
-        wide = case._replace(kind="widened", model=model, added=added)
-        return wide._replace(std=wide.predict(0.0)[1])
+        return case._replace(kind="widened", model=model, added=added).with_noise(0.0)
 
     return cache(lambda kind: widened() if kind == "widened" else get(kind))
 

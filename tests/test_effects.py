@@ -41,9 +41,8 @@ MODELS = {
 def alone(X):
     """Return the effect of each regressor on each output, (n, 3, 2)."""
     a, b, e = (np.asarray(X) / SCALE).T
-    return np.stack([[np.sin(2 * a), 0.5 * a], [0 * b, b**2], [0.3 * e, -e]], axis=0).transpose(
-        2, 0, 1
-    )
+    of_outputs = [np.sin(2 * a), 0 * b, 0.3 * e], [0.5 * a, b**2, -e]
+    return np.moveaxis(np.array(of_outputs), -1, 0).swapaxes(1, 2)
 
 
 SEARCH = SearchSettings(values=(300, 300), trial_iterations=2, single_iterations=2)
@@ -95,43 +94,33 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
     pipeline, new = fitted(name), data[0][:7] + 0.03
     found = effects(pipeline)
     mean, std = found.evaluate(new)
-    model, X, Z = pipeline[-1], *(pipeline[:-1].transform(x) for x in (data[0], new))
+    model, (X, Z) = pipeline[-1], (pipeline[:-1].transform(x) for x in (data[0], new))
+    kernel, noise = model.posterior_.kernel, model.posterior_.noise
     Y = ((data[1] - model.center_) / model.scale_).to_numpy()
-    observed = [np.isfinite(y) for y in Y.T]
-    inputs, y = (
-        [X[rows] for rows in observed],
-        np.concatenate([Y[rows, i] for i, rows in enumerate(observed)]),
-    )
-    kernel, noise = (
-        model.posterior_.kernel,
-        np.repeat(model.posterior_.noise, [rows.sum() for rows in observed]),
-    )
-    C = kernel(inputs) + np.diag(noise)
+    inputs = [X[np.isfinite(y)] for y in Y.T]
+    y = Y.T[np.isfinite(Y.T)]
+    C = kernel(inputs) + np.diag(np.repeat(noise, [len(x) for x in inputs]))
     points = np.concatenate([Z, X])
     centring = np.hstack([np.eye(len(Z)), np.full((len(Z), len(X)), -1 / len(X))])
+    centring = np.kron(np.eye(2), centring)  # of both outputs
+    scale = np.repeat(model.scale_, len(Z))
     for columns, title in zip(kernel.term_regressors()[1:], found.importance.index, strict=True):
         term = kernel.term(columns)
         cross = term([points] * 2, inputs)
+        expected = centring @ cross @ np.linalg.solve(C, y) * scale
+        assert_allclose(mean[title].T.ravel(), expected, atol=1e-7)
         covariance = term(points) - cross @ np.linalg.solve(C, cross.T)
-        for i in range(2):
-            rows = slice(i * len(points), (i + 1) * len(points))
-            expected = centring @ cross[rows] @ np.linalg.solve(C, y)
-            assert_allclose(mean[title][:, i], expected * model.scale_[i], atol=1e-7)
-            variance = np.diag(centring @ covariance[rows, rows] @ centring.T)
-            assert_allclose(
-                std[title][:, i], np.sqrt(variance) * model.scale_[i], rtol=1e-4, atol=1e-6
-            )
+        deviation = np.sqrt(np.diag(centring @ covariance @ centring.T)) * scale
+        assert_allclose(std[title].T.ravel(), deviation, rtol=1e-4, atol=1e-6)
 
 
 def test_sparse_terms_approach_the_exact_ones(data):
     exact = quick(structure="additive", n_latent=0, max_iter=15).fit(data[0] / SCALE, data[1])
-    kernel, noise = exact.posterior_.kernel, exact.posterior_.noise
-    sparse = copy(exact)
-    X = data[0].to_numpy() / SCALE
-    values = exact.posterior_.data
-    sparse.posterior_ = SparsePosterior(kernel, inducing_features(kernel, X), noise, values)
-    found, expected = effects(sparse), effects(exact)
-    for name, curve in expected.curves.items():
+    sparse, posterior = copy(exact), exact.posterior_
+    features = inducing_features(posterior.kernel, data[0].to_numpy() / SCALE)
+    sparse.posterior_ = SparsePosterior(posterior.kernel, features, posterior.noise, posterior.data)
+    found = effects(sparse)
+    for name, curve in effects(exact).curves.items():
         assert_allclose(found.curves[name].std, curve.std, rtol=0.02)
 
 
@@ -205,23 +194,17 @@ def test_names_of_pairs_and_of_a_single_regressor(fitted):
     assert list(only.importance.index) == list(only.curves) == ["x0"]
 
 
-class TestBadInput:
-    def test_unfitted(self):
-        for model in (
-            DependentGPRegressor(),
-            make_pipeline(StandardScaler(), DependentGPRegressor()),
-        ):
-            with pytest.raises(NotFittedError):
-                effects(model)
+@pytest.mark.parametrize(
+    "model", [DependentGPRegressor(), make_pipeline(StandardScaler(), DependentGPRegressor())]
+)
+def test_an_unfitted_model_is_refused(model):
+    with pytest.raises(NotFittedError):
+        effects(model)
 
-    def test_another_estimator(self, data):
-        X, Y = data
-        for model in (
-            LinearRegression().fit(X, Y[["CZ"]]),
-            make_pipeline(LinearRegression()).fit(X, Y[["CZ"]]),
-            None,
-        ):
-            with pytest.raises(
-                TypeError, match="expected a fitted DependentGPRegressor, or a pipeline"
-            ):
-                effects(model)
+
+@pytest.mark.parametrize("model", [LinearRegression(), make_pipeline(LinearRegression()), None])
+def test_another_estimator_is_refused(model, data):
+    if model is not None:
+        model.fit(data[0], data[1]["CZ"])
+    with pytest.raises(TypeError, match="expected a fitted DependentGPRegressor, or a pipeline"):
+        effects(model)

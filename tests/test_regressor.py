@@ -105,37 +105,30 @@ class TestScikitLearnContract:
         """
         found = set()
         for module in pkgutil.walk_packages(skdgp.__path__, "skdgp."):
-            if module.name.endswith("__main__"):
-                continue
-            for name, obj in vars(importlib.import_module(module.name)).items():
-                own = inspect.isclass(obj) and obj.__module__.startswith("skdgp")
-                if (
-                    own
-                    and issubclass(obj, BaseEstimator)
-                    and not issubclass(obj, Pipeline)
-                    and not inspect.isabstract(obj)
-                    and not name.startswith("_")
-                ):
-                    found.add(name)
+            if not module.name.endswith("__main__"):
+                classes = inspect.getmembers(importlib.import_module(module.name), inspect.isclass)
+                found |= {cls for _, cls in classes if issubclass(cls, BaseEstimator)}
+        own = {
+            cls.__name__
+            for cls in found
+            if cls.__module__.startswith("skdgp")
+            and not (issubclass(cls, Pipeline) or inspect.isabstract(cls))
+        }
         others = (
             "ElevonSplitter FlightCheck FlightPathReconstruction FlightSmoother LagCorrector "
-            "RateNondimensionalizer"
+            "RateNondimensionalizer RegressorSelector"
         )
-        assert found == {
-            "DependentGPRegressor",
-            *others.split(),
-            "RegressorSelector",
-        }
+        public = {name for name in own if not name.startswith("_")}
+        assert public == {"DependentGPRegressor", *others.split()}
 
 
 class TestShapesAndNames:
     @pytest.mark.parametrize("shape", [(40,), (40, 1), (40, 2)])
     def test_predictions_are_shaped_like_the_targets(self, data, new, shape):
         X, Y = data
-        y = Y[:, 0].reshape(shape) if shape != (40, 2) else Y
-        model = DependentGPRegressor(max_iter=2, random_state=0).fit(X, y)
         rest = shape[1:]
-        P = shape[1] if rest else 1
+        P = int(np.prod(rest))
+        model = DependentGPRegressor(max_iter=2, random_state=0).fit(X, Y[:, :P].reshape(shape))
         mean, std = model.predict(new, return_std=True)
         assert mean.shape == std.shape == (6, *rest)
         mean, cov = model.predict(new, return_cov=True)
@@ -147,12 +140,10 @@ class TestShapesAndNames:
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
         X, Y = data
-        more_X, more_Y = np.r_[X, X[:9] + 5.0], np.r_[Y, np.full((9, 2), np.nan)]
-        here, there = (
-            DependentGPRegressor(max_iter=5, random_state=0).fit(*both).predict(new)
-            for both in (data, (more_X, more_Y))
-        )
-        assert_allclose(here, there, rtol=1e-6, atol=1e-9)
+        model = DependentGPRegressor(max_iter=5, random_state=0)
+        expected = model.fit(X, Y).predict(new)
+        model.fit(np.vstack([X, X[:9] + 5.0]), np.vstack([Y, np.full((9, 2), np.nan)]))
+        assert_allclose(model.predict(new), expected, rtol=1e-6, atol=1e-9)
 
 
 class TestPrediction:
@@ -186,14 +177,11 @@ class TestPrediction:
         again, cov = model.predict(new, return_cov=True)
         assert_allclose(again, mean)
         assert_allclose(model.predict(new), mean)
+        noise = np.repeat(model.noise_variance_, 6)
         _, noisy = model.predict(new, return_std=True, include_noise=True)
-        assert_allclose(
-            noisy**2 - std**2, np.broadcast_to(model.noise_variance_, std.shape), rtol=1e-6
-        )
+        assert_allclose((noisy**2 - std**2).T.ravel(), noise, rtol=1e-6)
         _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
-        assert_allclose(
-            noisy_cov - cov, np.diag(np.repeat(model.noise_variance_, 6)), atol=1e-9 * cov.max()
-        )
+        assert_allclose(noisy_cov - cov, np.diag(noise), atol=1e-9 * cov.max())
 
 
 class TestInvariance:
@@ -221,13 +209,12 @@ def test_sharing_helps_where_an_output_is_rarely_observed():
         truth = np.column_stack([common, -2 * common + 0.1 * X[:, 0]])
         Y = truth + rng.normal(0, 0.1, truth.shape)
         Y[np.arange(75) % 5 != 0, 1] = np.nan
-        errors = []
-        for n_latent in (1, 0):
-            model = DependentGPRegressor(
-                n_latent=n_latent, structure="joint", random_state=0, max_iter=60
-            ).fit(X, Y)
-            errors.append(np.sqrt(np.mean((model.predict(X)[:, 1] - truth[:, 1]) ** 2)))
-        ratios.append(errors[0] / errors[1])
+        model = DependentGPRegressor(structure="joint", random_state=0, max_iter=60)
+        shared, apart = (
+            np.linalg.norm((model.set_params(n_latent=n).fit(X, Y).predict(X) - truth)[:, 1])
+            for n in (1, 0)
+        )
+        ratios.append(shared / apart)
     assert np.median(ratios) < 0.5
 
 
@@ -236,17 +223,17 @@ def test_smallest_widths_reach_the_fit():
     """White noise in six regressors: a free search takes it for a process of tiny widths, a bounded one cannot."""
     rng = default_rng(0)
     X, Y = rng.normal(size=(200, 6)), rng.normal(size=(200, 2))
-    found = {}
-    for bounds in (None, "spacing", (0.7, 10.0)):
+    scale = X.std(axis=0)
+    smallest = []
+    for bounds, unit in ((None, scale), ("spacing", scale), ((0.7, 10.0), 1.0)):
         kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
         model = DependentGPRegressor(kernel, trend="constant", max_iter=30, random_state=0)
-        own = np.einsum(
-            "kkd->kd", model.fit(X, Y).kernel_.length_scale
-        )  # of each output, by its own process
-        found[bounds] = (own / X.std(axis=0)).min() if bounds != (0.7, 10.0) else own.min()
-    assert found[None] < 0.3
-    assert found["spacing"] >= 200 ** (-1 / 6) * (1 - 1e-9)
-    assert found[0.7, 10.0] >= 0.7 * (1 - 1e-9)
+        widths = model.fit(X, Y).kernel_.length_scale / unit
+        smallest.append(min(widths[0, 0].min(), widths[1, 1].min()))  # of the outputs' processes
+    free, spaced, bounded = smallest
+    assert free < 0.3
+    assert spaced >= 200 ** (-1 / 6) * (1 - 1e-9)
+    assert bounded >= 0.7 * (1 - 1e-9)
 
 
 def ctrl_c(at_stage, n):
@@ -322,11 +309,8 @@ class TestInterrupted:
         assert len([w for w in caught if issubclass(w.category, ConvergenceWarning)]) == 1
         assert caught[0].filename == __file__  # where fit was called
         assert np.isfinite(model.predict(new, return_std=True)).all()
-        pressed = (
-            at
-            if isinstance(at, int)
-            else max(k for k, (s, _) in enumerate(heard) if s != "output") + 1
-        )
+        stages = [stage for stage, _ in heard]
+        pressed = at if at != "last stage" else stages.index("fit") + 3
         assert len(heard) <= pressed + 4  # what still had to start did so once
         assert list(model.weights_) == ["joint"]
         if (inference, at) == ("exact", "last stage"):
@@ -336,28 +320,24 @@ class TestInterrupted:
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_log_is_sparse_earlier_and_searched_shorter():
+    """Searches of one output learn from 1000 values."""
     X = default_rng(0).normal(size=(2001, 1))
     Y = np.sin(X)
-    found = {}
-    for n, time in ((2001, None), (1200, None), (1200, 0.1), (400, 0.1)):
-        model = DependentGPRegressor(optimizer=None, n_inducing=10, structure="joint")
-        model.fit(X[:n], Y[:n], time=None if time is None else time * np.arange(n))
-        found[n, time] = model.inference_, model.max_iter_
-    assert (
-        found[2001, None] == found[1200, None] == ("exact", 150)
-    )  # searches of one output learn from 1000 values
-    assert found[1200, 0.1] == ("sparse", 60)
-    assert found[400, 0.1] == ("exact", 60)
+    options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
+    for n, clock, expected in (
+        (2001, None, ("exact", 150)),
+        (1200, None, ("exact", 150)),
+        (1200, 0.1, ("sparse", 60)),
+        (400, 0.1, ("exact", 60)),
+    ):
+        time = None if clock is None else clock * np.arange(n)
+        model = DependentGPRegressor(**options).fit(X[:n], Y[:n], time=time)
+        assert (model.inference_, model.max_iter_) == expected
+    # 1500 and 1800 values of six outputs: 150 (1500 / 1800)^3
     Y = np.repeat(Y, 6, axis=1)
-    for n, longest in (
-        (250, 150),
-        (300, 86),
-        (900, 86),
-    ):  # 1500 and 1800 values: 150 (1500 / 1800)^3
-        model = DependentGPRegressor(
-            optimizer=None, structure="joint", inference="sparse", n_inducing=10
-        )
-        assert model.fit(X[:n], Y[:n]).max_iter_ == longest
+    for n, longest in ((250, 150), (300, 86), (900, 86)):
+        model = DependentGPRegressor(**options, inference="sparse").fit(X[:n], Y[:n])
+        assert model.max_iter_ == longest
     assert DependentGPRegressor(optimizer=None, max_iter=7).fit(X[:20], Y[:20]).max_iter_ == 7
 
 

@@ -125,13 +125,6 @@ class TestSteady:
             value = {"bank": found.phi}.get(name, getattr(found, name, None))
             assert asked[name] is None or value == pytest.approx(asked[name])
 
-    def test_flown_it_stays(self):
-        found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0)
-        _, states = flown(found, BRUMBYS, BRUMBY, 5.0)
-        assert_allclose(states[:, 2], -200.0, rtol=0, atol=1e-8)
-        steady = np.tile(found.state[3:6], (len(states), 1))
-        assert_allclose(states[:, 3:6], steady, rtol=0, atol=1e-8)
-
     def test_a_turn_is_a_circle_of_its_radius(self):
         found = trim(BRUMBYS, BRUMBY, 36.0, altitude=200.0, bank=0.6)
         times, states = flown(found, BRUMBYS, BRUMBY, 6.0)

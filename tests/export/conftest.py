@@ -3,6 +3,8 @@
 import warnings
 from dataclasses import replace
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import joblib
@@ -18,6 +20,7 @@ from skdgp.export import portable_model
 from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
 JOINT = {"structure": "joint"}
@@ -125,6 +128,19 @@ def fitted(cut_short):
         )
 
     return get
+
+
+@pytest.fixture(scope="session")
+def example():
+    """Return a function to an example of the project by name, as a module."""
+
+    def load(name):
+        spec = spec_from_file_location(name, EXAMPLES / f"{name}.py")
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="session")

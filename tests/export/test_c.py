@@ -29,6 +29,12 @@ def done(folder, *words):
     return run.stdout
 
 
+def outcome(folder):
+    """Compile the test of a model strictly, and run it."""
+    done(folder, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    return subprocess.run("./test", cwd=folder, capture_output=True, text=True, check=False)
+
+
 class Library:
     """The functions of aero.c, called from Python."""
 
@@ -86,8 +92,7 @@ WRONG = {
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path, wrong):
     write_c(tmp_path, WRONG[wrong](case_of("identified").model))
-    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
+    run = outcome(tmp_path)
     assert run.returncode == 1
     assert "FAILED" in run.stdout
 
@@ -96,24 +101,19 @@ def test_a_reduced_model_is_compared_with_the_pipeline(case_of, tmp_path):
     """Within its loss, which a wrong model exceeds, though it equals its own values."""
     model = case_of("identified").model
     wrong = replace(model, trend_center=model.trend_center + 0.5)
-    codes = []
-    for each in (model, wrong):
+    for each, code, words in (
+        (model, 0, "with the values of the reduced model"),
+        (wrong, 1, "from the pipeline by more than the stated loss"),
+    ):
         export_model(tmp_path, each, "c", max_kb=100)
-        done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-        run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
-        codes.append(run.returncode)
-        words = [
-            "with the values of the reduced model",
-            "from the pipeline by more than the stated loss",
-        ]
-        assert words[run.returncode] in run.stdout
-    assert codes == [0, 1]
+        run = outcome(tmp_path)
+        assert run.returncode == code
+        assert words in run.stdout
 
 
 def test_a_model_without_a_pipeline_is_compared_with_itself(portable_of, tmp_path):
     write_c(tmp_path, replace(portable_of("trend"), reference=None))
-    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    assert "with the values of the portable model" in done(tmp_path, "./test")
+    assert "with the values of the portable model" in outcome(tmp_path).stdout
 
 
 def test_a_size_is_kept(portable_of, tmp_path):

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import zipfile
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
@@ -49,18 +48,16 @@ def test_is_the_same_model(portable, flight, tmp_path):
         assert_array_equal(getattr(found.reference, name), array)
 
 
-def test_the_reader_of_the_examples(case, tmp_path):
+def test_the_reader_of_the_examples(example, case, tmp_path):
     """It predicts what the pipeline predicts, and imports NumPy alone."""
-    path = ROOT / "examples" / "read_portable.py"
-    spec = spec_from_file_location("read_portable", path)
-    reader = module_from_spec(spec)
-    spec.loader.exec_module(reader)
+    reader = example("read_portable")
     model = reader.Model(save_portable(tmp_path / "model.npz", case.model))
     X = model.regressors({name: case.flight[name] for name in case.model.columns})
     assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
     for noise in (1.0, 0.0):
         case.with_noise(noise).assert_moments(model.predict(case.X, noise))
-    imports = re.findall(r"^(?:import|from) (\w+)", path.read_text(), re.MULTILINE)
+    text = Path(reader.__file__).read_text()
+    imports = re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)
     assert imports == ["argparse", "json", "numpy"]
 
 

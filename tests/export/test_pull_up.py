@@ -1,8 +1,5 @@
 """The plan of the example keeps its limits for the aircraft of the posterior, and the plan of the mean does not."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -28,15 +25,6 @@ AIRCRAFT = Aircraft(
     name="uav", mass=12.0, inertia=[[1.1, 0, 0.1], [0, 2.3, 0], [0.1, 0, 3.1]], wing_area=1.3, span=2.6, chord=0.55,
     thrust_line={"position": [-0.5, 0, -0.1], "direction": [1.0, 0.0, 0.02]},
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def example():
-    path = Path(__file__).resolve().parents[2] / "examples" / "pull_up_casadi.py"
-    spec = importlib.util.spec_from_file_location("pull_up_casadi", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -67,22 +55,23 @@ def pipeline():
 
 
 def test_the_margin_keeps_the_limits_for_95_percent(example, pipeline):
+    planner = example("pull_up_casadi")
     steady = trim(pipeline, AIRCRAFT, 22.0, altitude=ALTITUDE, air=Air(density=DENSITY))
     model = portable_model(pipeline, AIRCRAFT)
-    motion, start = example.motion_of(model, AIRCRAFT, steady, DENSITY)
+    motion, start = planner.motion_of(model, AIRCRAFT, steady, DENSITY)
     rates, limited = motion(start, steady.controls["elevator"])
     assert_allclose(np.array(rates).ravel(), 0.0, atol=1e-5)
     assert_allclose(np.array(limited).ravel()[0], steady.alpha)
 
-    margin = np.zeros((len(example.TIME), 2))
+    margin = np.zeros((len(planner.TIME), 2))
     exceeding = []
     for seed in range(3):
-        plan = example.planned(motion, start, steady, LIMITS - margin, (-0.3, 0.3))
+        plan = planner.planned(motion, start, steady, LIMITS - margin, (-0.3, 0.3))
         controls, mean = plan
         assert (mean + margin <= LIMITS + 1e-6).all()
         fly = pipeline, AIRCRAFT, steady, controls, DENSITY, PATHS
-        others = example.flown(*fly, seed=1000 + seed)
+        others = planner.flown(*fly, seed=1000 + seed)
         exceeding.append(np.mean((others > LIMITS).any(axis=(1, 2))))
-        margin = example.margin(example.flown(*fly, seed=seed), mean)
+        margin = planner.margin(planner.flown(*fly, seed=seed), mean)
     assert exceeding[0] > 0.3
     assert exceeding[-1] <= 0.05

@@ -1,5 +1,7 @@
 """Displays: what is drawn is what was given, wherever it is drawn, and nothing breaks on poor data."""
 
+import sys
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -62,11 +64,9 @@ def labels(display):
 
 def line(display, key, label):
     """Return the line of a label in the panel of a key."""
-    cells = display.axes_.T.flat if display.by_column else display.axes_.flat
-    (found,) = [
-        one for one in list(cells)[display.keys.index(key)].lines if one.get_label() == label
-    ]
-    return found
+    cells = display.axes_.T if display.by_column else display.axes_
+    ax = cells.flat[display.keys.index(key)]
+    return {one.get_label(): one for one in ax.lines}[label]
 
 
 def band(ax):
@@ -105,7 +105,7 @@ class TestEveryDisplay:
         assert 0 < n_points(60_000) < 4.1 * n_points(3000)
 
     def test_names_the_extra_when_matplotlib_is_absent(self, make, monkeypatch):
-        monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+        monkeypatch.setitem(sys.modules, "matplotlib", None)
         with pytest.raises(ImportError, match=r"pip install 'skdgp\[plot\]'"):
             make(10, None)
 

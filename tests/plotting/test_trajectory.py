@@ -56,8 +56,8 @@ def test_the_line_is_the_trajectory_of_the_mean():
 def test_line_and_band_are_on_one_turn_where_the_first_angles_are_on_either_side_of_it(turns):
     paths = ensemble()
     away = 0.02 * (np.arange(20) - 8.5) + np.pi  # most of the paths start beyond half a turn
-    psi = np.repeat(turns * away, len(TIME)) + np.tile(turns * 0.3 * TIME, 20)
-    paths["psi"] = np.angle(np.exp(1j * psi))
+    psi = turns * np.add.outer(away, 0.3 * TIME)
+    paths["psi"] = np.angle(np.exp(1j * psi.ravel()))
     for start in (3.1, 3.2):
         heading = np.angle(np.exp(1j * turns * (start + 0.3 * TIME)))
         mean = pd.DataFrame({"time": TIME + 7, "psi": heading})

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 
-from skdgp._cli import main
-from skdgp.identification._flights import named_flights
-from skdgp.io import FlightReadError, inspect_log, read_flight
+from skdgp.dynamics import Aircraft
+from skdgp.identification import identify, named_flights
+from skdgp.io import FlightReadError, inspect_log, names_servos, read_flight
 
 SERVOS = {
     name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}
@@ -117,41 +117,37 @@ class TestSummary:
 
 
 class TestCommand:
-    def test_json(self, whole, capsys):
-        assert main(["inspect", str(whole), "--json"]) == 0
+    def test_json(self, command, whole, capsys):
+        assert command(["inspect", str(whole), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"
 
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
-        (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
-        flights = named_flights([whole, tmp_path / "table.csv"], servos=SERVOS)
+        table = tmp_path / "table.csv"
+        table.write_text("time,alpha\n0,0\n0.1,0\n")
+        flights = named_flights([whole, table], servos=SERVOS)
         assert set(SERVOS) <= set(flights["whole"].columns)
         assert set(flights["table"].columns) == {"time", "flight", "alpha"}
+        words = "Got logs of autopilots without servos beside tables"
+        with pytest.raises(ValueError, match=words):
+            identify([whole, table], Aircraft.estimate(3.0, 1.8))
 
-    def test_identify_is_told_what_of_a_log_is_a_flight(self, whole, tmp_path, capsys):
-        flown, everything = (
-            named_flights([whole], airborne=airborne)["whole"] for airborne in (True, False)
-        )
-        assert len(flown) == len(read_flight(whole))
-        assert len(everything) == len(read_flight(whole, airborne=False)) > 0
-        (tmp_path / "uav.json").write_text(
-            json.dumps(
-                {"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5}
-            )
-        )
-        words = [
-            "identify",
-            str(whole),
-            "--aircraft",
-            str(tmp_path / "uav.json"),
-            "-o",
-            str(tmp_path / "out"),
-        ]
-        assert main([*words, "--airborne", "300"]) == 1
+    def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        assert names_servos(tmp_path / "log.bin")
+        assert not names_servos(whole)
+
+    def test_identify_is_told_what_of_a_log_is_a_flight(self, command, whole, tmp_path, capsys):
+        for airborne in (True, False):
+            flight = named_flights([whole], airborne=airborne)["whole"]
+            assert len(flight) == len(read_flight(whole, airborne=airborne)) > 0
+        (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
+        files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
+        assert command(["identify", str(whole), *files, "--airborne", "300"]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
-    def test_no_such_file(self, capsys):
-        assert main(["inspect", "nowhere.ulg"]) == 1
+    def test_no_such_file(self, command, capsys):
+        assert command(["inspect", "nowhere.ulg"]) == 1
         assert "o such file" in capsys.readouterr().err
 
 

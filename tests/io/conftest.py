@@ -7,6 +7,8 @@ import pytest
 from numpy.random import default_rng
 from scipy.spatial.transform import Rotation
 
+from skdgp.io import AUTOPILOTS, read_flight
+
 ULOG_CODES = {
     "float": "f",
     "double": "d",
@@ -159,6 +161,34 @@ def ulog():
 def dataflash():
     """Return the writer of DataFlash logs."""
     return DataFlashWriter
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a log, or bytes, under a name; return the path."""
+
+    def write(log, name="log.ulg"):
+        (tmp_path / name).write_bytes(bytes(log))
+        return tmp_path / name
+
+    return write
+
+
+@pytest.fixture
+def read(write):
+    """Write a log under a name, and read its flights."""
+    return lambda log, name="log.ulg", **options: read_flight(write(log, name), **options)
+
+
+@pytest.fixture
+def parse(write):
+    """Write a log under a name, and return its topics, parameters and controls."""
+
+    def parse(log, name="log.ulg"):
+        path = write(log, name)
+        return AUTOPILOTS[path.suffix](path)
+
+    return parse
 
 
 class Flight:

@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from skdgp.io import AUTOPILOTS, EQUIVALENT, QUATERNION, FlightReadError, read_flight
+from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight
 from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -35,17 +35,6 @@ TOLERANCE = {
     "wind_north": 5e-3,
 }
 LOOSE = 2e-3
-
-
-@pytest.fixture
-def read(tmp_path):
-    """Write a log under a name, and read it."""
-
-    def read(log, name="log.ulg", **options):
-        (tmp_path / name).write_bytes(bytes(log))
-        return read_flight(tmp_path / name, **options)
-
-    return read
 
 
 @pytest.fixture
@@ -287,11 +276,10 @@ class TestWithoutAnAccelerometer:
 
 class TestRules:
     @pytest.mark.parametrize("suffix", [".ulg", ".bin", ".tlog"])
-    def test_columns_are_words_of_the_vocabulary(self, suffix, px4, ardupilot, tlog, tmp_path):
-        path = tmp_path / f"log{suffix}"
-        path.write_bytes({".ulg": px4, ".bin": ardupilot, ".tlog": b"".join(tlog)}[suffix])
+    def test_columns_are_words_of_the_vocabulary(self, suffix, px4, ardupilot, tlog, parse):
+        content = {".ulg": px4, ".bin": ardupilot, ".tlog": b"".join(tlog)}[suffix]
         known = {*re.findall(r"`(\w+)`", NOTATION.read_text(encoding="utf-8"))}
-        for rule in AUTOPILOTS[suffix](path).rules:
+        for rule in parse(content, f"log{suffix}").rules:
             assert set(rule.columns) <= known | {*QUATERNION, EQUIVALENT}, rule.topic
             converted = rule.convert(np.ones((3, len(rule.fields))))
             assert np.shape(converted) == (3, len(rule.columns)), rule.topic

@@ -37,44 +37,22 @@ from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.report import Code
 
-AIRCRAFT = Aircraft(
-    name="delta", mass=12.0, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
-)
+GLIDER = Aircraft.estimate(3.0, 1.8)
 QUICK = DependentGPRegressor(structure="joint", n_latent=1, max_iter=3, random_state=0)
 AVERAGE = clone(QUICK).set_params(structure="average")
 
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-SURFACES = ["rudder", "elevon_left", "elevon_right"]
-
-
-def flights(n=300):
-    """Return flights of a delta wing, and two coefficients that depend on their non-dimensional regressors."""
-    rng = default_rng(0)
-    t = np.arange(n) * 0.05
-    columns = ["alpha", "beta", "p", "q", "r", *SURFACES]
-    tables = []
-    for k, name in enumerate("ab"):
-        j = np.arange(len(columns))
-        waves = 0.1 * np.sin(np.outer(t, 0.7 + 0.31 * j) + k + j)
-        table = pd.DataFrame(waves + 0.002 * rng.normal(size=waves.shape), columns=columns)
-        forces = {"ax": 0.5 + 0.1 * np.sin(1.3 * t), "ay": 0.1 * np.cos(t)}
-        speed = {"airspeed": 20 + 2 * np.sin(0.3 * t + k), "throttle": 0.5 + 0.1 * np.sin(t)}
-        down = -9.8 + 0.5 * np.sin(0.7 * t)
-        tables.append(table.assign(time=t, flight=name, az=down, **forces, **speed))
-    table = pd.concat(tables, ignore_index=True)
-    alpha, elevator = table["alpha"], (table["elevon_left"] + table["elevon_right"]) / 2
-    q_hat = table["q"] * AIRCRAFT.chord / (2 * table["airspeed"])
-    CZ = -0.1 - 4 * alpha
-    Cm = 0.02 - 0.5 * alpha - 8 * q_hat - 0.6 * elevator
-    return table, pd.DataFrame({"CZ": CZ, "Cm": Cm}) + rng.normal(0, [0.01, 0.003], (2 * n, 2))
 
 
 @pytest.fixture(scope="module")
-def fitted():
+def fitted(
+    flights,
+    delta,
+):
     table, Y = flights()
     learned = thin_targets(Y, 60)
-    model = make_identification_pipeline(AIRCRAFT, cutoff=3.0, regressor=QUICK).fit(table, learned)
+    model = make_identification_pipeline(delta, cutoff=3.0, regressor=QUICK).fit(table, learned)
     return model, table, Y, learned
 
 
@@ -109,29 +87,29 @@ class TestPipeline:
         assert_allclose(asked[-1].drift_variance_, model[-1].drift_variance_, rtol=1e-6)
         assert_allclose(asked.predict(table), model.predict(table), rtol=1e-6, atol=1e-9)
 
-    def test_a_list_of_regressors_asks_for_no_other_column(self):
+    def test_a_list_of_regressors_asks_for_no_other_column(self, flights, delta):
         table, Y = flights()
         table = table.drop(columns=["beta", "p", "r", "throttle"])
         model = make_identification_pipeline(
-            AIRCRAFT,
+            delta,
             regressors=["alpha", "q_hat", "alpha_dot_hat", "elevator"],
             cutoff=3.0,
             regressor=LinearRegression(),
         )
         assert model.fit(table, Y).predict(table).shape == (600, 2)
 
-    def test_an_aircraft_without_elevator_passes_without_the_mixer(self):
+    def test_an_aircraft_without_elevator_passes_without_the_mixer(self, flights, delta):
         table, Y = flights()
         table = table.rename(columns={"elevon_left": "aileron"}).drop(columns=["elevon_right"])
         model = make_identification_pipeline(
-            AIRCRAFT, mixer="passthrough", cutoff=3.0, regressor=LinearRegression()
+            delta, mixer="passthrough", cutoff=3.0, regressor=LinearRegression()
         )
         assert "elevator" not in model.fit(table, Y)["regressorselector"].regressors_
 
     @pytest.mark.usefixtures("short_fits")
-    def test_a_grid_reaches_every_step(self, tmp_path):
+    def test_a_grid_reaches_every_step(self, tmp_path, flights, delta):
         table, Y = flights()
-        model = make_identification_pipeline(AIRCRAFT, regressor=QUICK, memory=str(tmp_path))
+        model = make_identification_pipeline(delta, regressor=QUICK, memory=str(tmp_path))
         grid = [
             {
                 "flightsmoother__cutoff": [cutoff],
@@ -333,8 +311,8 @@ class TestIdentify:
 
 
 @pytest.fixture
-def model_file(fitted, tmp_path):
-    return save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, options={"thrust": None})
+def model_file(fitted, tmp_path, delta):
+    return save_model(tmp_path / "model.joblib", fitted[0], delta, options={"thrust": None})
 
 
 # A line at the end holds JSON, at its end the SHA-256 of all bytes before
@@ -363,8 +341,8 @@ RUBBISH = (
     b'{"format": 2}',
     b'{"format": 2, "versions": 7, "bytes": 1}',
 )
-OTHERS = (None, {"pipeline": 1}, Bunch(), Bunch(pipeline=None, aircraft=AIRCRAFT),
-          Bunch(pipeline=QUICK, aircraft=AIRCRAFT))  # fmt: skip
+OTHERS = (None, {"pipeline": 1}, Bunch(), Bunch(pipeline=None, aircraft=GLIDER),
+          Bunch(pipeline=QUICK, aircraft=GLIDER))  # fmt: skip
 DAMAGED = [
     *((lambda data, share=share: data[: int(share * len(data))], r"not a whole skdgp model.*cut off")
       for share in (0.0, 0.01, 0.5, 0.999)),
@@ -394,9 +372,9 @@ class TestModelFile:
         with pytest.raises(ModelFileError, match=match):
             load_model(model_file)
 
-    def test_holds_what_was_saved(self, model_file, fitted):
+    def test_holds_what_was_saved(self, model_file, fitted, delta):
         model = load_model(model_file)
-        assert model.aircraft == AIRCRAFT
+        assert model.aircraft == delta
         assert model.options == {"thrust": None}
         assert set(model.versions) >= {"skdgp", "scikit-learn", "numpy", "python"}
         assert_allclose(
@@ -417,7 +395,7 @@ class TestModelFile:
         assert_allclose(mean, expected[0], rtol=1e-9, atol=1e-10)
         assert_allclose(std, expected[1], rtol=1e-9, atol=1e-10)
 
-    def test_tables_are_arrays_and_names(self, fitted, tmp_path):
+    def test_tables_are_arrays_and_names(self, fitted, tmp_path, delta):
         """Of pandas and pyarrow the file names nothing."""
         table = pd.DataFrame(
             {
@@ -428,7 +406,7 @@ class TestModelFile:
             },
             index=pd.Index(["x", "y"], name="point"),
         ).astype({"flight": "string[pyarrow]"})
-        path = save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, table=table)
+        path = save_model(tmp_path / "model.joblib", fitted[0], delta, table=table)
         operations = pickletools.genops(path.read_bytes())
         names = [text for kind, text, _ in operations if kind.name.endswith("BINUNICODE")]
         assert [text for text in names if text.startswith(("pandas.", "pyarrow"))] == []
@@ -450,25 +428,25 @@ class TestModelFile:
             with pytest.raises(ModelFileError, match="not a whole skdgp model"):
                 load_model(model_file)
 
-    def test_nothing_is_unpickled_of_a_damaged_file(self, fitted, tmp_path):
-        path = save_model(tmp_path / "model.joblib", fitted[0], AIRCRAFT, note=Bomb())
+    def test_nothing_is_unpickled_of_a_damaged_file(self, fitted, tmp_path, delta):
+        path = save_model(tmp_path / "model.joblib", fitted[0], delta, note=Bomb())
         with pytest.raises(ModelFileError, match="cannot be read here"):
             load_model(path)
         path.write_bytes(path.read_bytes().replace(b"skdgp._regressor", b"skdgp._regresser"))
         with pytest.raises(ModelFileError, match="not a whole skdgp model"):
             load_model(path)
 
-    def test_another_version_is_read_with_a_warning(self, model_file):
+    def test_another_version_is_read_with_a_warning(self, model_file, delta):
         versions = {"skdgp": "0.0.1", "scikit-learn": "1.6.0", "numpy": "1.26.4"}
         model_file.write_bytes(closed(model_file.read_bytes(), versions=versions))
         with pytest.warns(
             UserWarning,
             match=r"written with skdgp 0\.0\.1.*scikit-learn 1\.6\.0.*\(installed: .*may differ",
         ):
-            assert load_model(model_file).aircraft == AIRCRAFT
+            assert load_model(model_file).aircraft == delta
 
     @pytest.mark.parametrize(
-        ("pipeline", "aircraft"), [(QUICK, AIRCRAFT), ("model", AIRCRAFT), (None, None)]
+        ("pipeline", "aircraft"), [(QUICK, GLIDER), ("model", GLIDER), (None, None)]
     )
     def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft):
         with pytest.raises(

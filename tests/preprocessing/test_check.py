@@ -153,6 +153,36 @@ def test_a_fault_is_found_with_its_seconds_told_once_and_taken_out(channel, kind
     assert_frame_equal(out, spoilt(channel, rows, expected))
 
 
+@pytest.mark.parametrize(
+    ("channel", "possible", "impossible"),
+    [
+        ("airspeed", 995.0, 1005.0),
+        ("airspeed", -9.5, -10.5),
+        ("alpha", 3.18, 3.2),  # pi, with noise
+        ("beta", -1.61, -1.63),
+        ("p", 49.0, 51.0),
+        ("ax", 995.0, 1005.0),
+        ("psi", 995.0, 1005.0),
+        ("v_down", -1495.0, -1505.0),
+        ("north", 9.9e6, 1.01e7),
+        ("density", 2.95, 3.05),
+        ("density", 0.0011, 0.0009),
+        ("altitude", -995.0, -1005.0),
+        ("altitude", 9.9e4, 1.01e5),
+        ("throttle", 1.45, 1.55),
+        ("throttle", -0.09, -0.11),
+        ("propeller_speed", 9900.0, 10100.0),
+        ("elevator", 1.56, 1.58),
+    ],
+)
+def test_what_no_aircraft_has_is_impossible(channel, possible, impossible):
+    table = log()
+    table[channel] = table.get(channel, 0.0)
+    fault = [channel, "impossible"]
+    assert fault not in faults(spoilt(channel, [500], possible, table))
+    assert fault in faults(spoilt(channel, [500], impossible, table))
+
+
 def test_a_dead_sensor_among_living_ones():
     assert faults(log().assign(ay=0.0)) == [["ay", "constant"]]
     assert faults(log().assign(ax=0.0, ay=0.0, az=-9.8)) == []  # a simulation may be so
@@ -200,10 +230,12 @@ class TestClock:
         with pytest.raises(FlightReadError, match="sort by time"):
             read_flight(tmp_path / "a.csv")
 
-    def test_a_jump_forward_is_listed_and_silent(self):
+    @pytest.mark.parametrize(("steps", "found"), [(2.4, []), (2.6, [["time", "gap"]])])
+    def test_a_jump_forward_is_listed_and_silent(self, steps, found):
+        """By more than 2.5 steps."""
         table = log()
-        table.loc[1000:, "time"] += 5.0
-        assert faults(table) == [["time", "gap"]]
+        table.loc[1000:, "time"] += (steps - 1) * STEP
+        assert faults(table) == found
         assert_frame_equal(FlightCheck().fit_transform(table), table)
 
 

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import tempfile
 import time
 from contextlib import contextmanager
@@ -191,6 +192,12 @@ def few_manoeuvres(monkeypatch):
     """Let plans of pages and of the command line choose from few candidates."""
     few = design.PlanSettings(widths=(1.0,), multisines=())
     monkeypatch.setitem(design.plan.__kwdefaults__, "settings", few)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """As where matplotlib is not installed: of pages the words alone, in a fraction of the time."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
 
 
 @pytest.fixture

@@ -97,6 +97,12 @@ def test_gyros_in_degrees_do_not_excuse_angles_in_degrees():
     assert_degrees(table.assign(**np.rad2deg(table[["psi", "p", "q", "r"]])), "psi")
 
 
+def test_spikes_of_gyros_do_not_excuse_angles_in_degrees():
+    table = orbit(turn=0.03)
+    table.loc[100:110, "r"] = 30.0
+    assert_degrees(table.assign(psi=np.rad2deg(table.psi)), "psi")
+
+
 def test_each_flight_is_unwrapped_by_itself_and_spikes_do_not_matter():
     table = pd.concat([orbit(seed=1), orbit(seed=2).assign(flight="b")], ignore_index=True)
     table.loc[[700, 2000], "psi"] = -40.0

@@ -100,3 +100,18 @@ def test_rows_that_a_shuffled_kfold_left_out_are_named_as_such():
     flight = pd.DataFrame({"time": 0.02 * rows, "alpha": 0.1})
     with pytest.raises(ValueError, match="shuffled KFold: hold out whole flights"):
         FlightSmoother(cutoff=2.0).fit_transform(flight)
+
+
+@pytest.mark.parametrize(
+    ("every", "late", "refused"), [(5, 0.45, False), (5, 0.55, True), (20, 0.55, False)]
+)
+def test_a_tenth_of_the_steps_may_be_uneven_by_half(every, late, refused):
+    steps = np.full(400, 0.02)
+    steps[::every] *= 1 + late
+    flight = pd.DataFrame({"time": np.cumsum(steps), "alpha": 0.1})
+    smoother = FlightSmoother(cutoff=2.0).fit(flight)
+    if refused:
+        with pytest.raises(ValueError, match=r"nearly constant rate .*one uniform clock"):
+            smoother.transform(flight)
+    else:
+        np.testing.assert_allclose(smoother.transform(flight).alpha, 0.1)

@@ -1,6 +1,7 @@
 """DataFlash: what is written is read, as pymavlink reads it; what is damaged costs only itself."""
 
 import struct
+from functools import partial
 
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,15 +13,9 @@ DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 
 
 @pytest.fixture
-def read(tmp_path):
+def read(parse):
     """Read a log."""
-
-    def of(content):
-        path = tmp_path / "log.bin"
-        path.write_bytes(bytes(content))
-        return read_dataflash(path)
-
-    return of
+    return partial(parse, name="log.bin")
 
 
 def assert_as_pymavlink(path):
@@ -47,16 +42,14 @@ def assert_as_pymavlink(path):
 
 
 class TestAsPymavlink:
-    def test_a_log_of_every_column(self, tmp_path, ardupilot):
-        (tmp_path / "log.bin").write_bytes(ardupilot)
-        assert_as_pymavlink(tmp_path / "log.bin")
+    def test_a_log_of_every_column(self, write, ardupilot):
+        assert_as_pymavlink(write(ardupilot, "log.bin"))
 
     @pytest.mark.shared
-    def test_shared_log(self, shared_data, tmp_path):
+    def test_shared_log(self, shared_data, write):
         """Its first quarter: pymavlink takes its time."""
         content = (shared_data / "logs" / "pyflightcoach_elevator_bench.BIN").read_bytes()
-        (tmp_path / "log.bin").write_bytes(content[:600_000])
-        assert_as_pymavlink(tmp_path / "log.bin")
+        assert_as_pymavlink(write(content[:600_000], "log.bin"))
 
 
 def ticks(log, *times):

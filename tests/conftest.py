@@ -2,10 +2,13 @@
 
 import os
 import signal
+import sys
 import tempfile
 import time
 from contextlib import contextmanager
-from functools import lru_cache, partial
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import joblib
@@ -16,24 +19,17 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets, design
-from skdgp._cli import _learn, _use
-from skdgp._compute.findings import Code, Finding
-from skdgp._regressor import RegressorSettings
-from skdgp.datasets import _example_flights
-from skdgp.identification import _identification
-from skdgp.inference import SearchSettings, _optimizer
-from skdgp.report import FlightMechanics
+from skdgp.identification import Identification
+from skdgp.inference import SearchSettings
+from skdgp.report import Code, Finding, FlightMechanics
 
-os.environ.setdefault(
-    "OPENBLAS_NUM_THREADS", "1"
-)  # of processes that tests start, as _threads below for this one
+# Of processes that tests start, as _threads below for this one
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-MINUTE = 60.0  # of the example flights [s]
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-set_hypothesis_home_dir(
-    Path(tempfile.gettempdir()) / "hypothesis"
-)  # nothing is written beside the tests
+# Nothing is written beside the tests
+set_hypothesis_home_dir(Path(tempfile.gettempdir()) / "hypothesis")
 settings.register_profile(
     "skdgp",
     derandomize=True,
@@ -43,9 +39,8 @@ settings.register_profile(
 )
 settings.load_profile("skdgp")
 
-if (
-    signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-):  # as in the background of a shell: tests press Ctrl-C
+# As in the background of a shell: tests press Ctrl-C
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
@@ -112,59 +107,27 @@ def once(common_folder):
     return once
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _flown_once(once):
-    """Let all processes of a test run share the example flights: to simulate them takes 10 s.
-
-    A shorter flight is the beginning of the long one (test_example_flights), and is taken from it.
-    """
-    fly_here = _example_flights._flights.__wrapped__
-
-    def fly(*how):
-        name = "flown " + " ".join(map(str, how))
-        return joblib.load(
-            once(name, lambda folder: joblib.dump(fly_here(*how), folder / "flights")) / "flights"
-        )
-
-    whole = lru_cache(maxsize=1)(fly)
-
-    def flights(*world, duration=_example_flights.DURATION):
-        if world != (0, 1.0, 1.0) or duration == MINUTE:
-            return fly(*world, duration)
-        train, test = whole(*world)
-        return train[train["time"] < duration].reset_index(drop=True), test[test["time"] < duration]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_example_flights, "_flights", flights)
-        yield flights
+@pytest.fixture(scope="session")
+def command():
+    """Return the command ``skdgp`` as a function of its words to its exit code."""
+    (entry,) = entry_points(group="console_scripts", name="skdgp")
+    return entry.load()
 
 
 @pytest.fixture(scope="session")
-def first_minute(_flown_once):
-    """Return `load_example_flights` of the first minute alone, flown in a third of the time."""
-    load = datasets.load_example_flights
-
-    def first_minute(**options):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(_example_flights, "_flights", partial(_flown_once, duration=MINUTE))
-            return load(**options)
-
-    return first_minute
+def first_minute(once):
+    """Return a function to the first minute of the example flights, flown once by one of the processes."""
+    load = partial(datasets.load_example_flights, duration=60.0)
+    folder = once("first minute", lambda folder: joblib.dump(load(), folder / "flights"))
+    return lambda: joblib.load(folder / "flights")
 
 
 @pytest.fixture
-def short_flights(monkeypatch, request, first_minute):
+def short_flights(monkeypatch, request):
     """Let pages, examples and the command ``demo`` have the first 25 s of each example flight, or other rows."""
     n_rows = getattr(request, "param", 1000)
-
-    def first(**options):
-        data = first_minute(**options)
-        data.train = data.train.groupby("flight", observed=True).head(n_rows)
-        data.test = data.test.head(n_rows)
-        return data
-
-    for module in (datasets, _learn):
-        monkeypatch.setattr(module, "load_example_flights", first)
+    defaults = datasets.load_example_flights.__wrapped__.__kwdefaults__
+    monkeypatch.setitem(defaults, "duration", n_rows / 40)
 
 
 @pytest.fixture(scope="session")
@@ -172,17 +135,18 @@ def cut_short():
     """Return a context, for fixtures that tests share, that cuts short what ``max_iter`` does not rule.
 
     Fits of each output alone, one search from one width, few rows: for tests of what is done with a model,
-    whatever it learned.
+    whatever it learned. Other settings of the regressor are given by name.
     """
 
     @contextmanager
-    def cut_short():
+    def cut_short(**others):
+        search = SearchSettings(
+            values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
+        )
+        settings = {"n_searches": 1, "search": search} | others
+        short = replace(DependentGPRegressor.settings, **settings)
         with pytest.MonkeyPatch.context() as patch:
-            search = SearchSettings(
-                values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
-            )
-            settings = RegressorSettings(n_searches=1, search=search)
-            patch.setattr(DependentGPRegressor, "settings", settings)
+            patch.setattr(DependentGPRegressor, "settings", short)
             yield
 
     return cut_short
@@ -196,19 +160,15 @@ def short_fits(cut_short):
 
 
 @pytest.fixture
-def hasty_fits(monkeypatch, short_fits, request):
-    """Stop every search of this process after two iterations, or another number; few inducing inputs, no average.
+def hasty_fits(monkeypatch, cut_short):
+    """Stop every search after two iterations; few inducing inputs, no average.
 
     For pages and commands that only use what was learned.
     """
-    minimize, most = _optimizer.minimize, getattr(request, "param", 2)
-
-    def hasty(*args, options, **more):
-        return minimize(*args, options=options | {"maxiter": min(most, options["maxiter"])}, **more)
-
-    monkeypatch.setattr(_optimizer, "minimize", hasty)
     for name, value in {"n_inducing": 24, "structure": "joint"}.items():
         monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, name, value)
+    with cut_short(time_series_iterations=2, iterations=2):
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -231,18 +191,20 @@ def slope_std():
 def few_manoeuvres(monkeypatch):
     """Let plans of pages and of the command line choose from few candidates."""
     few = design.PlanSettings(widths=(1.0,), multisines=())
-    plan = partial(design.plan, settings=few)
-    monkeypatch.setattr(design, "plan", plan)
-    monkeypatch.setattr(_use, "plan_flight", plan)
+    monkeypatch.setitem(design.plan.__kwdefaults__, "settings", few)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """As where matplotlib is not installed: of pages the words alone, in a fraction of the time."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
 
 
 @pytest.fixture
 def no_mechanics(monkeypatch):
     """Leave trim, derivatives and simulations of identified models out: for tests of other numbers and of files."""
     left_out = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-    monkeypatch.setattr(
-        _identification, "flight_mechanics", lambda *_: FlightMechanics(notes=(left_out,))
-    )
+    monkeypatch.setattr(Identification, "mechanics", FlightMechanics(notes=(left_out,)))
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,18 +42,12 @@ FLOORS = [
     ["_cli"],
     ["__main__", "__init__"],
 ]
-FLOOR = {part: number for number, parts in enumerate(FLOORS, start=1) for part in parts}
+FLOOR = {}
+for number, parts in enumerate(FLOORS, start=1):
+    FLOOR |= dict.fromkeys(parts, number)
 LEARNING = {"kernels", "inference", "_regressor"}
-AIRCRAFT = {
-    "_flight",
-    "io",
-    "preprocessing",
-    "dynamics",
-    "estimation",
-    "_excitation",
-    "design",
-    "datasets",
-}
+AIRCRAFT = {"_flight", "io", "preprocessing", "dynamics", "estimation", "_excitation", "design"}
+AIRCRAFT |= {"datasets"}
 LEAVES = {"export", "design"}
 MAY_IMPORT_LEAVES = {"_cli", "__init__", "__main__"}
 # Rooms whose files any room above may import; of others it imports what their ``__init__`` shows
@@ -158,11 +153,8 @@ def test_leaves_are_imported_by_the_command_line_alone():
 
     def leaf(path):
         own = part_of(path)
-        return (
-            set()
-            if own in MAY_IMPORT_LEAVES
-            else {part for part, _ in own_imports(path)} & LEAVES - {own}
-        )
+        found = {part for part, _ in own_imports(path)} & LEAVES - {own}
+        return found if own not in MAY_IMPORT_LEAVES else set()
 
     assert not offenders(leaf)
 
@@ -190,29 +182,17 @@ def test_nothing_inside_imports_the_package_root():
 
 
 def test_no_module_imports_itself_in_a_circle():
-    graph = {dotted(path): set() for path in MODULES}
+    """A folder's face re-exports what stands inside it."""
+    graph = {}
     for path in MODULES:
+        module = dotted(path)
+        targets = set()
         for _, item in own_imports(path):
             if item.at_once:
-                targets = {item.module, *(f"{item.module}.{name}" for name in item.names)}
-                graph[dotted(path)] |= {t for t in targets if t in graph and t != dotted(path)}
-    done, open_ = set(), []
-
-    def visit(module):
-        if module in open_:
-            pytest.fail(" -> ".join([*open_[open_.index(module) :], module]))
-        if module not in done:
-            open_.append(module)
-            for target in graph[module]:
-                if not module.startswith(
-                    target + "."
-                ):  # a folder's face re-exports what stands inside it
-                    visit(target)
-            open_.pop()
-            done.add(module)
-
-    for module in graph:
-        visit(module)
+                targets |= {item.module, *(f"{item.module}.{name}" for name in item.names)}
+        inside = {target for target in targets if module.startswith(f"{target}.")}
+        graph[module] = (targets - inside - {module}) & {dotted(other) for other in MODULES}
+    assert list(TopologicalSorter(graph).static_order())
 
 
 @pytest.mark.parametrize(("half", "other"), [(LEARNING, AIRCRAFT), (AIRCRAFT, LEARNING)])
@@ -225,15 +205,14 @@ def test_inference_knows_kernels_by_their_contract_alone():
     """But for the starts of a search, and the structures that it compares, which are of particular kernels."""
 
     def beyond(path):
-        return {
-            name for part, item in own_imports(path) if part == "kernels" for name in item.names
-        }
+        found = [item.names for part, item in own_imports(path) if part == "kernels"]
+        return set().union(*found) - contract
 
     inference = [path for path in MODULES if part_of(path) == "inference"]
     paths = [path for path in inference if path.stem not in {"_starts", "_structures"}]
     functions = {"covariance_paths", "independent_processes", "inducing_features", "prior_paths"}
     contract = {"Features", "MultiOutputKernel", "PathBundle", *functions}
-    assert not offenders(lambda path: beyond(path) - contract, paths)
+    assert not offenders(beyond, paths)
 
 
 def test_nothing_but_the_dependencies_is_imported():
@@ -243,25 +222,20 @@ def test_nothing_but_the_dependencies_is_imported():
     allowed = set(sys.stdlib_module_names) | required | {"skdgp"}
 
     def others(path):
-        roots = {(item.module.split(".")[0], item.at_once) for item in imports(path)}
-        return {
-            root
-            for root, at_once in roots
-            if root not in (allowed if at_once else allowed | EXTRAS)
-        }
+        found = set()
+        for item in imports(path):
+            root = item.module.split(".")[0]
+            if root not in allowed and (item.at_once or root not in EXTRAS):
+                found.add(root)
+        return found
 
     assert not offenders(others)
 
 
 COMPAT = PACKAGE / "_compute" / "sklearn_compat.py"
 WATCHED = {"sklearn", "joblib", "argparse", "numpy", "scipy", "pandas"}
-DOCUMENTED = {
-    "_replace",
-    "_fields",
-    "_asdict",
-    "_make",
-    "_exit",
-}  # of named tuples and os, for users
+# Of named tuples and os, for users
+DOCUMENTED = {"_replace", "_fields", "_asdict", "_make", "_exit"}
 
 
 def is_private(name):
@@ -271,24 +245,19 @@ def is_private(name):
 @cache
 def defined_here():
     """Return every private name that the package itself defines or assigns."""
-    every = [node for path in MODULES for node, _ in nodes(text(path))]
-    named = {node.name for node in every if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    stored = {
-        node.id for node in every if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-    }
-    own = [n for n in every if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store)]
-    stored |= {
-        node.attr
-        for node in own
-        if isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
-    }
-    calls = [n for n in every if isinstance(n, ast.Call) and isinstance(n.func, ast.Attribute)]
-    frozen = {
-        n.args[1].value
-        for n in calls
-        if n.func.attr == "__setattr__" and isinstance(n.args[1], ast.Constant)
-    }
-    return named | stored | frozen | DOCUMENTED
+    found = set(DOCUMENTED)
+    for path in MODULES:
+        for node, _ in nodes(text(path)):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                found.add(node.name)
+            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                found.add(node.id)
+            elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+                if ast.unparse(node.value) in ("self", "cls"):
+                    found.add(node.attr)
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".__setattr__"):
+                found.add(getattr(node.args[1], "value", None))
+    return found
 
 
 def private_names(code):
@@ -302,12 +271,8 @@ def private_names(code):
                 if is_private(part)
             }
     for node, _ in nodes(code):
-        if (
-            isinstance(node, ast.Attribute)
-            and is_private(node.attr)
-            and node.attr not in defined_here()
-        ):
-            found[node.attr] = node.lineno
+        if isinstance(node, ast.Attribute) and is_private(node.attr):
+            found |= {node.attr: node.lineno} if node.attr not in defined_here() else {}
     return found
 
 

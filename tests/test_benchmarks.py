@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from skdgp.inference import Data, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
@@ -85,7 +86,7 @@ class TestPeers:
     """Other methods are what the field means by their names."""
 
     def test_forward_selection_takes_the_terms_that_made_the_target(self, script):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = rng.normal(size=(400, 4))
         Y = np.column_stack([X[:, 0] * X[:, 1] - 2 * X[:, 3], X[:, 2] ** 2])
         Y += 0.1 * rng.normal(size=Y.shape)
@@ -96,7 +97,7 @@ class TestPeers:
         assert 0.9 < inside.mean() < 0.98
 
     def test_bands_of_least_squares_are_the_textbooks(self, script):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X, asked = rng.normal(size=(30, 2)), rng.normal(size=(5, 2))
         y = X @ [1.0, -2.0] + 0.3 * rng.normal(size=30)
         A, B = (np.column_stack([np.ones(len(x)), x]) for x in (X, asked))
@@ -108,7 +109,7 @@ class TestPeers:
         assert measurement[:, 0] == pytest.approx(np.hypot(expected, np.sqrt(variance)))
 
     def test_a_trend_is_put_back(self, script):
-        X = np.random.default_rng(0).normal(size=(50, 2))
+        X = default_rng(0).normal(size=(50, 2))
         Y = X @ [[1.0, 2.0], [3.0, -1.0]] + 5 + 1e-3 * np.sin(9 * X)
         model = script("_peers").OnTrend(script("_peers").trees()).fit(X, Y)
         assert model.predict(X) == pytest.approx(Y, abs=0.01)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from skdgp.datasets import _example_flights
+from skdgp import datasets
+from skdgp.datasets import load_example_flights
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN_ELSEWHERE = {
@@ -16,27 +17,16 @@ RUN_ELSEWHERE = {
     "logs.md": "io/test_servos.py",  # its code reads a log, which that test lays ready
     "inference.md": "compute/test_dask.py",  # its code needs dask.distributed
 }
-UNJUDGED = {
-    "README.md",
-    "ten_minutes.md",
-}  # what their models learned matters little: short fits do
-SHORT = {"README.md", "ten_minutes.md"}  # and short flights
-SECONDS = {
-    "preprocessing.md": 40.0,
-    "simulation.md": 90.0,
-    "design.md": 60.0,
-}  # of flights, as far as pages use them
-PAGES = [
-    path for path in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if path.is_file()
-]
+# Pages of which it matters little what their models learned: short fits of short flights do
+UNJUDGED = {"README.md", "ten_minutes.md"}
+# Pages that use a minute of flights, 40 s of it in calm air
+MINUTE = {"preprocessing.md", "simulation.md", "design.md"}
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
 def blocks(page, language="python"):
-    return re.findall(
-        rf"^```{language}\n(.*?)^```",
-        page.read_text(encoding="utf-8"),
-        flags=re.DOTALL | re.MULTILINE,
-    )
+    text = page.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
 
 
 RUN_HERE = [page for page in PAGES if blocks(page) and page.name not in RUN_ELSEWHERE]
@@ -48,13 +38,17 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
     if page.name in UNJUDGED:
         request.getfixturevalue("hasty_fits")
         request.getfixturevalue("no_mechanics")
-    if page.name in SHORT:
         request.getfixturevalue("short_flights")
     if page.name == "design.md":
         request.getfixturevalue("few_manoeuvres")
-    if page.name in SECONDS:
-        made = partial(_example_flights._flights, duration=SECONDS[page.name])
-        monkeypatch.setattr(_example_flights, "_flights", made)
+    if page.name in MINUTE:
+        first_minute = request.getfixturevalue("first_minute")
+        calm = partial(load_example_flights, duration=40.0)
+        monkeypatch.setattr(
+            datasets,
+            "load_example_flights",
+            lambda **options: calm(**options) if options else first_minute(),
+        )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = {}
@@ -75,9 +69,6 @@ def test_files_of_the_architecture_page_exist():
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`((?:\w+/)*\w+\.py)`", page))
     assert len(named) > 25
-    files = [
-        path.as_posix() for folder in ("skdgp", "tests") for path in (ROOT / folder).rglob("*.py")
-    ]
-    assert [
-        name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)
-    ] == []
+    files = [*(ROOT / "skdgp").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+    listing = "".join(f"{path.as_posix()}\n" for path in files)
+    assert [name for name in named if f"/{name}\n" not in listing] == []

@@ -4,6 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor
@@ -11,7 +13,7 @@ from skdgp.kernels import ConvolvedGaussian
 
 
 def waves(n=40, seed=0):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = rng.normal(size=(n, 2))
     return X, np.sin(X) + 0.1 * rng.normal(size=(n, 2))
 
@@ -40,7 +42,7 @@ class TestRefusedFit:
             model.fit(*change(X, Y))
         model.set_params(**parameters)
         assert vars(model).keys() == before.keys()
-        np.testing.assert_array_equal(model.predict(X, return_std=True), expected)
+        assert_array_equal(model.predict(X, return_std=True), expected)
 
     def test_of_a_new_estimator_leaves_it_unfitted(self):
         model = quick()
@@ -51,7 +53,7 @@ class TestRefusedFit:
 
 @pytest.mark.parametrize("frequency", [20, 50, 120, 200])
 def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X, new = rng.uniform(size=(300, 1)), rng.uniform(0.02, 0.98, size=(100, 1))
     y = np.sin(frequency * X[:, 0]) + 0.1 * rng.normal(size=300)
     model = DependentGPRegressor(random_state=0).fit(X, y)
@@ -61,10 +63,10 @@ def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
 class TestMasks:
     def test_masked_targets_are_not_observed(self):
         X, Y = waves()
-        hidden = np.random.default_rng(1).random(Y.shape) < 0.3
+        hidden = default_rng(1).random(Y.shape) < 0.3
         masked = np.ma.masked_array(np.where(hidden, 1e3, Y), mask=hidden)
         expected = quick().fit(X, np.where(hidden, np.nan, Y)).predict(X)
-        np.testing.assert_array_equal(quick().fit(X, masked).predict(X), expected)
+        assert_array_equal(quick().fit(X, masked).predict(X), expected)
 
     def test_masked_regressors_are_refused(self):
         X, Y = waves()

@@ -6,7 +6,10 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn import config_context
+from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
@@ -19,7 +22,7 @@ from skdgp.metrics import SCORERS
 @pytest.fixture(scope="module")
 def flights():
     """Three short flights of a table, one coefficient not always observed."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = pd.DataFrame(
         rng.normal(size=(60, 3)) * [0.05, 0.3, 10.0] + [0.1, 0, 40],
         columns=["alpha", "q", "airspeed"],
@@ -49,52 +52,43 @@ class TestScikitLearn:
         X, Y, _ = flights
         once = quick().fit(X[:30], Y[:30])
         twice = quick().fit(X, Y["CZ"]).fit(X[:30], Y[:30])
-        np.testing.assert_allclose(once.predict(X), twice.predict(X), rtol=1e-6, atol=1e-9)
+        assert_allclose(once.predict(X), twice.predict(X), rtol=1e-6, atol=1e-9)
         assert twice.output_names_ == ["CZ", "Cm"]
 
 
 class TestFlightsAreGroups:
     """The label of a row's flight is an argument of fit, and the group of a cross-validation."""
 
-    @pytest.fixture
-    def time(self):
-        return np.tile(0.1 * np.arange(20), 3)
+    TIME = np.tile(0.1 * np.arange(20), 3)
 
-    def drifts(self, flights, time, routing, model, params, **more):
+    def drifts(self, flights, model, params, routing=False, **more):
+        """Return the drift of the fit to each pair of flights."""
         X, Y, _ = flights
         options = {"cv": LeaveOneGroupOut(), "scoring": SCORERS["neg_normalized_rmse"]}
+        options |= {"return_estimator": True, "error_score": "raise", "params": params}
         with config_context(enable_metadata_routing=routing):
-            scores = cross_validate(
-                model,
-                X,
-                Y["CZ"],
-                params=params,
-                return_estimator=True,
-                error_score="raise",
-                **options,
-                **more,
-            )
+            scores = cross_validate(model, X, Y["CZ"], **options, **more)
         return np.array([fitted.drift_variance_ for fitted in scores["estimator"]])
 
-    def test_both_get_them_with_and_without_metadata_routing(self, flights, time):
+    def test_both_get_them_with_and_without_metadata_routing(self, flights):
         """Flights that are told apart have clocks that may start again; of one they would not."""
-        flight = flights[2]
-        expected = [
-            quick().fit(X, y, time=time[rows], flight=flight[rows]).drift_variance_
-            for rows in (flight != "one", flight != "three", flight != "two")
-            for X, y in [(flights[0][rows], flights[1]["CZ"][rows])]
-        ]
-        plain = self.drifts(
-            flights, time, False, quick(), {"time": time, "flight": flight}, groups=flight
-        )
-        np.testing.assert_allclose(plain, expected, rtol=1e-6)
+        X, Y, flight = flights
+        model = quick(structure="trend", n_latent=None)
+        expected = []
+        for left_out in ("one", "three", "two"):
+            rows = flight != left_out
+            clock = {"time": self.TIME[rows], "flight": flight[rows]}
+            expected.append(clone(model).fit(X[rows], Y["CZ"][rows], **clock).drift_variance_)
+        params = {"time": self.TIME, "flight": flight}
+        plain = self.drifts(flights, model, params, groups=flight)
+        assert_allclose(plain, expected, rtol=1e-6)
         with config_context(enable_metadata_routing=True):
-            model = quick().set_fit_request(time=True, flight="groups")
-        routed = self.drifts(flights, time, True, model, {"time": time, "groups": flight})
-        np.testing.assert_allclose(routed, expected, rtol=1e-6)
+            model.set_fit_request(time=True, flight="groups")
+        params = {"time": self.TIME, "groups": flight}
+        assert_allclose(self.drifts(flights, model, params, True), expected, rtol=1e-6)
 
-    def test_groups_of_the_splitter_alone_need_no_request(self, flights, time):
-        drifts = self.drifts(flights, time, True, quick(), {"groups": flights[2]})
+    def test_groups_of_the_splitter_alone_need_no_request(self, flights):
+        drifts = self.drifts(flights, quick(structure="trend"), {"groups": flights[2]}, True)
         assert (drifts == 0).all()  # without time there is none
 
 
@@ -127,7 +121,7 @@ class TestFreshProcess:
             lambda model: (model.predict_gradient(at), model.sample_y(at, 2, 0)),
         ):
             for ours, theirs in zip(question(model), question(loaded), strict=True):
-                np.testing.assert_array_equal(ours, theirs)
+                assert_array_equal(ours, theirs)
 
 
 @pytest.fixture(
@@ -138,8 +132,8 @@ class TestFreshProcess:
 def logged(request):
     """A model of a time series with noisy regressors, and its samples; an average has two searches."""
     inference, structure, gaps = request.param
-    n = {"average": 2000, "joint": 300}[structure]
-    rng = np.random.default_rng(0)
+    n = {"average": 1000, "joint": 300}[structure]
+    rng = default_rng(0)
     time = 0.1 * np.arange(n)
     X = np.sin(np.outer(time, [0.3, 0.7, 1.1])) + 0.05 * rng.normal(size=(n, 3))
     Y = np.sin(X @ rng.normal(size=(3, 3))) + 0.1 * rng.normal(size=(n, 3))

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
@@ -11,31 +13,13 @@ from skdgp.kernels import ConvolvedGaussian
 
 @pytest.fixture(scope="module")
 def data():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.uniform(-3, 3, (60, 1))
     return X, np.sin(2 * X[:, 0]) + 0.01 * rng.normal(size=60)
 
 
 def varying(X):
     return 0.05 + 0.4 / (1 + np.exp(-3 * X[:, 0]))
-
-
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_a_refit_with_kernel_and_noise_is_the_same_model(data, inference):
-    options = {
-        "structure": "joint",
-        "trend": "constant",
-        "inference": inference,
-        "n_inducing": 40,
-        "random_state": 0,
-    }
-    model = DependentGPRegressor(n_latent=0, **options).fit(*data)
-    kernel, noise = model.kernel_, model.noise_variance_
-    again = DependentGPRegressor(kernel, optimizer=None, noise_variance=noise, **options).fit(*data)
-    np.testing.assert_allclose(again.noise_variance_, noise, rtol=1e-9)
-    likelihood = model.log_marginal_likelihood_value_
-    np.testing.assert_allclose(again.log_marginal_likelihood_value_, likelihood, atol=1e-6)
-    np.testing.assert_allclose(again.predict(data[0]), model.predict(data[0]), atol=1e-3)
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
@@ -51,16 +35,16 @@ def test_noise_that_is_not_given_is_estimated_for_the_kernel(data, inference):
     model = DependentGPRegressor(n_latent=0, **options).fit(*data)
     again = DependentGPRegressor(model.kernel_, optimizer=None, **options).fit(*data)
     factor = 60 / 56 if inference == "exact" else 1.0
-    np.testing.assert_allclose(again.noise_variance_, model.noise_variance_ / factor, rtol=0.05)
+    assert_allclose(again.noise_variance_, model.noise_variance_ / factor, rtol=0.05)
     gain = again.log_marginal_likelihood_value_ - model.log_marginal_likelihood_value_
     given_up = 30 * (np.log(factor) - 1 + 1 / factor)
     assert -0.05 < gain < given_up + 0.05
-    np.testing.assert_allclose(again.predict(data[0]), model.predict(data[0]), atol=1e-3)
+    assert_allclose(again.predict(data[0]), model.predict(data[0]), atol=1e-3)
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     X, T = rng.uniform(-3, 3, (100, 1)), np.linspace(-2.5, 2.5, 20)[:, None]
     y = np.sin(2 * X[:, 0]) + varying(X) * rng.normal(size=100)
     kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[0.8]]])
@@ -72,22 +56,21 @@ def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
         ConstantKernel(1.0) * RBF(0.8), alpha=varying(X) ** 2, optimizer=None
     )
     expected = peer.fit(X, y).predict(T, return_std=True)
-    for found, right in zip(model.predict(T, return_std=True), expected, strict=True):
-        np.testing.assert_allclose(found, right, atol=1e-4)
+    assert_allclose(model.predict(T, return_std=True), expected, atol=1e-4)
     assert model.noise_variance_[0] == pytest.approx(np.mean(varying(X) ** 2))
 
 
 def test_with_noise_of_each_value_bands_hold_in_the_quiet_and_the_noisy_part():
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
+    T = np.linspace(-2.7, 2.7, 60)[:, None]
     inside = []
     for _ in range(4):
         X = rng.uniform(-3, 3, (150, 1))
         y = np.sin(2 * X[:, 0]) + varying(X) * rng.normal(size=150)
         model = DependentGPRegressor(noise_variance=varying(X) ** 2, random_state=0).fit(X, y)
-        T = np.linspace(-2.7, 2.7, 60)[:, None]
         mean, std = model.predict(T, return_std=True)
         inside.append(np.abs(mean - np.sin(2 * T[:, 0])) < 1.96 * std)
-    quiet, noisy = np.mean(inside, axis=0)[:20], np.mean(inside, axis=0)[40:]
+    quiet, _, noisy = np.split(np.mean(inside, axis=0), 3)
     assert quiet.mean() > 0.8
     assert noisy.mean() > 0.8
 
@@ -103,7 +86,7 @@ def test_a_value_of_enormous_noise_counts_for_nothing(data):
     terrible[30] += 1000.0
     variance[30] = 1e12
     model = DependentGPRegressor(noise_variance=variance, **options).fit(X, terrible)
-    np.testing.assert_allclose(model.predict(X), without.predict(X[:]), atol=0.02)
+    assert_allclose(model.predict(X), without.predict(X[:]), atol=0.02)
 
 
 @pytest.mark.parametrize("log", [False, True])
@@ -120,10 +103,10 @@ def test_known_noise_of_regressors_is_kept(data):
     X, y = data
     time = np.arange(60.0)
     model = DependentGPRegressor(input_noise=[0.03], random_state=0).fit(X, y, time=time)
-    np.testing.assert_allclose(model.input_covariance_, [[0.03**2]])
+    assert_allclose(model.input_covariance_, [[0.03**2]])
     exact = DependentGPRegressor(input_noise=[0.0], random_state=0).fit(X, y, time=time)
     none = DependentGPRegressor(input_noise=None, random_state=0).fit(X, y, time=time)
-    np.testing.assert_allclose(exact.predict(X), none.predict(X), atol=2e-3)
+    assert_allclose(exact.predict(X), none.predict(X), atol=2e-3)
 
 
 def test_an_interrupt_keeps_the_kernel_that_was_given(data):
@@ -135,7 +118,7 @@ def test_an_interrupt_keeps_the_kernel_that_was_given(data):
     with listening(press, keep_best=True), pytest.warns(UserWarning, match="interrupted"):
         model.fit(*data)
     assert model.interrupted_
-    np.testing.assert_allclose(model.kernel_.length_scale, [[[0.8]]])
+    assert_allclose(model.kernel_.length_scale, [[[0.8]]])
     with listening(press), pytest.raises(KeyboardInterrupt):
         model.fit(*data)
 
@@ -146,7 +129,7 @@ def test_outputs_with_gaps_have_noise_of_their_own(data):
     Y[::3, 0] = np.nan
     variance = np.column_stack([np.full(60, 1e-4), 1e-4 * (1 + np.arange(60))])
     model = DependentGPRegressor(noise_variance=variance, random_state=0, max_iter=5).fit(X, Y)
-    np.testing.assert_allclose(model.noise_variance_, [1e-4, variance[:, 1].mean()])
+    assert_allclose(model.noise_variance_, [1e-4, variance[:, 1].mean()])
 
 
 @pytest.mark.parametrize(

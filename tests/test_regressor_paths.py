@@ -5,13 +5,15 @@ import pickle
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 
 
 def table(n=30, seed=0):
     """Two outputs of two regressors, in units far from one; the second is not observed everywhere."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = rng.uniform(-2, 2, (n, 2))
     Y = np.column_stack([30 + 10 * np.sin(X[:, 0]), 0.02 * np.cos(X.sum(axis=1))])
     Y += rng.normal(0, [0.5, 1e-3], Y.shape)
@@ -38,13 +40,13 @@ def model(request):
 
 def test_shapes_and_the_ways_to_ask_agree(model):
     paths = model.sample_paths(7, random_state=1)
-    X = np.random.default_rng(2).normal(size=(7, 5, 2))
+    X = default_rng(2).normal(size=(7, 5, 2))
     every = paths.each(X)
     assert every.shape == (7, 5, 2)
     for k, points in enumerate(X):
-        np.testing.assert_allclose(paths(points)[k], every[k], rtol=1e-9)
+        assert_allclose(paths(points)[k], every[k], rtol=1e-9)
         slopes = paths.gradient(points)[k]
-        np.testing.assert_allclose(slopes, paths.gradient(X)[k], rtol=1e-9, atol=1e-12)
+        assert_allclose(slopes, paths.gradient(X)[k], rtol=1e-9, atol=1e-12)
     assert paths.gradient(X[0]).shape == (7, 5, 2, 2)
 
 
@@ -58,12 +60,8 @@ def test_one_output_has_no_axis_of_outputs():
 def test_the_same_seed_gives_the_same_functions_in_any_process(model):
     X = table()[0]
     paths = model.sample_paths(4, random_state=5)
-    np.testing.assert_allclose(
-        model.sample_paths(4, random_state=5)(X), paths(X), rtol=1e-9, atol=1e-10
-    )
-    np.testing.assert_allclose(
-        pickle.loads(pickle.dumps(paths))(X), paths(X), rtol=1e-9, atol=1e-10
-    )
+    assert_allclose(model.sample_paths(4, random_state=5)(X), paths(X), rtol=1e-9, atol=1e-10)
+    assert_allclose(pickle.loads(pickle.dumps(paths))(X), paths(X), rtol=1e-9, atol=1e-10)
     assert not np.allclose(model.sample_paths(4, random_state=6)(X), paths(X))
 
 
@@ -85,7 +83,7 @@ def test_columns_in_another_order_are_refused():
     flight = pd.DataFrame(X, columns=["alpha", "beta"])
     model = DependentGPRegressor(n_latent=1, optimizer=None, random_state=0).fit(flight, Y)
     paths = model.sample_paths()
-    np.testing.assert_allclose(paths(flight), paths(X), rtol=1e-9, atol=1e-10)
+    assert_allclose(paths(flight), paths(X), rtol=1e-9, atol=1e-10)
     with pytest.raises(
         ValueError, match=r"columns \['beta', 'alpha'\], but expected.*\['alpha', 'beta'\]"
     ):

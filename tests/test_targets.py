@@ -3,15 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.files import column_names
-from skdgp._regressor import check_targets
-from skdgp.datasets._brumby import BRUMBY
-from skdgp.dynamics import STATE_NAMES, aerodynamic_coefficients
-from skdgp.dynamics._starts import as_starts
+from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, simulate
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -20,7 +18,8 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-X = np.random.default_rng(0).normal(size=(40, 2))
+X = default_rng(0).normal(size=(40, 2))
+UAV = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
 
 
@@ -30,61 +29,63 @@ def library(request):
     return pytest.importorskip(request.param)
 
 
+def fitted(y, inputs=X):
+    return DependentGPRegressor(n_latent=1, max_iter=1, random_state=0).fit(inputs, y)
+
+
 def test_names(library):
     Y = library.DataFrame(TARGETS)
-    values, names, single = check_targets(Y, 40, "test")
-    assert (names, single) == (["CZ", "Cm"], False)
-    np.testing.assert_array_equal(values, np.column_stack(list(TARGETS.values())))
-    assert check_targets(Y["Cm"], 40, "test")[1:] == (["Cm"], True)
-    assert column_names(library.Series([1.0, 2.0])) == []
+    model = fitted(Y, library.DataFrame({"alpha": X[:, 0], "q": X[:, 1]}))
+    assert model.output_names_ == ["CZ", "Cm"]
+    assert model.feature_names_in_.tolist() == ["alpha", "q"]
+    assert fitted(Y["Cm"]).output_names_ == ["Cm"]
+    assert fitted(library.Series(X[:, 0])).output_names_ == ["y0"]
 
 
 @pytest.mark.parametrize(
-    "y", [X, X.tolist(), pd.DataFrame(X), pd.DataFrame(X, columns=["CZ", 1]), pd.Series([1.0])]
+    "y", [X, X.tolist(), pd.DataFrame(X), pd.DataFrame(X, columns=["CZ", 1])], ids=lambda y: type(y)
 )
 def test_what_has_no_names(y):
-    assert column_names(y) == []
+    assert fitted(y).output_names_ == ["y0", "y1"]
 
 
 def test_missing_values_are_not_observed():
+    """Of polars, null is missing as NaN is."""
     polars = pytest.importorskip("polars")
-    values, *_ = check_targets(polars.DataFrame({"CZ": [1.0, None], "n": [None, 2]}), 2, "test")
-    np.testing.assert_array_equal(values, [[1.0, np.nan], [np.nan, 2.0]])
-
-
-def test_regressor(library):
-    model = DependentGPRegressor(n_latent=1, max_iter=1, random_state=0)
-    inputs, Y = library.DataFrame({"alpha": X[:, 0], "q": X[:, 1]}), library.DataFrame(TARGETS)
-    model.fit(inputs, Y)
-    assert model.output_names_ == ["CZ", "Cm"]
-    assert model.feature_names_in_.tolist() == ["alpha", "q"]
+    nulls = [None if np.isnan(value) else value for value in TARGETS["Cm"].tolist()]
+    given = polars.DataFrame({"CZ": TARGETS["CZ"], "Cm": nulls})
+    assert_allclose(fitted(given).predict(X), fitted(pd.DataFrame(TARGETS)).predict(X))
 
 
 def test_thinned(library):
-    for Y in (library.DataFrame(TARGETS), library.DataFrame(TARGETS)["CZ"]):
-        thin = thin_targets(Y, 10)
-        assert type(thin) is type(Y)
-        assert column_names(thin) == column_names(Y)
-        assert np.isfinite(np.asarray(thin, float).reshape(40, -1)[:, 0]).sum() == 10
+    Y = library.DataFrame(TARGETS)
+    thin, alone = thin_targets(Y, 10), thin_targets(Y["CZ"], 10)
+    assert (type(thin), type(alone)) == (type(Y), type(Y["CZ"]))
+    assert list(thin.columns) == list(Y.columns)
+    assert alone.name == "CZ"
+    for values in (np.asarray(thin, float)[:, 0], np.asarray(alone, float)):
+        assert np.isfinite(values).sum() == 10
 
 
 def test_starts_are_taken_by_name(library):
-    starts = as_starts(library.DataFrame({name: [1.0] for name in reversed(STATE_NAMES)}))
-    assert isinstance(starts, pd.DataFrame)
-    assert list(starts) == list(reversed(STATE_NAMES))
+    """In any order of the columns."""
+    still = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha"])
+    start = {"alpha": [0.1], "theta": [0.2], "altitude": [50.0], "airspeed": [12.0]}
+    flown = simulate(still, UAV, library.DataFrame(start), {}, duration=0.1, thrust=None)
+    assert flown[list(start)].iloc[0].tolist() == pytest.approx([0.1, 0.2, 50.0, 12.0])
 
 
 def test_flights_of_another_library_are_refused():
     polars = pytest.importorskip("polars")
     flight = polars.DataFrame({"time": [0.0, 0.1], "alpha": [0.0, 0.1]})
     with pytest.raises(TypeError, match=r"expected a pandas DataFrame .* its to_pandas\(\)"):
-        aerodynamic_coefficients(flight, BRUMBY)
+        aerodynamic_coefficients(flight, UAV)
     assert LinearRegression().fit(flight[["alpha"]], [0, 1]).feature_names_in_.tolist() == ["alpha"]
 
 
 def test_transformers_hand_tables_of_polars_to_the_regressor():
     polars = pytest.importorskip("polars")
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     flight = pd.DataFrame({"time": 0.02 * np.arange(200), "airspeed": 20.0, "note": "calm"})
     waves = np.sin(flight[["time"]].to_numpy() * [3.0, 5.0, 7.0, 4.0]) + 0.01 * rng.normal(
         size=(200, 4)
@@ -104,7 +105,7 @@ def test_transformers_hand_tables_of_polars_to_the_regressor():
     got = pipeline.fit(flight, polars.from_pandas(Y)).predict(flight, return_std=True)
     assert isinstance(pipeline[:-1].transform(flight), polars.DataFrame)
     assert pipeline[-1].feature_names_in_.tolist() == ["alpha", "q_hat", "elevator"]
-    np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-9)
+    assert_allclose(got, expected, rtol=1e-6, atol=1e-9)
 
     smoothed = FlightSmoother(cutoff=4.0).set_output(transform="polars").fit_transform(flight)
     assert isinstance(smoothed, polars.DataFrame)

@@ -34,35 +34,30 @@ def public_functions(room):
 
 
 def test_every_public_function_is_annotated():
-    rooms = {name: public_functions(importlib.import_module(name)) for name in ROOMS}
-    assert all(rooms.values())
     bare = []
-    for called, function in (
-        (f"{name}.{called}", one) for name, room in rooms.items() for called, one in room.items()
-    ):
-        signature = inspect.signature(function)
-        parameters = [
-            one for one in signature.parameters.values() if one.name not in ("self", "cls")
-        ]
-        if (
-            any(one.annotation is one.empty for one in parameters)
-            or signature.return_annotation is signature.empty
-        ):
-            bare.append(called)
+    for name in ROOMS:
+        functions = public_functions(importlib.import_module(name))
+        assert functions
+        bare += [f"{name}.{called}" for called, one in functions.items() if is_bare(one)]
     assert bare == []
+
+
+def is_bare(function):
+    """Return whether a parameter, or what is returned, has no annotation."""
+    signature = inspect.signature(function)
+    parameters = [one for one in signature.parameters.values() if one.name not in ("self", "cls")]
+    annotations = [one.annotation for one in parameters]
+    return signature.empty in [*annotations, signature.return_annotation]
 
 
 def test_type_checkers_see_the_names_of_the_package_root():
     """They are imported when asked for, which only the root's own code says."""
     assert (Path(skdgp.__file__).parent / "py.typed").exists()
     tree = ast.parse(Path(skdgp.__file__).read_text(encoding="utf-8"))
-    named = [
-        alias.asname == alias.name and alias.name
-        for block in tree.body
-        if isinstance(block, ast.If)
-        for line in block.body
-        for alias in line.names
-    ]
+    (typed,) = [block for block in tree.body if isinstance(block, ast.If)]
+    named = []
+    for line in typed.body:
+        named += [alias.asname for alias in line.names if alias.asname == alias.name]
     folders = [room.partition(".")[2] for room in ROOMS[1:]]
     assert sorted(named) == sorted([*skdgp.__all__, *folders])
     assert {*named} <= {*dir(skdgp)}

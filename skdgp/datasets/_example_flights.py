@@ -97,11 +97,20 @@ FACTOR = [Interval(Real, 0, None, closed="left")]
 
 
 @validate_params(
-    {"random_state": ["random_state"], "turbulence": FACTOR, "sensor_noise": FACTOR},
+    {
+        "random_state": ["random_state"],
+        "turbulence": FACTOR,
+        "sensor_noise": FACTOR,
+        "duration": [Interval(Real, 1, None, closed="left")],
+    },
     prefer_skip_nested_validation=True,
 )
 def load_example_flights(
-    *, random_state: Seed = 0, turbulence: float = 1.0, sensor_noise: float = 1.0
+    *,
+    random_state: Seed = 0,
+    turbulence: float = 1.0,
+    sensor_noise: float = 1.0,
+    duration: float = DURATION,
 ) -> Bunch:
     """Return training and test flights of a simulated delta-wing UAV with known truth.
 
@@ -117,6 +126,8 @@ def load_example_flights(
         Multiplies the gusts; 0 is calm air in the same steady wind.
     sensor_noise : float, default=1.0
         Multiplies the sensors' noise; 0 makes every sensor perfect.
+    duration : float, default=180.0
+        Length of each flight [s]. A shorter flight is the beginning of a longer one.
 
     Returns
     -------
@@ -143,8 +154,7 @@ def load_example_flights(
     seed: Any = random_state
     if not isinstance(seed, int | np.integer):
         seed = check_random_state(seed).randint(np.iinfo(np.int32).max)
-    factors = (float(turbulence), float(sensor_noise))
-    train, test = _flights(int(seed), *factors)
+    train, test = _flights(int(seed), float(turbulence), float(sensor_noise), float(duration))
     return Bunch(
         train=train.copy(),
         test=test.copy(),
@@ -155,9 +165,9 @@ def load_example_flights(
     )
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=4)
 def _flights(
-    seed: int, turbulence: float, sensor_noise: float, duration: float = DURATION
+    seed: int, turbulence: float, sensor_noise: float, duration: float
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the tables of training and test."""
     seeds = np.random.SeedSequence(seed).spawn(1 + len(FLIGHT_PLANS))

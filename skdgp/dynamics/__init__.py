@@ -19,6 +19,8 @@ from skdgp._flight.frames import (
     standard_density,
 )
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._aerodynamics import Drift as Drift
+from skdgp.dynamics._aerodynamics import Mixing as Mixing
 from skdgp.dynamics._aerodynamics import scaling_of as scaling_of
 from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
 from skdgp.dynamics._air import Air

@@ -1,8 +1,11 @@
 """The report of an identification: one HTML file to read, print and sign.
 
 `skdgp.identification.Identification` fills a `ReportContent`; nothing here fits or predicts.
+Names imported as themselves are not part of the public interface: findings, of which verdicts consist.
 """
 
+from skdgp._compute.findings import Code as Code
+from skdgp._compute.findings import Finding as Finding
 from skdgp.report._content import (
     THRESHOLDS,
     Evaluation,

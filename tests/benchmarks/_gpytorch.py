@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import count, islice
-
 import gpytorch
 import numpy as np
 import torch
@@ -53,14 +51,10 @@ class GappedLCM(gpytorch.models.ExactGP):
         super().__init__(inputs, values, likelihood)
         self.mean_module = gpytorch.means.ConstantMean()
         d = inputs[0].shape[1]
-        kernels, mixings = (
-            [make(**how) for _ in range(n_latent)]
-            for make, how in (
-                (gpytorch.kernels.RBFKernel, {"ard_num_dims": d}),
-                (gpytorch.kernels.IndexKernel, {"num_tasks": n_outputs, "rank": 1}),
-            )
-        )
-        self.kernels, self.mixings = torch.nn.ModuleList(kernels), torch.nn.ModuleList(mixings)
+        self.kernels, self.mixings = torch.nn.ModuleList(), torch.nn.ModuleList()
+        for _ in range(n_latent):
+            self.kernels.append(gpytorch.kernels.RBFKernel(ard_num_dims=d))
+            self.mixings.append(gpytorch.kernels.IndexKernel(num_tasks=n_outputs, rank=1))
 
     def forward(self, x, output):
         parts = [k(x).mul(B(output)) for k, B in zip(self.kernels, self.mixings, strict=True)]
@@ -85,15 +79,13 @@ def gapped_lcm(X, Y, seed, n_latent, steps=100):
             loss.backward()
             optimizer.step()
         model.eval()
-        found = []
+        means, deviations = [], []
         with torch.no_grad():
             for p in range(Y.shape[1]):
-                index = torch.full((len(X), 1), p)
-                found.append(likelihood(model(x, index)))
-    return tuple(
-        np.column_stack([getattr(each, name).numpy() for each in found])
-        for name in ("mean", "stddev")
-    )
+                found = likelihood(model(x, torch.full((len(X), 1), p)))
+                means.append(found.mean.numpy())
+                deviations.append(found.stddev.numpy())
+    return np.column_stack(means), np.column_stack(deviations)
 
 
 def cholesky():
@@ -155,8 +147,12 @@ class SparseLCM:
         objective = gpytorch.mlls.VariationalELBO(self.likelihood, self.model, num_data=len(Y))
         parameters = [*self.model.parameters(), *self.likelihood.parameters()]
         optimizer = torch.optim.Adam(parameters, lr=0.02)
-        batches = (rows for _ in count() for rows in torch.randperm(len(X)).split(512))
-        for rows in islice(batches, 2000):
+        batches = iter(())
+        for _ in range(2000):
+            rows = next(batches, None)
+            if rows is None:  # each row has had its turn
+                batches = iter(torch.randperm(len(X)).split(512))
+                rows = next(batches)
             optimizer.zero_grad()
             (-objective(self.model(X[rows]), Y[rows])).backward()
             optimizer.step()

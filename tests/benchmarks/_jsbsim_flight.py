@@ -4,11 +4,10 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+from numpy.random import default_rng
 from sklearn.preprocessing import PolynomialFeatures
 
-from skdgp.datasets._autopilot import COMMANDS
-from skdgp.datasets._example_flights import measure
-from skdgp.datasets._plans import FLIGHT_PLANS
+from skdgp.datasets import COMMANDS, FLIGHT_PLANS, measure
 from skdgp.dynamics import (
     Aircraft,
     air_velocity,
@@ -83,25 +82,41 @@ SETTLING = 10.0  # s before the log
 DURATION = 200.0  # s of a log
 TRAINING = (1, "light", 1)  # Plan of the flight, air and seed
 FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
-SURFACES = {"elevator": "elevator", "aileron": "left-aileron", "rudder": "rudder"}
-SOURCES = {  # property and factor to SI; forces and moments in newtons
-    **{f"{name}_true": (f"aero/{name}-rad", 1.0) for name in ("alpha", "beta")},
-    **{f"{name}_dot_true": (f"aero/{name}dot-rad_sec", 1.0) for name in ("alpha", "beta")},
-    **{f"{name}_true": (f"attitude/{name}-rad", 1.0) for name in ("phi", "theta", "psi")},
-    **{f"{name}_true": (f"velocities/{name}-rad_sec", 1.0) for name in "pqr"},
-    **{f"{name}_felt": (f"velocities/{name}-aero-rad_sec", 1.0) for name in "pqr"},
-    **{f"v_{name}_true": (f"velocities/v-{name}-fps", FOOT) for name in ("north", "east", "down")},
-    **{f"a{axis}_true": (f"forces/fb{axis}-total-lbs", POUND_FORCE) for axis in "xyz"},
-    **{f"C{axis.upper()}_true": (f"forces/fb{axis}-aero-lbs", POUND_FORCE) for axis in "xyz"},
-    **{f"C{axis}_true": (f"moments/{axis}-aero-lbsft", POUND_FORCE * FOOT) for axis in "lmn"},
-    **{f"thrust_{axis}": (f"forces/fb{axis}-prop-lbs", POUND_FORCE) for axis in "xyz"},
-    **{f"thrust_{axis}": (f"moments/{axis}-prop-lbsft", POUND_FORCE * FOOT) for axis in "lmn"},
-    **{name: (f"fcs/{source}-pos-rad", 1.0) for name, source in SURFACES.items()},
-    "throttle": ("fcs/throttle-pos-norm", 1.0),
-    "airspeed_true": ("velocities/vt-fps", FOOT),
-    "altitude": ("position/h-sl-ft", FOOT),
-    "density": ("atmosphere/rho-slugs_ft3", SLUG / FOOT**3),
-}
+SURFACES = ("elevator", "aileron", "rudder")
+UNITS = {"ft": FOOT, "ft/s": FOOT, "lb": POUND_FORCE, "lb ft": POUND_FORCE * FOOT}
+UNITS |= {"slug/ft^3": SLUG / FOOT**3}
+# Columns; the property of JSBSim that each comes from; their unit
+PROPERTIES = """
+alpha_true beta_true; aero/alpha-rad aero/beta-rad; rad
+alpha_dot_true beta_dot_true; aero/alphadot-rad_sec aero/betadot-rad_sec; rad/s
+phi_true theta_true psi_true; attitude/phi-rad attitude/theta-rad attitude/psi-rad; rad
+p_true q_true r_true; velocities/p-rad_sec velocities/q-rad_sec velocities/r-rad_sec; rad/s
+p_felt q_felt r_felt; velocities/p-aero-rad_sec velocities/q-aero-rad_sec velocities/r-aero-rad_sec; rad/s
+v_north_true v_east_true v_down_true; velocities/v-north-fps velocities/v-east-fps velocities/v-down-fps; ft/s
+ax_true ay_true az_true; forces/fbx-total-lbs forces/fby-total-lbs forces/fbz-total-lbs; lb
+CX_true CY_true CZ_true; forces/fbx-aero-lbs forces/fby-aero-lbs forces/fbz-aero-lbs; lb
+Cl_true Cm_true Cn_true; moments/l-aero-lbsft moments/m-aero-lbsft moments/n-aero-lbsft; lb ft
+thrust_x thrust_y thrust_z; forces/fbx-prop-lbs forces/fby-prop-lbs forces/fbz-prop-lbs; lb
+thrust_l thrust_m thrust_n; moments/l-prop-lbsft moments/m-prop-lbsft moments/n-prop-lbsft; lb ft
+elevator aileron rudder; fcs/elevator-pos-rad fcs/left-aileron-pos-rad fcs/rudder-pos-rad; rad
+throttle; fcs/throttle-pos-norm; 1
+airspeed_true; velocities/vt-fps; ft/s
+altitude; position/h-sl-ft; ft
+density; atmosphere/rho-slugs_ft3; slug/ft^3
+"""
+
+
+def sources():
+    """Return property and factor to SI of each column; forces and moments in newtons."""
+    found = {}
+    for line in PROPERTIES.strip().splitlines():
+        names, properties, unit = line.split("; ")
+        for name, source in zip(names.split(), properties.split(), strict=True):
+            found[name] = source, UNITS.get(unit, 1.0)
+    return found
+
+
+SOURCES = sources()
 
 
 @cache
@@ -147,7 +162,7 @@ def flight_of(model, number, air, seed):
     time, aircraft = time[FRAMES - 1 :: FRAMES], aircraft_of(fdm, model)
     table = pd.DataFrame(rows, columns=[*SOURCES]).assign(time=time, flight=plan.name)
     true = with_truth(table[time >= 0].reset_index(drop=True), aircraft)
-    noise = np.random.default_rng([number, seed, len(model)])  # mostly another for each aircraft
+    noise = default_rng([number, seed, len(model)])  # mostly another for each aircraft
     return pd.concat([measure(true, 1.0, noise), true], axis=1), aircraft
 
 
@@ -193,7 +208,7 @@ def exact_regressors(table, aircraft):
 def known_derivatives(tables, aircraft, at):
     """Return the derivatives (6, 11) at regressors (11,): of a polynomial of third order of the truth of all tables."""
     X = np.concatenate([exact_regressors(table, aircraft) for table in tables])
-    Y = np.concatenate([table[[f"{name}_true" for name in COEFFICIENTS]] for table in tables])
+    Y = pd.concat(tables)[[f"{name}_true" for name in COEFFICIENTS]].to_numpy()
     terms, scale = PolynomialFeatures(3), X.std(axis=0)
     outer, inner = 0.0, 0.0
     for rows in np.array_split(np.arange(len(X)), len(X) // 5000 + 1):

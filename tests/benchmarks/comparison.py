@@ -17,6 +17,7 @@ import _peers as peers
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of, winners
+from numpy.random import default_rng
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -85,7 +86,7 @@ def ampyx_ap2(folder):
 
 def toy(n=300):
     """Return a task of the same form that takes no time."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2, chord=0.2)
     table = pd.DataFrame({"time": 0.05 * np.arange(n), "airspeed": 12.0})
     for name in ("alpha", "beta", *"pqr"):

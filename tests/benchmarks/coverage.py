@@ -13,7 +13,9 @@ the centre.
 import warnings
 
 import numpy as np
+import pandas as pd
 from _common import Kept, finish, parser_of
+from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
 
@@ -44,7 +46,7 @@ FUNCTIONS = {"linear": linear, "smooth": smooth}
 
 def inside(name, d, n, seed):
     """Return the fraction of points whose function lies in the band, by place."""
-    rng = np.random.default_rng([seed, d, n])
+    rng = default_rng([seed, d, n])
     W = rng.normal(size=(d, 2)) / np.sqrt(d)
     X = rng.normal(size=(n, d))
     function = FUNCTIONS[name]
@@ -64,15 +66,10 @@ def inside(name, d, n, seed):
 
 def table(runs):
     """Return a row for each function, number of regressors and of rows, with the mean over seeds in percent."""
-    groups = {}
-    for run in runs:
-        key = f"{run['function']}, {run['regressors']} regressors, {run['rows']} rows"
-        groups.setdefault(key, []).append(run)
-    return [
-        {"function": key}
-        | {f"{place}, %": 100 * float(np.mean([run[place] for run in some])) for place in PLACES}
-        for key, some in groups.items()
-    ]
+    groups = pd.DataFrame(runs).groupby(["function", "regressors", "rows"], sort=False)
+    means = 100 * groups[[*PLACES]].mean().add_suffix(", %")
+    means.index = [f"{name}, {d} regressors, {n} rows" for name, d, n in means.index]
+    return means.reset_index(names="function").to_dict("records")
 
 
 def main(words=None):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from _common import finish, parser_of
+from numpy.random import default_rng
 from scipy.linalg import lapack
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -36,12 +37,12 @@ class Case(NamedTuple):
     d: int = 15
 
     def table(self):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         return rng.normal(size=(self.n, self.d)), rng.normal(size=(self.n, self.P))
 
 
 def lapack_calls(case):
-    rng, N = np.random.default_rng(0), case.n * case.P
+    rng, N = default_rng(0), case.n * case.P
     A = rng.normal(size=(N, N)) / N
     A = np.asfortranarray(A + A.T + 10 * np.eye(N))
 
@@ -104,11 +105,10 @@ def ready(case):
 def compare(case, repeats):
     """Return a row for each contender: seconds, over LAPACK."""
     contenders, pause = ready(case), partial(time.sleep, PAUSE)
-    turns = [
-        {name: timeit(function, pause, number=1) for name, function in contenders.items()}
-        for _ in range(repeats)  # in turns: whatever slows the machine slows all of them
-    ]
-    seconds = {name: min(turn[name] for turn in turns) for name in contenders}
+    seconds = dict.fromkeys(contenders, np.inf)
+    for _ in range(repeats):  # in turns: whatever slows the machine slows all of them
+        for name, function in contenders.items():
+            seconds[name] = min(seconds[name], timeit(function, pause, number=1))
     return [
         {"what": name, "seconds": each, "over LAPACK": each / seconds[FLOOR]}
         for name, each in seconds.items()

@@ -13,6 +13,7 @@ percentage inside, the median ratio of bands to those with everything told, and 
 import warnings
 
 import numpy as np
+import pandas as pd
 from _common import Kept, finish, parser_of
 from _jsbsim_flight import (
     FLOWN,
@@ -108,10 +109,8 @@ def main(words=None):
     kept = Kept(options, "little_told")
     for name in options.aircraft:
         kept.run({"aircraft": name}, measured, name, options.data)
-    rows = [
-        {"withheld": thing} | {run["aircraft"]: run[thing] for run in kept.memory.values()}
-        for thing in WITHHELD
-    ]
+    runs = pd.DataFrame([*kept.memory.values()]).set_index("aircraft")
+    rows = runs[[*WITHHELD]].T.reset_index(names="withheld").to_dict("records")
     finish(options, "little_told", bands=rows)
 
 

@@ -76,12 +76,11 @@ def small_uav(folder, split):
     """Return aircraft, training and test records of the UAV."""
     path = Path(folder) / real.UAV / "ProcessedData_2022_05_07_11_13_57.mat"
     records = loadmat(path, squeeze_me=True, struct_as_record=False)
-    parts = [[real.uav(records[name], name) for name in names.split()] for names in RECORDS[split]]
-    return (
-        real.SMALL_UAV,
-        *(pd.concat(part, ignore_index=True) for part in parts),
-        {"thrust": None},
-    )
+    parts = []
+    for names in RECORDS[split]:
+        tables = [real.uav(records[name], name) for name in names.split()]
+        parts.append(pd.concat(tables, ignore_index=True))
+    return real.SMALL_UAV, *parts, {"thrust": None}
 
 
 def swapped(load, folder):

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from _common import Kept, cell, finish, parser_of, winners
+from numpy.random import default_rng
 from scipy.io import loadmat
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -104,7 +105,7 @@ def eeg(folder):
 
 def friedman(folder, n):
     """Return three mixtures of two functions of Friedman (1991, equation 61), at n samples with noise and 1000 more."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.uniform(size=(n + 1000, 5))
     a, b, c, d, e = np.stack([X.T, np.roll(X.T, 2, axis=0)], axis=1)
     first, second = 10 * np.sin(np.pi * a * b) + 20 * (c - 0.5) ** 2 + 10 * d + 5 * e

@@ -11,11 +11,14 @@ did not converge.
 """
 
 import itertools
+import tomllib
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
+from numpy.random import default_rng
 
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import estimate_air_motion
@@ -23,81 +26,21 @@ from skdgp.preprocessing import estimate_air_motion
 DENSITY, GRAVITY = 1.2, 9.80665
 STEP, EVERY = 0.005, 4  # s of the simulation, steps between logged samples
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
-TERMS = ("0", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
-SIZES = ("mass", "wing_area", "span", "chord", "airspeed", "thrust", "inertia")
-STALL = (
-    0.3  # rad, at which the softened lift and moment of some aircraft have lost half their slope
-)
+TERMS = ("level", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
+# [rad], at which the softened lift and moment of some aircraft have lost half their slope
+STALL = 0.3
 
 
-def aircraft(sizes, stalls=False, **derivatives):
-    """Return sizes in the order of `SIZES` (inertia as Ixx, Iyy, Izz, -Ixz) and derivatives by coefficient."""
-    size = dict(zip(SIZES, sizes, strict=True))
-    x, y, z, xz = size["inertia"]
-    size["inertia"] = np.array([[x, 0, xz], [0, y, 0], [xz, 0, z]])
-    W = np.array([[derivatives[C].get(term, 0.0) for term in TERMS] for C in COEFFICIENTS])
-    return size | {"derivatives": W, "stalls": stalls}
+def aircraft(sizes):
+    """Return the sizes of an aircraft of the file beside, with its inertia and its derivatives (6, 9) as matrices."""
+    x, y, z, xz = sizes["inertia"]
+    W = pd.DataFrame({C: sizes[C] for C in COEFFICIENTS}).reindex(TERMS).fillna(0.0)
+    inertia = np.array([[x, 0, xz], [0, y, 0], [xz, 0, z]])
+    return sizes | {"inertia": inertia, "derivatives": W.to_numpy().T}
 
 
-AIRCRAFT = {
-    # after the Ultra Stick 25e (Paw 2009), a trainer
-    "trainer": aircraft(
-        (1.9, 0.32, 1.27, 0.25, 17.0, 14.0, (0.09, 0.11, 0.17, -0.015)),
-        CX={"0": -0.045, "alpha": 0.25},
-        CY={"beta": -0.6, "r": 0.2, "rudder": 0.2},
-        CZ={"0": -0.12, "alpha": -4.7, "q": -7.0, "elevator": -0.15},
-        Cl={"beta": -0.06, "p": -0.42, "r": 0.12, "aileron": 0.16, "rudder": 0.01},
-        Cm={"alpha": -0.8, "q": -13.0, "elevator": -0.9},
-        Cn={"beta": 0.08, "p": -0.03, "r": -0.18, "aileron": -0.01, "rudder": -0.16},
-    ),
-    # after the Aerosonde (Beard & McLain 2012, appendix E)
-    "aerosonde": aircraft(
-        (13.5, 0.55, 2.9, 0.19, 27.0, 60.0, (0.824, 1.135, 1.759, -0.12)),
-        CX={"0": -0.03, "alpha": 0.3},
-        CY={"beta": -0.98, "rudder": 0.17},
-        CZ={"0": -0.28, "alpha": -3.45, "q": -4.0, "elevator": -0.36},
-        Cl={"beta": -0.12, "p": -0.26, "r": 0.14, "aileron": 0.17},
-        Cm={"alpha": -0.38, "q": -3.6, "elevator": -0.5},
-        Cn={"beta": 0.25, "p": 0.022, "r": -0.35, "aileron": -0.011, "rudder": -0.069},
-    ),
-    # after the Zagi (Beard & McLain 2012, appendix E), with winglets
-    "flying wing": aircraft(
-        (1.56, 0.259, 1.42, 0.33, 16.0, 9.0, (0.115, 0.058, 0.171, -0.0015)),
-        CX={"0": -0.02, "alpha": 0.15},
-        CY={"beta": -0.2},
-        CZ={"0": -0.09, "alpha": -3.5, "q": -2.9, "elevator": -0.27},
-        Cl={"beta": -0.07, "p": -0.32, "r": 0.04, "aileron": 0.17},
-        Cm={"0": 0.02, "alpha": -0.5, "q": -1.4, "elevator": -0.33},
-        Cn={"beta": 0.04, "p": -0.013, "r": -0.05, "aileron": -0.006},
-    ),
-    "delta": aircraft(
-        (2.8, 0.62, 1.2, 0.65, 20.0, 22.0, (0.10, 0.21, 0.30, -0.004)), True,
-        CX={"0": -0.025, "alpha": 0.1},
-        CY={"beta": -0.45, "rudder": 0.12},
-        CZ={"0": -0.02, "alpha": -2.6, "q": -2.0, "elevator": -0.6},
-        Cl={"beta": -0.09, "p": -0.22, "r": 0.08, "aileron": 0.14, "rudder": 0.01},
-        Cm={"0": 0.015, "alpha": -0.25, "q": -1.2, "elevator": -0.3},
-        Cn={"beta": 0.09, "p": -0.02, "r": -0.2, "aileron": -0.01, "rudder": -0.07},
-    ),
-    "glider": aircraft(
-        (4.2, 0.6, 3.2, 0.19, 15.0, 18.0, (0.75, 0.35, 1.05, -0.02)), True,
-        CX={"0": -0.02, "alpha": 0.35},
-        CY={"beta": -0.35, "r": 0.15, "rudder": 0.12},
-        CZ={"0": -0.25, "alpha": -5.2, "q": -8.0, "elevator": -0.35},
-        Cl={"beta": -0.07, "p": -0.52, "r": 0.13, "aileron": 0.25, "rudder": 0.005},
-        Cm={"0": 0.02, "alpha": -0.9, "q": -18.0, "elevator": -1.3},
-        Cn={"beta": 0.05, "p": -0.05, "r": -0.08, "aileron": -0.015, "rudder": -0.055},
-    ),
-    "carrier": aircraft(
-        (25.0, 1.05, 3.3, 0.32, 26.0, 130.0, (3.6, 4.4, 7.4, -0.3)),
-        CX={"0": -0.04, "alpha": 0.3},
-        CY={"beta": -0.7, "r": 0.25, "rudder": 0.22},
-        CZ={"0": -0.3, "alpha": -4.9, "q": -7.0, "elevator": -0.4},
-        Cl={"beta": -0.08, "p": -0.46, "r": 0.15, "aileron": 0.2, "rudder": 0.015},
-        Cm={"0": 0.03, "alpha": -1.1, "q": -15.0, "elevator": -1.2},
-        Cn={"beta": 0.1, "p": -0.05, "r": -0.14, "aileron": -0.015, "rudder": -0.1},
-    ),
-}  # fmt: skip
+FILE = Path(__file__).with_suffix(".toml")
+AIRCRAFT = {name: aircraft(sizes) for name, sizes in tomllib.loads(FILE.read_text()).items()}
 SENSORS = {"ideal": "ideal sensors", "real": "real sensors, late commands"}
 NORMAL_95, SECONDS = 1.96, 120.0
 AIRS = {  # intensity [m/s], correlation time [s], spectrum
@@ -258,12 +201,8 @@ def truth_of(plane, alpha):
     W = plane["derivatives"].copy()
     if plane["stalls"]:
         W[:, 1] *= 1 - np.tanh(alpha / STALL) ** 2
-    return {
-        f"{C}_{term}": W[i, j]
-        for i, C in enumerate(COEFFICIENTS)
-        for j, term in enumerate(TERMS)
-        if i and j and W[i, j]
-    }
+    known = pd.DataFrame(W, COEFFICIENTS, TERMS).iloc[1:, 1:].stack()
+    return {f"{C}_{term}": value for (C, term), value in known.items() if value}
 
 
 def score(table, plane, lag):
@@ -288,9 +227,8 @@ def score(table, plane, lag):
     }
 
 
-def column(runs):
+def column(flights):
     """Return a column of the table: cells by air, then over all."""
-    flights = pd.DataFrame(runs)
     table = flights.explode(["z", "error", "half"]).astype({"error": float, "half": float})
     table["inside"] = 100.0 * (table["z"].abs() < NORMAL_95)
     medians = table.groupby(["air", "aircraft"])[["error", "half"]].median().groupby("air").median()
@@ -316,7 +254,7 @@ def main(words=None):
     options = parser.parse_args(words)
     cases = list(itertools.product(SENSORS, options.aircraft, options.air, options.seeds))
     warnings.simplefilter("ignore")
-    rngs = [np.random.default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
+    rngs = [default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
     lags = [rng.uniform(0.02, 0.08) for rng in rngs]
     planes = [AIRCRAFT[name] for _, name, _, _ in cases]
     flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, SECONDS, lags).fly()
@@ -326,10 +264,8 @@ def main(words=None):
         table = logged(flown[:, k], rngs[k], real)
         key = dict(zip(("sensors", "aircraft", "air", "seed"), case, strict=True))
         kept.run(key, score, table, planes[k], lags[k] if real else 0.0)
-    columns = {
-        SENSORS[kind]: column([run for run in kept.memory.values() if run["sensors"] == kind])
-        for kind in SENSORS
-    }
+    runs = pd.DataFrame([*kept.memory.values()])
+    columns = {SENSORS[kind]: column(some) for kind, some in runs.groupby("sensors", sort=False)}
     rows = pd.DataFrame(columns).reset_index(names="air").to_dict("records")
     finish(options, "small_uav", derivatives=rows)
 

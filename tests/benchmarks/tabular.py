@@ -39,7 +39,7 @@ def loaded(folder, name, split):
     """Return regressors and outputs of training and of test, four arrays."""
     if name in MULAN:
         records, _ = arff.loadarff(folder / "mulan" / f"{name}.arff")
-        table = np.array([[float(value) for value in record] for record in records])
+        table = pd.DataFrame(records).to_numpy(float)
         targets = MULAN[name]
         X, Y = table[:, :-targets], table[:, -targets:]
         train, test = train_test_split(np.arange(len(X)), test_size=1 / 3, random_state=split)

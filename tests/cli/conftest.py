@@ -4,13 +4,11 @@ import io
 import json
 import pickle
 import subprocess
-from contextlib import redirect_stderr, redirect_stdout
+import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from unittest.mock import patch
 
 import pytest
-
-from skdgp._cli import main
-from skdgp.identification import _identification
-from skdgp.plotting import EffectsDisplay
 
 QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
 
@@ -35,43 +33,35 @@ def in_folder(folder, monkeypatch):
 
 
 @pytest.fixture
-def no_report(monkeypatch, no_mechanics):
-    """Leave the report out, and the flight mechanics it shows: ``identified`` and processes of their own have them."""
-    leave_report_out(monkeypatch)
-
-
-def leave_report_out(patch):
-    patch.setattr(_identification, "render_report", lambda content: "")
-    patch.setattr(EffectsDisplay, "from_model", lambda model, ax: None)
+def no_report(no_pictures, no_mechanics):
+    """Leave pictures out, and the flight mechanics: ``identified`` and processes of their own have them."""
 
 
 @pytest.fixture(scope="session")
-def identified(folder, once, cut_short):
-    """Return what a whole run wrote and said, but for its report, which takes longer to draw than all else."""
+def identified(folder, once, cut_short, command):
+    """Return what a whole run wrote and said, but for its pictures, which take longer to draw than all else."""
 
     def write(results):
-        arguments = [
+        flights = ["lateral.csv", "latlon.csv", "--aircraft", "uav.json", "--test", "test.csv"]
+        words = [
             "identify",
-            "lateral.csv",
-            "latlon.csv",
-            "--aircraft",
-            "uav.json",
-            "--test",
-            "test.csv",
+            *flights,
+            *QUICK,
+            "--horizons",
+            "1",
+            "-o",
+            str(results / "deep" / "er"),
         ]
-        words = [*arguments, *QUICK, "--horizons", "1", "-o", str(results / "deep" / "er")]
-        said = io.StringIO(), io.StringIO()
+        out, err = io.StringIO(), io.StringIO()
         with (
-            pytest.MonkeyPatch.context() as patch,
+            patch.dict(sys.modules, {"matplotlib": None}),
             cut_short(),
-            redirect_stdout(said[0]),
-            redirect_stderr(said[1]),
+            chdir(folder),
+            redirect_stdout(out),
+            redirect_stderr(err),
         ):
-            patch.chdir(folder)
-            leave_report_out(patch)
-            done = subprocess.CompletedProcess(
-                words, main(words), *(stream.getvalue() for stream in said)
-            )
+            code = command(words)
+        done = subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
         (results / "said.pickle").write_bytes(pickle.dumps(done))
 
     results = once("results", write)

@@ -4,19 +4,20 @@ import json
 import re
 import shlex
 import signal
-from copy import copy
+from copy import copy, deepcopy
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp._cli import _use, main
-from skdgp._flight.channels import COEFFICIENTS
-from skdgp.design import _card
+from skdgp import DependentGPRegressor
 from skdgp.dynamics import Turbulence, stability_derivatives, trim
-from skdgp.identification import _identification, load_model, save_model
+from skdgp.identification import load_model, save_model
+
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 
 @pytest.fixture(scope="module")
@@ -30,28 +31,25 @@ def model(path):
 
 
 @pytest.fixture
-def run(path, tmp_path, capsys):
-    """Run a command on the model; return what it printed, as JSON."""
+def run(command, path, tmp_path, capsys):
+    """Run a command on the model, or another one; return what it printed, as JSON."""
 
-    def run(command, *words, output="out"):
+    def run(name, *words, output="out", model=path):
         where = ["-o", str(tmp_path / output)] if output else []
-        assert main([command, path, *map(str, words), *where, "--json"]) == 0
+        assert command([name, str(model), *map(str, words), *where, "--json"]) == 0
         return json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
 
     return run
 
 
 @pytest.fixture
-def refused(path, tmp_path, capsys):
+def refused(command, path, tmp_path, capsys):
     """Run a command that fails: exit code 1, one line, nothing written."""
 
-    def refused(message, command, *words, model=path, output="new/out"):
-        assert main([command, str(model), *map(str, words), "-o", str(tmp_path / output)]) == 1
-        (error,) = [
-            line
-            for line in capsys.readouterr().err.splitlines()
-            if not line.startswith("warning: ")
-        ]
+    def refused(message, name, *words, model=path, output="new/out"):
+        assert command([name, str(model), *map(str, words), "-o", str(tmp_path / output)]) == 1
+        lines = capsys.readouterr().err.splitlines()
+        (error,) = [line for line in lines if not line.startswith("warning: ")]
         assert re.search(f"^error: .*({message})", error)
         assert not (tmp_path / "new").exists()
 
@@ -74,9 +72,9 @@ class TestPredict:
             *COEFFICIENTS,
             *(f"{name}_std" for name in COEFFICIENTS),
         ]
-        np.testing.assert_array_equal(table["time"], flight["time"])
-        np.testing.assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
-        np.testing.assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
+        assert_array_equal(table["time"], flight["time"])
+        assert_allclose(table.iloc[:, 2:8], mean, rtol=1e-9)
+        assert_allclose(table.iloc[:, 8:], std, rtol=1e-9)
         assert said["flights"] == {"two_altitudes": 300}
 
     def test_noise(self, run, model, tmp_path):
@@ -86,29 +84,40 @@ class TestPredict:
         assert measured["flight"].unique().tolist() == ["two_altitudes", "lateral"]
         names = [f"{name}_std" for name in COEFFICIENTS]
         noise = np.sqrt(measured[names] ** 2 - function[names] ** 2)
-        np.testing.assert_allclose(
-            noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6
-        )
+        assert_allclose(noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6)
 
-    def test_rows_that_were_not_sampled_are_left_out(self, path, tmp_path, capsys):
+    def test_rows_that_were_not_sampled_are_left_out(self, command, path, tmp_path, capsys):
+        holes, out = str(tmp_path / "holes.csv"), str(tmp_path / "out.csv")
         table = pd.read_csv("test.csv")
         table.loc[100:109, "alpha"] = np.nan
-        table.to_csv(tmp_path / "holes.csv", index=False)
-        assert (
-            main(["predict", path, str(tmp_path / "holes.csv"), "-o", str(tmp_path / "out.csv")])
-            == 0
-        )
+        table.to_csv(holes, index=False)
+        assert command(["predict", path, holes, "-o", out]) == 0
         said = capsys.readouterr()
         assert "10 of 300 rows are left out" in said.err
         assert "290 rows of flight two_altitudes" in said.out
-        assert len(pd.read_csv(tmp_path / "out.csv")) == 290
+        assert len(pd.read_csv(out)) == 290
 
-    def test_never_replaces_what_was_there(self, path, tmp_path, capsys):
+    def test_never_replaces_what_was_there(self, refused, tmp_path):
         table = tmp_path / "flight.csv"
         table.write_bytes(Path("test.csv").read_bytes())
-        assert main(["predict", path, str(table), "-o", str(table)]) == 1
-        assert "but it is one of the flights: name another" in capsys.readouterr().err
+        refused("but it is one of the flights: name another", "predict", table, output=table)
         assert table.read_bytes() == Path("test.csv").read_bytes()
+
+    def test_when_stopped_nothing_is_written(self, command, model, tmp_path, capsys):
+        pipeline = deepcopy(model.pipeline)
+        pipeline[-1].__class__ = Stopped
+        stopped = save_model(tmp_path / "stopped.joblib", pipeline, model.aircraft)
+        output = tmp_path / "new" / "out.csv"
+        assert command(["predict", str(stopped), "test.csv", "-o", str(output)]) == 130
+        assert not output.parent.exists()
+        assert capsys.readouterr().err == "stopped\n"
+
+
+class Stopped(DependentGPRegressor):
+    """A model during whose predictions someone presses Ctrl-C."""
+
+    def predict(self, X, **options):
+        signal.raise_signal(signal.SIGINT)
 
 
 class TestModel:
@@ -127,53 +136,37 @@ class TestModel:
                 model=tmp_path / "other.joblib")  # fmt: skip
 
 
-class TestAllOrNone:
-    def test_when_stopped(self, path, tmp_path, monkeypatch, capsys):
-        monkeypatch.setattr(
-            _use, "_predictions", lambda *a, **k: signal.raise_signal(signal.SIGINT)
-        )
-        assert main(["predict", path, "test.csv", "-o", str(tmp_path / "new" / "out.csv")]) == 130
-        assert not (tmp_path / "new").exists()
-        assert capsys.readouterr().err == "stopped\n"
-
-
 class TestValidate:
-    def test_says_what_identify_said(self, run, identified, tmp_path, monkeypatch):
-        monkeypatch.setattr(_identification, "render_report", lambda content: content.title)
+    def test_says_what_identify_said(self, run, identified, tmp_path, no_pictures):
         said = run("validate", "test.csv", "--horizons", "1")
         assert files(tmp_path / "out") == {"report.html", "metrics.json"}
-        for key in ("test", "test_together", "fit"):
+        for key in ("test", "test_together", "fit", "options"):
             assert said[key] == identified[2][key]
-        assert said["options"] == identified[2]["options"]
         assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == said
-        assert "a model on other flights" in (tmp_path / "out" / "report.html").read_text(
-            encoding="utf-8"
-        )
+        report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+        assert "a model on other flights" in report
 
-    def test_needs_no_folder_and_no_facts(self, path, model, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(
-            _identification, "render_report", lambda content: pytest.fail("rendered")
-        )
-        save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
-        assert main(["validate", str(tmp_path / "bare.joblib"), "test.csv", "--horizons", "1"]) == 0
+    def test_needs_no_folder_and_no_facts(self, command, model, tmp_path, capsys):
+        bare = save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
+        assert command(["validate", str(bare), "test.csv", "--horizons", "1"]) == 0
         said = capsys.readouterr()
         assert said.err == ""
         assert said.out.startswith("brumby: log likelihood")
         assert files(tmp_path) == {"bare.joblib"}
 
-    def test_of_what_it_learned_from_is_remarked_on(self, path, capsys):
-        assert main(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
+    def test_of_what_it_learned_from_is_remarked_on(self, command, path, capsys):
+        assert command(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
         assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
 
 
 class TestDerivatives:
-    def test_known_loads_and_gusts_that_are_not_flown(self, model, tmp_path, capsys):
+    def test_known_loads_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
         options = model.options | {"external_forces": ["tether"], "thrust": None}
         pipeline = copy(model.pipeline)
         pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
         kite = str(tmp_path / "kite.joblib")
         save_model(kite, pipeline, model.aircraft, options=options)
-        assert main(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
+        assert command(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
         said = capsys.readouterr()
         assert "without the external forces ['tether']" in said.err
         assert "learn from flights in calmer air" in said.err
@@ -205,7 +198,7 @@ class TestDerivatives:
             "derivatives.json",
         }
 
-    def test_of_several_airspeeds(self, run, tmp_path, path, capsys):
+    def test_of_several_airspeeds(self, run, command, tmp_path, path, capsys):
         said = run("derivatives", "--airspeed", "36", "33", "--paths", "0")
         assert [point["trim"]["airspeed"] for point in said["points"]] == [33.0, 36.0]
         assert "std" not in said["points"][0]["derivatives"]["CL"]
@@ -213,7 +206,7 @@ class TestDerivatives:
         alphas = [point["trim"]["alpha"] for point in said["points"]]
         assert table.groupby("point")["alpha"].first().tolist() == pytest.approx(alphas)
         assert all(slow > fast for slow, fast in pairwise(alphas))
-        assert main(["derivatives", path, "--airspeed", "33", "36"]) == 0
+        assert command(["derivatives", path, "--airspeed", "33", "36"]) == 0
         printed = capsys.readouterr().out
         assert printed.count("at trim") == 2
         assert printed.count("+-") > 100
@@ -223,7 +216,7 @@ class TestDerivatives:
 class TestPlan:
     WORDS = shlex.split("--airspeed 35 --seconds 10 --axes rudder --altitude 300")
 
-    def test_writes_what_autopilots_fly(self, run, tmp_path, monkeypatch):
+    def test_writes_what_autopilots_fly(self, run, tmp_path, no_pictures):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder --growth 2")
         said = run("plan", *self.WORDS, *more)
         names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json"}
@@ -242,7 +235,6 @@ class TestPlan:
         known = known["points"][0]["derivatives"]["Cn_rudder"]  # to the scatter of 500 draws
         assert errors["before"] == pytest.approx(known["std"], rel=0.1)
 
-        monkeypatch.setattr("skdgp._display.page.find_spec", lambda name: None)  # words alone
         more = ["--plan", tmp_path / "out" / "plan.json", "--horizons", "1"]
         judged = run("validate", "test.csv", *more)["plan"]
         assert judged["errors"]["Cn_rudder"]["promised"] == errors["promised"]
@@ -252,10 +244,9 @@ class TestPlan:
         assert "The plan and this model" in report
 
     def test_what_an_earlier_plan_wrote_does_not_stay(
-        self, path, run, tmp_path, capsys, monkeypatch
+        self, command, path, run, tmp_path, capsys, no_pictures
     ):
         """Its script would be flown with the card of another plan."""
-        monkeypatch.setattr(_card, "_pictures", lambda *args: "")
         folder = tmp_path / "out"
         folder.mkdir()
         for name in ("plan.lua", "plan_b.csv", "my_plan.lua"):
@@ -263,7 +254,7 @@ class TestPlan:
         more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf")
         run("plan", *self.WORDS, *more)
         assert "plan.lua" in files(folder)  # there was no plan.json beside it
-        assert main(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
+        assert command(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
         names = {"plan.csv", "card.html", "expected.csv", "plan.json"}
         assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}
         said = capsys.readouterr().out
@@ -282,18 +273,12 @@ class TestPlan:
             ("rudder=0.4 flaps=0.1", "servo functions of ArduPilot lack 'flaps'"),
         ],
     )
-    def test_full_deflections_are_checked_before_the_search(
-        self, words, message, refused, monkeypatch
-    ):
-        monkeypatch.setattr(_use, "plan_flight", lambda *a, **k: pytest.fail("searched"))
-        refused(message, "plan", *self.WORDS, "--full", *words.split())
+    def test_full_deflections_are_checked_before_the_search(self, words, message, refused):
+        """Which would refuse its goal."""
+        goal = ["--goal", "Cn_flaps"]
+        refused(message, "plan", *self.WORDS, *goal, "--full", *words.split())
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
-        refused(
-            "controls of the trim lack 'elevon_left'.*elevator",
-            "plan",
-            *self.WORDS,
-            "--axes",
-            "elevon_left",
-        )
+        words = "controls of the trim lack 'elevon_left'.*elevator"
+        refused(words, "plan", *self.WORDS, "--axes", "elevon_left")
         refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")

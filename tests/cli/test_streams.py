@@ -1,83 +1,69 @@
-"""Standard output and error of any kind, and Ctrl-C at any moment: outputs are written, nobody sees a traceback."""
+"""Standard output and error of any kind: outputs are written, nobody sees a traceback."""
 
 import io
 import os
 import sys
-import warnings
+from contextlib import redirect_stderr, redirect_stdout
 
+import pandas as pd
 import pytest
-
-from skdgp._cli import _use, main
 
 FULL = "/dev/full"
 needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
 
 
 @pytest.fixture
-def predict(identified, tmp_path):
-    """Predict a flight into a folder whose name is not ASCII; return the exit code."""
-
-    def predict():
-        return main(
-            [
-                "predict",
-                str(identified[0] / "model.joblib"),
-                "test.csv",
-                "-o",
-                str(tmp_path / "Flüge_α.csv"),
-            ]
-        )
-
-    return predict
+def written(tmp_path):
+    """Return a file whose name is not ASCII."""
+    return tmp_path / "Flüge_α.csv"
 
 
-class TestOutput:
-    @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-16"])
-    def test_of_any_encoding(self, encoding, predict, tmp_path, monkeypatch):
-        printed = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
-        monkeypatch.setattr(sys, "stdout", printed)
+@pytest.fixture
+def predict(identified, written, command):
+    """Predict a flight into the file; return the exit code."""
+    model = str(identified[0] / "model.joblib")
+    return lambda flight="test.csv": command(["predict", model, flight, "-o", str(written)])
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-16"])
+def test_output_of_any_encoding(encoding, predict, written):
+    printed = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    with redirect_stdout(printed):
         assert predict() == 0
-        text = printed.buffer.getvalue().decode(encoding)
-        assert ("Flüge_α" if encoding == "utf-16" else r"ge_\u03b1.csv") in text
-        assert (tmp_path / "Flüge_α.csv").exists()
-
-    @needs_full
-    def test_that_is_full(self, predict, tmp_path, monkeypatch, capsys):
-        with open(FULL, "w") as full:
-            monkeypatch.setattr(sys, "stdout", full)
-            assert predict() == 1
-        assert capsys.readouterr().err == "error: No space left on device\n"
-        assert (tmp_path / "Flüge_α.csv").exists()
-
-    def test_that_nobody_reads(self, predict, monkeypatch, capsys):
-        ours, theirs = os.pipe()
-        os.close(ours)
-        with os.fdopen(theirs, "w", encoding="utf-8") as pipe:
-            monkeypatch.setattr(sys, "stdout", pipe)
-            assert predict() == 0
-        assert capsys.readouterr().err == ""
-
-    def test_that_is_closed(self, predict, tmp_path, monkeypatch):
-        monkeypatch.setattr(sys, "stdout", None)
-        monkeypatch.setattr(sys, "stderr", None)
-        assert predict() == 0
-        assert (tmp_path / "Flüge_α.csv").exists()
-        sys.stdout.close()
-        sys.stderr.close()
+    text = printed.buffer.getvalue().decode(encoding)
+    assert ("Flüge_α" if encoding == "utf-16" else r"ge_\u03b1.csv") in text
+    assert written.exists()
 
 
 @needs_full
-class TestErrors:
-    def test_a_warning_that_nobody_sees_ends_nothing(self, predict, monkeypatch):
-        monkeypatch.setattr(_use, "_predictions", warned(_use._predictions))
-        with open(FULL, "w") as full:
-            monkeypatch.setattr(sys, "stderr", full)
-            assert predict() == 0
+def test_output_that_is_full(predict, written, capsys):
+    with open(FULL, "w") as full, redirect_stdout(full):
+        assert predict() == 1
+    assert capsys.readouterr().err == "error: No space left on device\n"
+    assert written.exists()
 
 
-def warned(function):
-    def run(*arguments, **options):
-        warnings.warn("look", UserWarning, stacklevel=2)
-        return function(*arguments, **options)
+def test_output_that_nobody_reads(predict, capsys):
+    ours, theirs = os.pipe()
+    os.close(ours)
+    with os.fdopen(theirs, "w", encoding="utf-8") as pipe, redirect_stdout(pipe):
+        assert predict() == 0
+    assert capsys.readouterr().err == ""
 
-    return run
+
+def test_output_that_is_closed(predict, written):
+    with redirect_stdout(None), redirect_stderr(None):
+        assert predict() == 0
+        sys.stdout.close()
+        sys.stderr.close()
+    assert written.exists()
+
+
+@needs_full
+def test_a_warning_that_nobody_sees_ends_nothing(predict, written, tmp_path):
+    holes = tmp_path / "holes.csv"
+    table = pd.read_csv("test.csv")
+    table.assign(alpha=table["alpha"].where(table.index > 9)).to_csv(holes, index=False)
+    with open(FULL, "w") as full, redirect_stderr(full):
+        assert predict(str(holes)) == 0
+    assert len(pd.read_csv(written)) == len(table) - 10

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joblib import parallel_config
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.model_selection import GridSearchCV
 
 from skdgp import DependentGPRegressor
@@ -29,7 +31,7 @@ def test_the_page_runs_and_workers_find_the_same_models():
 
 def assert_same_models():
     """Compare the folds of a search."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(60, 2))
     Y = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1])]) + 0.1 * rng.normal(size=(60, 2))
     model = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0)
@@ -37,4 +39,4 @@ def assert_same_models():
     here = search.fit(X, Y).cv_results_["mean_test_score"]
     with parallel_config(backend="dask"):
         there = search.fit(X, Y).cv_results_["mean_test_score"]
-    np.testing.assert_allclose(there, here, rtol=1e-6, atol=1e-9)
+    assert_allclose(there, here, rtol=1e-6, atol=1e-9)

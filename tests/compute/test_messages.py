@@ -1,12 +1,14 @@
-"""Warnings are recorded and silenced for one caller alone: no filter of the process changes."""
+"""Warnings are recorded and silenced for one caller alone; a listener hears of a fit until its block ends."""
 
-import sys
+import re
 import threading
-import warnings
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from skdgp import DependentGPRegressor
+import skdgp
+from skdgp import DependentGPRegressor, listening
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import (
     FindingWarning,
@@ -16,9 +18,6 @@ from skdgp._compute.messages import (
     without_warnings,
 )
 from skdgp._compute.wording import REASONS, TEXTS, texts_of
-from skdgp.identification import identify
-
-KMEANS = "skdgp._compute.linalg"  # KMeans of scikit-learn has no other way to be silent
 
 
 class Late(UserWarning):
@@ -69,32 +68,43 @@ def test_another_thread_is_not_silenced():
     assert record.findings == []
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_an_identification_changes_no_filter(monkeypatch, first_minute):
-    callers = set()
+def test_filters_of_the_process_stay_as_they_are():
+    """But around KMeans of scikit-learn, which has no other way to be silent, and of the command line."""
+    package = Path(skdgp.__file__).parent
+    filters = re.compile("catch_warnings|simplefilter|filterwarnings|resetwarnings|showwarning")
+    paths = [path for path in package.rglob("*.py") if filters.search(path.read_text("utf-8"))]
+    assert {str(path.relative_to(package)) for path in paths} == {
+        "_compute/linalg.py",
+        "_cli/_shared.py",
+    }
 
-    def watched(name):
-        original = getattr(warnings, name)
 
-        def call(*args, **options):
-            callers.add(sys._getframe(1).f_globals["__name__"])
-            return original(*args, **options)
+def fit():
+    x = np.linspace(0.0, 6.0, 12)[:, None]
+    DependentGPRegressor(n_latent=1, max_iter=1, random_state=0).fit(x, np.sin(x[:, 0]))
 
-        return call
 
-    for name in ("catch_warnings", "simplefilter", "filterwarnings", "resetwarnings"):
-        monkeypatch.setattr(warnings, name, watched(name))
-    show = warnings.showwarning
-    example = first_minute()
-    result = identify(
-        example.train[example.train["time"] < 20],
-        example.aircraft,
-        test=example.test[example.test["time"] < 10],
-        samples=40,
-        regressor=DependentGPRegressor(structure="trend", max_iter=5, random_state=0),
-        horizons=[2.0],
-    )
-    assert result.verdict.uses
-    assert callers  # scikit-learn's own
-    assert not {name for name in callers if name.startswith("skdgp")} - {KMEANS}
-    assert warnings.showwarning is show
+class TestListening:
+    """What a listener raises, and when it is called, in a fit."""
+
+    @pytest.mark.parametrize("error", [None, ArithmeticError])
+    def test_ends_with_the_block(self, error):
+        calls = []
+        try:
+            with listening(lambda *news: calls.append(news)):
+                fit()
+                if error is not None:
+                    raise error
+        except ArithmeticError:
+            pass
+        n_calls = len(calls)
+        assert n_calls > 0
+        fit()
+        assert len(calls) == n_calls
+
+    def test_what_a_listener_raises_reaches_the_caller_of_the_fit(self):
+        def refuse(*news):
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt), listening(refuse):
+            fit()

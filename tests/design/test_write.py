@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.design import (
     Wavetrain,
@@ -16,7 +17,6 @@ from skdgp.design import (
     three_two_one_one,
     wavetrain,
 )
-from skdgp.io._dataflash import controls_of
 
 LIMITS = {"elevator": 0.05, "aileron": 0.1, "rudder": 0.15, "throttle": 0.2}
 FULL = {"elevator": 0.4, "aileron": 0.35, "rudder": 0.5}
@@ -67,9 +67,9 @@ def test_the_script_gives_the_planned_signal(train, flown):
     logged, said = flown()
     table = train.table(50.0)
     assert "plan: complete" in said
-    np.testing.assert_allclose(logged["time"][: len(table)], table["time"], atol=1e-12)
+    assert_allclose(logged["time"][: len(table)], table["time"], atol=1e-12)
     for axis in train.inputs:
-        np.testing.assert_allclose(logged[axis][: len(table)], table[axis], atol=1e-6)
+        assert_allclose(logged[axis][: len(table)], table[axis], atol=1e-6)
     assert (logged[list(train.inputs)].iloc[len(table) :] == 0).all(axis=None)
 
 
@@ -92,34 +92,29 @@ def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
         ("servo1", 1500 + 500 * right), ("servo5", 1500 - 500 * right), ("servo4", 1500 + 500 * yaw),
         ("servo2", 1480 + np.where(up > 0, 520, 480) * up), ("servo3", 1000 + 1000 * (0.4 + logged["throttle"])),
     ):  # fmt: skip
-        np.testing.assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
+        assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
 
 
-def test_elevons_move_with_elevator_and_aileron(flown):
-    """ArduPilot's positive elevons are up."""
-    logged, _ = flown(full={"elevon_left": 0.4, "elevon_right": 0.5, "rudder": 0.5})
-    assert (logged[["servo1", "servo2"]] == 0).all(axis=None)
-    left, right = logged["elevator"] + logged["aileron"], logged["elevator"] - logged["aileron"]
-    np.testing.assert_allclose(logged["servo6"], 1500 + 500 * (0.05 - left / 0.4), atol=0.5 + 1e-6)
-    np.testing.assert_allclose(logged["servo7"], 1500 + 500 * (0.05 - right / 0.5), atol=0.5 + 1e-6)
-
-
-def test_v_tails_of_the_script_are_read_back_as_planned(flown):
-    """Table to servos to table: the log's own rules read the widths, less the commands of 5 % that the stub adds."""
-    logged, _ = flown(full={"vtail_left": 0.8, "vtail_right": 0.8, "aileron": 0.35})
-    widths = {f"C{k}": logged[f"servo{k}"].to_numpy() for k in (10, 11)}
-    functions = {"SERVO10_FUNCTION": 79.0, "SERVO11_FUNCTION": 80.0}
-    ends = {
-        f"SERVO{k}_{end}": width
-        for k in (10, 11)
-        for end, width in (("MIN", 1000.0), ("MAX", 2000.0))
-    }
-    found = {
-        name: sum(w * servo.deflection(widths[servo.channel[5:]]) for w, servo in parts)
-        for name, parts in controls_of(widths, functions | ends).items()
-    }
-    np.testing.assert_allclose(0.8 * (found["elevator"] + 0.05), logged["elevator"], atol=9e-4)
-    np.testing.assert_allclose(0.8 * found["rudder"], logged["rudder"], atol=9e-4)
+@pytest.mark.parametrize(
+    ("full", "other", "servos"),
+    [
+        ({"elevon_left": 0.4, "elevon_right": 0.5, "rudder": 0.5}, "aileron", ["servo6", "servo7"]),
+        (
+            {"vtail_left": 0.8, "vtail_right": 0.7, "aileron": 0.35},
+            "rudder",
+            ["servo10", "servo11"],
+        ),
+    ],
+    ids=["elevons", "V-tail"],
+)
+def test_mixed_surfaces_move_with_elevator_and_another_axis(flown, full, other, servos):
+    """ArduPilot's positive elevons and halves of a V-tail are up: the left one by the sum of both."""
+    logged, _ = flown(full=full)
+    elevator, second = logged["elevator"], logged[other]
+    left, right = list(full.values())[:2]
+    up = 0.05 - np.stack([(elevator + second) / left, (elevator - second) / right], axis=-1)
+    assert_allclose(logged[servos], 1500 + 500 * up, atol=0.5 + 1e-6)
+    assert (logged["servo2"] == 0).all()  # the elevator's own
 
 
 def test_the_switch_ends_the_inputs(flown):

@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 
-from skdgp._flight.channels import (
-    COEFFICIENTS,
-    EARTH_VELOCITY,
-    EULER,
-    POSITION,
-    RATES,
-    SPECIFIC_FORCE,
-)
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, ThrustLine, simulate
 
 GRAVITY = 9.79
+SENSED = (
+    "time airspeed alpha beta density north east down v_north v_east v_down phi theta psi p q r "
+    "p_dot q_dot r_dot ax ay az"
+)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 START = {"airspeed": 24.0, "alpha": 0.07, "beta": -0.04, "phi": 0.3, "theta": 0.1, "psi": 2.0}
 START |= {"p": 0.2, "q": 0.05, "r": -0.1, "north": 5.0, "east": -7.0, "altitude": 120.0}
@@ -67,9 +63,7 @@ def flown(aircraft):
 @pytest.fixture(scope="session")
 def simulated(flown, aircraft):
     """What a perfect logger has of it."""
-    air, rates = ("airspeed", "alpha", "beta", "density"), ("p_dot", "q_dot", "r_dot")
-    motion = (*POSITION, *EARTH_VELOCITY, *EULER, *RATES, *rates, *SPECIFIC_FORCE)
-    table = flown[["time", *air, *motion]].copy()
+    table = flown[SENSED.split()].copy()
     loads = aircraft.thrust_line.loads(flown["thrust"])
     table[[f"thrust_{axis}" for axis in "xyzlmn"]] = np.hstack(loads)
     return table
@@ -77,7 +71,7 @@ def simulated(flown, aircraft):
 
 @pytest.fixture(scope="session")
 def true_coefficients(flown):
-    return flown[list(COEFFICIENTS)].to_numpy()
+    return flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]].to_numpy()
 
 
 @pytest.fixture(scope="session")

@@ -43,20 +43,10 @@ def state_of(position=NOTHING, velocity=NOTHING, angles=NOTHING, rates=NOTHING):
 
 
 def flown(start, aircraft, times, loads=lambda t, state: (NOTHING, NOTHING), gravity=G):
-    return rk4(
-        lambda t, state: rigid_body_derivative(state, *loads(t, state), aircraft, gravity),
-        start,
-        times,
-    )
+    def rate(t, state):
+        return rigid_body_derivative(state, *loads(t, state), aircraft, gravity)
 
-
-def angular_momentum(states, aircraft):
-    """In NED axes, where it is constant without a moment."""
-    return body_to_ned(states[:, 6:10], states[:, 10:] @ aircraft.inertia)
-
-
-def spin_energy(states, aircraft):
-    return 0.5 * np.einsum("ni,ij,nj->n", states[:, 10:], aircraft.inertia, states[:, 10:])
+    return rk4(rate, start, times)
 
 
 HALF_A_MINUTE = np.linspace(0, 30, 6001)
@@ -75,26 +65,21 @@ class TestTumblingBrickWithoutDamping:
 
     def test_energy_and_angular_momentum_are_kept(self, tumbling):
         states, aircraft = tumbling
-        assert np.ptp(states[:, 10:], axis=0).min() > 0.1, (
-            "the body must tumble for this to prove anything"
-        )
-        energy, momentum = spin_energy(states, aircraft), angular_momentum(states, aircraft)
+        spin = states[:, 10:]
+        assert np.ptp(spin, axis=0).min() > 0.1, "the body must tumble for this to prove anything"
+        energy = np.einsum("ni,ij,nj->n", spin, aircraft.inertia, spin)
         assert_allclose(energy, energy[0], rtol=1e-9)
-        assert np.linalg.norm(momentum - momentum[0], axis=1).max() < 1e-9 * np.linalg.norm(
-            momentum[0]
-        )
+        momentum = body_to_ned(states[:, 6:10], spin @ aircraft.inertia)
+        away = np.linalg.norm(momentum - momentum[0], axis=1)
+        assert away.max() < 1e-9 * np.linalg.norm(momentum[0])
 
     def test_a_symmetric_top_precesses_at_its_closed_rate(self):
         """p + i q turns at (Izz - Ixx) / Ixx r while r stays (Goldstein, Poole & Safko 2002, section 5.6)."""
-        top, rates, times = (
-            body(np.diag([0.5, 0.5, 0.8])),
-            np.array([0.6, -0.2, 1.5]),
-            HALF_A_MINUTE[:2001],
-        )
-        states = flown(state_of(rates=rates), top, times, gravity=0.0)
-        expected = (rates[0] + 1j * rates[1]) * np.exp(1j * (0.8 - 0.5) / 0.5 * rates[2] * times)
-        assert_allclose(states[:, 10] + 1j * states[:, 11], expected, atol=1e-9)
-        assert_allclose(states[:, 12], rates[2], rtol=1e-12)
+        top, times = body(np.diag([0.5, 0.5, 0.8])), HALF_A_MINUTE[:2001]
+        p, q, r = flown(state_of(rates=[0.6, -0.2, 1.5]), top, times, gravity=0.0)[:, 10:].T
+        expected = (0.6 - 0.2j) * np.exp(1j * (0.8 - 0.5) / 0.5 * 1.5 * times)
+        assert_allclose(p + 1j * q, expected, atol=1e-9)
+        assert_allclose(r, 1.5, rtol=1e-12)
 
     def test_the_instability_grows_at_its_rate(self):
         """As exp(k t), k^2 = (I2 - I1) (I3 - I2) / (I1 I3) omega^2, from the growing eigenvector."""
@@ -106,21 +91,16 @@ class TestTumblingBrickWithoutDamping:
         assert_allclose(states[:, [10, 12]], expected, rtol=1e-6)
 
 
-def drag_of(aircraft, density, wind=NOTHING, coefficient=0.1):
+def drag_of(aircraft, wind=0.0, coefficient=0.1, density=1.1):
     """Loads of a sphere: drag against the air-relative velocity."""
 
     def loads(t, state):
-        air = state[..., 3:6] - ned_to_body(state[..., 6:10], wind)
-        airspeed, *_ = air_data(air)
-        along = -coefficient * air / np.maximum(airspeed, 1e-12)[..., None]
-        coefficients = np.concatenate([along, np.zeros_like(along)], axis=-1)
-        return aerodynamic_loads(coefficients, airspeed, density(-state[..., 2]), aircraft)
+        air = state[3:6] - ned_to_body(state[6:10], NOTHING + wind)
+        airspeed = np.linalg.norm(air)
+        drag = -coefficient * air / max(airspeed, 1e-12)
+        return aerodynamic_loads(np.append(drag, NOTHING), airspeed, density, aircraft)
 
     return loads
-
-
-def steady_air(altitude):
-    return np.full(np.shape(altitude), 1.1)
 
 
 class TestFallingSphere:
@@ -136,10 +116,10 @@ class TestFallingSphere:
 
     def test_it_reaches_its_terminal_velocity_as_the_hyperbolic_tangent(self):
         """v = v_t tanh(g t / v_t), v_t^2 = 2 m g / (rho S CD); the turning of the sphere changes nothing."""
-        times, density = np.linspace(0, 60, 3001), 1.1
+        times = np.linspace(0, 60, 3001)
         start = state_of(position=[0.0, 0.0, -9000.0], angles=self.ANGLES, rates=self.SPIN)
-        states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, steady_air))
-        terminal = np.sqrt(2 * self.SPHERE.mass * G / (density * self.SPHERE.wing_area * 0.1))
+        states = flown(start, self.SPHERE, times, drag_of(self.SPHERE))
+        terminal = np.sqrt(2 * self.SPHERE.mass * G / (1.1 * self.SPHERE.wing_area * 0.1))
         falling = body_to_ned(states[:, 6:10], states[:, 3:6])
         assert_allclose(
             falling[:, 2], terminal * np.tanh(G * times / terminal), rtol=1e-8, atol=1e-9
@@ -150,29 +130,16 @@ class TestFallingSphere:
 
     def test_a_steady_wind_is_a_moving_frame(self):
         """Galileo: in wind W it flies as without wind from a velocity less W, and drifts with W t besides."""
-        wind, velocity, times = (
-            np.array([12.0, -7.0, 1.5]),
-            np.array([40.0, 10.0, -30.0]),
-            np.linspace(0, 30, 1501),
-        )
+        wind, times = np.array([12.0, -7.0, 1.5]), np.linspace(0, 30, 1501)
         at = {"position": [0.0, 0.0, -9000.0], "angles": self.ANGLES, "rates": self.SPIN}
-        windy = flown(
-            state_of(velocity=velocity, **at),
-            self.SPHERE,
-            times,
-            drag_of(self.SPHERE, steady_air, wind),
-        )
-        calm = flown(
-            state_of(velocity=velocity - wind, **at),
-            self.SPHERE,
-            times,
-            drag_of(self.SPHERE, steady_air),
-        )
-        assert_allclose(windy[:, :3], calm[:, :3] + np.outer(times, wind), atol=1e-6)
-        difference = body_to_ned(windy[:, 6:10], windy[:, 3:6]) - body_to_ned(
-            calm[:, 6:10], calm[:, 3:6]
-        )
-        assert_allclose(difference, np.broadcast_to(wind, difference.shape), atol=1e-7)
+        positions, velocities = [], []
+        for moving in (0.0, wind):
+            start = state_of(velocity=[40.0, 10.0, -30.0] - wind + moving, **at)
+            states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, moving))
+            positions.append(states[:, :3])
+            velocities.append(body_to_ned(states[:, 6:10], states[:, 3:6]))
+        assert_allclose(positions[1], positions[0] + np.outer(times, wind), atol=1e-6)
+        assert_allclose(velocities[1], velocities[0] + wind, atol=1e-7)
 
 
 class TestLoop:
@@ -194,16 +161,11 @@ class TestLoop:
             -states[-1, 6:10], start[6:10], atol=1e-9
         )  # a full turn is minus the quaternion
         rotation = quaternion_to_matrix(states[:, 6:10])
-        assert_allclose(
-            rotation @ rotation.swapaxes(1, 2),
-            np.broadcast_to(np.eye(3), rotation.shape),
-            atol=1e-14,
-        )
+        assert_allclose(rotation @ rotation.swapaxes(1, 2) - np.eye(3), 0.0, atol=1e-14)
         assert_allclose(np.linalg.det(rotation), 1.0, atol=1e-14)
         assert_allclose(states[:, 2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
-        assert_allclose(
-            np.abs(quaternion_to_euler(states[:, 6:10])[:, 1]).max(), np.pi / 2, atol=4e-3
-        )
+        pitch = quaternion_to_euler(states[:, 6:10])[:, 1]
+        assert_allclose(np.abs(pitch).max(), np.pi / 2, atol=4e-3)
 
 
 GLIDER = body(
@@ -257,10 +219,7 @@ class TestWholeProblem:
         start[:3] = about_down @ here[0, :3]
         there = self.flight(start, times, about_down @ self.WIND)
         assert_allclose(there[:, :3], here[:, :3] @ about_down.T, atol=1e-9)
-        assert_allclose(there[:, 3:6], here[:, 3:6], atol=1e-10)
-        assert_allclose(there[:, 10:], here[:, 10:], atol=1e-10)
-        assert_allclose(
-            quaternion_to_matrix(there[:, 6:10]),
-            about_down @ quaternion_to_matrix(here[:, 6:10]),
-            atol=1e-10,
-        )
+        in_body = [3, 4, 5, 10, 11, 12]
+        assert_allclose(there[:, in_body], here[:, in_body], atol=1e-10)
+        attitude = about_down @ quaternion_to_matrix(here[:, 6:10])
+        assert_allclose(quaternion_to_matrix(there[:, 6:10]), attitude, atol=1e-10)

@@ -3,17 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp._flight.frames import air_data_slopes
-from skdgp.datasets._brumby import (
-    BRUMBY,
-    REGRESSORS,
-    brumby_coefficients,
-    brumby_derivatives,
-    brumby_motion,
-)
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -28,8 +22,18 @@ from skdgp.dynamics import (
 from skdgp.dynamics._linearize import jacobian
 from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
 
-NAMES = brumby_motion().aerodynamics.regressors
-MODEL = Aerodynamics(brumby_coefficients, NAMES, slopes=brumby_derivatives)
+EXAMPLE = load_example_flights(duration=1.0)
+BRUMBY, REGRESSORS, coefficients = EXAMPLE.aircraft, EXAMPLE.regressor_names, EXAMPLE.aerodynamics
+NAMES = [f"{name}_hat" if 2 <= k < 7 else name for k, name in enumerate(REGRESSORS)]  # rates
+
+
+def derivatives(X):
+    """Return d coefficients / d regressors, (..., 6, 10), exact to rounding by complex steps."""
+    steps = np.asarray(X)[..., None, :] + 1e-30j * np.eye(10)
+    return np.swapaxes(coefficients(steps).imag, -1, -2) / 1e-30
+
+
+MODEL = Aerodynamics(coefficients, NAMES, slopes=derivatives)
 CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04, "throttle": 0.6}
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
@@ -48,9 +52,9 @@ def regressors(state):
 
 def test_are_the_known_ones(state, regressors):
     table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS)
-    truth = brumby_derivatives(regressors)
+    truth = derivatives(regressors)
     for i, coefficient in enumerate(COEFFICIENTS):
-        assert_allclose(table.loc[coefficient, "value"], brumby_coefficients(regressors)[i])
+        assert_allclose(table.loc[coefficient, "value"], coefficients(regressors)[i])
         for k, name in enumerate(REGRESSORS):
             assert_allclose(table.loc[f"{coefficient}_{name}", "value"], truth[i, k])
     assert len(table) == 8 * 11
@@ -66,12 +70,12 @@ def test_by_whatever_rates_the_model_was_given(state):
     def dimensional(X):
         X = X[:, :10].copy()
         X[:, 2:7] *= lengths / (2 * 36.0)
-        return brumby_coefficients(X)
+        return coefficients(X)
 
     def doubled(X):
         X = X.copy()
         X[:, 2:7] *= 0.5
-        return brumby_coefficients(X)
+        return coefficients(X)
 
     usual = stability_derivatives(MODEL, BRUMBY, state, CONTROLS)["value"]
     plain = Aerodynamics(dimensional, REGRESSORS)
@@ -83,17 +87,23 @@ def test_by_whatever_rates_the_model_was_given(state):
 
 def test_lift_and_drag_turn_with_alpha(state, regressors):
     def lift_and_drag(alpha):
-        X = regressors.copy()
-        X[0] = alpha
-        CX, _, CZ, *_ = brumby_coefficients(X)
-        return np.array(
-            [CX * np.sin(alpha) - CZ * np.cos(alpha), -CX * np.cos(alpha) - CZ * np.sin(alpha)]
-        )
+        CX, _, CZ, *_ = coefficients([alpha, *regressors[1:]])
+        s, c = np.sin(alpha), np.cos(alpha)
+        return np.array([CX * s - CZ * c, -CX * c - CZ * s])
 
     table = stability_derivatives(MODEL, BRUMBY, state, CONTROLS)["value"]
     assert_allclose(table[["CL", "CD"]], lift_and_drag(0.1))
     slopes = (lift_and_drag(0.1 + 1e-5) - lift_and_drag(0.1 - 1e-5)) / 2e-5
     assert_allclose(table[["CL_alpha", "CD_alpha"]], slopes, rtol=1e-8)
+
+
+def of_slopes(draws):
+    """Return linear functions of slopes (n_paths, 6, d), and their slopes."""
+
+    def values(X):
+        return X @ draws.swapaxes(1, 2)
+
+    return values, lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
 
 
 class TestDeviations:
@@ -104,36 +114,29 @@ class TestDeviations:
         slopes[:, 0] = 0.3, -0.5, -4.0, -0.05, -0.5, 0.08
 
         def sampler(n_paths, random_state):
-            error = np.random.default_rng(random_state).normal(size=(n_paths, 1, 1))
-            draws = slopes + error * np.outer([np.cos(0.1), 0, np.sin(0.1), 0, 0, 0], [0, 1]) * 0.2
-            draws = draws + error * np.outer([np.sin(0.1), 0, -np.cos(0.1), 0, 0, 0], [1, 0]) * 0.3
-            return lambda X: X @ draws.swapaxes(1, 2), lambda X: np.repeat(
-                draws[:, None], X.shape[1], axis=1
+            error = default_rng(random_state).normal(size=(n_paths, 1, 1))
+            s, c = np.sin(0.1), np.cos(0.1)
+            spread = np.outer([c, 0, s, 0, 0, 0], [0, 0.2]) + np.outer(
+                [s, 0, -c, 0, 0, 0], [0.3, 0]
             )
+            draws = slopes + error * spread
+            return of_slopes(draws)
 
         return Aerodynamics(lambda X: X @ slopes.T, ["alpha", "elevator"], sampler=sampler)
 
     def test_of_sums_know_that_their_parts_err_together(self, uncertain, state):
         table = stability_derivatives(uncertain, BRUMBY, state, CONTROLS, n_paths=400)
-        size = np.random.default_rng(0).normal(size=400).std(ddof=1)
-        drag = (
-            -0.2 * CONTROLS["elevator"]
-        )  # of which CL_alpha = CX_alpha sin(alpha) - CZ_alpha cos(alpha) - CD knows
-        assert_allclose(table.loc["CL_alpha", "std"], (0.3 - drag) * size)
-        assert_allclose(table.loc["CD_elevator", "std"], 0.2 * size)
-        assert_allclose(table.loc["CL_elevator", "std"], 0.0, atol=1e-12)
-        assert_allclose(table.loc["CD", "std"], 0.2 * size * abs(CONTROLS["elevator"]))
-        reach = 1.96 * table.loc["CL_alpha", "std"]
-        assert_allclose(
-            table.loc["CL_alpha", "upper"] - table.loc["CL_alpha", "value"], reach, rtol=1e-4
-        )
-        assert_allclose(
-            table.loc["CL_alpha", "value"] - table.loc["CL_alpha", "lower"], reach, rtol=1e-4
-        )
+        size = default_rng(0).normal(size=400).std(ddof=1)
+        drag = -0.2 * CONTROLS["elevator"]
+        # CL_alpha = CX_alpha sin(alpha) - CZ_alpha cos(alpha) - CD
+        std = table["std"][["CL_alpha", "CD_elevator", "CL_elevator", "CD"]]
+        assert_allclose(std / size, [0.3 - drag, 0.2, 0.0, drag], atol=1e-12)
+        value, lower, upper = table.loc["CL_alpha", ["value", "lower", "upper"]]
+        assert_allclose([value - lower, upper - value], 1.96 * std["CL_alpha"], rtol=1e-4)
 
     def test_are_those_of_the_learned_slopes(self, state, slope_std):
         """In body axes, what the regressor says of its gradient, within the spread of so many paths."""
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q_hat", "elevator"])
         slopes = np.array(
             [[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]]
@@ -153,7 +156,7 @@ class TestDeviations:
             )[1],
             at[0],
         )
-        rows = [f"{c}_{name}" for c in COEFFICIENTS for name in ("alpha", "q", "elevator")]
+        rows = table.index[table["regressor"].isin(["alpha", "q", "elevator"])][: 6 * 3]
         assert_allclose(table.loc[rows, "value"], mean.ravel())
         ratio = table.loc[rows, "std"].to_numpy() / std.ravel()
         assert_allclose(ratio, np.ones(18), atol=5 / np.sqrt(2 * n_paths))
@@ -220,33 +223,34 @@ LINEAR = Aerodynamics(
 )
 
 
-def state_of(alpha=0.08, beta=0.03, rates=(0.2, 0.1, 0.15)):
-    attitude = euler_to_quaternion(0.3, 0.1, 1.0)
-    return np.concatenate([[0.0, 0.0, -200.0], air_velocity(36.0, alpha, beta), attitude, rates])
+RATES = np.array([0.2, 0.1, 0.15])
 
 
-def test_relation_is_of_the_motion_that_loads_cause():
+def state_of(rates=RATES):
+    velocity, attitude = air_velocity(36.0, 0.08, 0.03), euler_to_quaternion(0.3, 0.1, 1.0)
+    return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, rates])
+
+
+def test_relation_is_of_the_motion_that_loads_cause(central_difference):
     """Central differences of alpha_dot and beta_dot of the loads alone, by the regressors that are not angles."""
     motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
 
-    def angle_rates(**changes):
-        state = state_of(rates=changes.get("rates", (0.2, 0.1, 0.15)))
-        now = motion.at(state, HELD | changes.get("controls", {}))
-        return air_data_slopes(state[3:6])[1:] @ now.derivative[3:6]
+    def angle_rates(change):
+        """Return (..., 2) at other rates p, q, r [rad/s], elevator and rudder, changed by (5,)."""
+        state = state_of(rates=RATES + change[:3])
+        controls = {name: HELD[name] + step for name, step in zip(HELD, change[3:], strict=True)}
+        u, v, w = state[3:6]
+        du, dv, dw = motion.at(state, controls).derivative[3:6]
+        along = u**2 + w**2
+        speed = np.sqrt(along + v**2)
+        faster = (u * du + v * dv + w * dw) / speed
+        alpha_dot = (u * dw - w * du) / along
+        return np.array([alpha_dot, (dv - v * faster / speed) / np.sqrt(along)])
 
-    now = motion.at(state_of(), HELD)
-    relation = unsteady_terms(motion, now, SLOPES).relation
-    h = 1e-4
-    for k, unit in ((2, 2 * 36.0 / BRUMBY.span), (3, 1.0), (4, 2 * 36.0 / BRUMBY.span)):
-        step = h * np.eye(3)[k - 2]
-        ahead, behind = (
-            angle_rates(rates=np.array([0.2, 0.1, 0.15]) + sign * step) for sign in (1, -1)
-        )
-        expected = (ahead - behind) / (2 * h) * unit
-        assert relation[:, k] == pytest.approx(expected, rel=1e-6, abs=1e-8)
-    for k, name in ((5, "elevator"), (6, "rudder")):
-        ahead, behind = (angle_rates(controls={name: HELD[name] + sign * h}) for sign in (1, -1))
-        assert relation[:, k] == pytest.approx((ahead - behind) / (2 * h), rel=1e-6, abs=1e-8)
+    terms = unsteady_terms(motion, motion.at(state_of(), HELD), SLOPES)
+    units = np.array([72.0 / BRUMBY.span, 1.0, 72.0 / BRUMBY.span, 1.0, 1.0])  # q is in rad/s
+    expected = central_difference(angle_rates, np.zeros(5), 1e-4) * units
+    assert terms.relation[:, 2:] == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
 
 def test_sizes_are_fractions_of_the_slopes_by_rates():

@@ -7,9 +7,11 @@ import pytest
 import scipy.linalg
 from numpy.testing import assert_allclose
 
-from skdgp._flight.channels import RATE_LENGTHS
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
+    KINDS,
+    MOMENTS,
+    QUANTITIES,
     Aerodynamics,
     Air,
     Aircraft,
@@ -19,9 +21,9 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.dynamics._estimated_sizes import KINDS, PRODUCT_STD, QUANTITIES
-from skdgp.dynamics._size_errors import MOMENTS
 
+EXAMPLE = load_example_flights(duration=1.0)
+BRUMBY = EXAMPLE.aircraft
 # Lengths, planforms, all of ADMIRE and the products of Zagi and Cessna are from memory, not read
 # again.
 PUBLISHED = {  # mass, span, wing area, length, (Ixx, Iyy, Izz)
@@ -62,49 +64,58 @@ PLANFORMS = {  # of deltas: span, wing area, length
 }  # fmt: skip
 
 
+AXES = ("roll inertia", "pitch inertia", "yaw inertia")
+
+
+def off_by(aircraft, moments):
+    """Return how far published moments of inertia lie from the estimated ones, logarithms over their deviations."""
+    stds = [aircraft.deviations[axis].std for axis in AXES]
+    return np.log(moments / aircraft.inertia.diagonal()) / stds
+
+
 class TestPublishedAircraft:
     def test_moments_of_inertia_lie_within_two_standard_deviations(self):
         """With the length told; the deviations of the rule are those of this list, so one in twenty may lie outside."""
         off = []
         for mass, span, area, length, moments in PUBLISHED.values():
-            aircraft = Aircraft.estimate(mass, span, wing_area=area, length=length)
-            stds = [aircraft.deviations[f"{axis} inertia"].std for axis in ("roll", "pitch", "yaw")]
-            off.append(np.log(np.array(moments) / aircraft.inertia.diagonal()) / stds)
+            off.append(
+                off_by(Aircraft.estimate(mass, span, wing_area=area, length=length), moments)
+            )
         assert np.abs(off).max() < 2
         assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4  # neither too narrow nor too wide
 
-    def test_sizes_from_the_span_alone(self):
-        for mass, span, area, length, _ in PUBLISHED.values():
-            aircraft = Aircraft.estimate(mass, span)
-            assert (
-                abs(np.log(area / aircraft.wing_area))
-                < 2.2 * aircraft.deviations["aspect ratio"].std
-            )
-            assert abs(np.log(length / (0.77 * span))) < 2 * aircraft.deviations["length"].std
+    @pytest.mark.parametrize(("mass", "span", "area", "length", "_"), PUBLISHED.values())
+    def test_sizes_from_the_span_alone(self, mass, span, area, length, _):
+        aircraft = Aircraft.estimate(mass, span)
+        area_std, length_std = (
+            aircraft.deviations[name].std for name in ("aspect ratio", "length")
+        )
+        assert abs(np.log(area / aircraft.wing_area)) < 2.2 * area_std
+        assert abs(np.log(length / (0.77 * span))) < 2 * length_std
 
     def test_flying_wing(self):
         mass, span, area, moments = ZAGI
         wing = Aircraft.estimate(mass, span, kind="flying wing", wing_area=area)
         assert np.abs(np.log(moments / wing.inertia.diagonal())).max() < 1.0
 
-    def test_deltas(self):
-        for mass, span, length, moments, _ in DELTAS.values():
-            aircraft = Aircraft.estimate(mass, span, kind="delta", length=length)
-            stds = [aircraft.deviations[f"{axis} inertia"].std for axis in ("roll", "pitch", "yaw")]
-            assert (
-                np.abs(np.log(moments / aircraft.inertia.diagonal())) < 2 * np.array(stds)
-            ).all()
-        sizes = {"aspect_ratio": [b**2 / S for b, S, _ in PLANFORMS.values()]}
-        sizes["length"] = [length / b for b, _, length in PLANFORMS.values()]
-        for rule, published in sizes.items():
-            middle, std = getattr(KINDS["delta"], rule)
+    @pytest.mark.parametrize(("mass", "span", "length", "moments", "_"), DELTAS.values())
+    def test_deltas(self, mass, span, length, moments, _):
+        aircraft = Aircraft.estimate(mass, span, kind="delta", length=length)
+        assert np.abs(off_by(aircraft, moments)).max() < 2
+
+    def test_planforms_of_deltas(self):
+        spans, areas, lengths = np.transpose(list(PLANFORMS.values()))
+        rules = KINDS["delta"].aspect_ratio, KINDS["delta"].length
+        for (middle, std), published in zip(
+            rules, (spans**2 / areas, lengths / spans), strict=True
+        ):
             assert abs(np.mean(np.log(published)) - np.log(middle)) < 0.05
             assert std / 1.5 < np.std(np.log(published)) < std
 
     def test_products_of_inertia(self):
-        assert_allclose(
-            np.sqrt(np.mean(np.square(list(PRODUCTS.values())))), PRODUCT_STD, atol=0.005
-        )
+        std = Aircraft.estimate(2.0, 1.5).deviations["product of inertia"].std
+        size = np.linalg.norm([*PRODUCTS.values()]) / np.sqrt(len(PRODUCTS))
+        assert_allclose(size, std, atol=0.005)
 
     @pytest.mark.parametrize("kind", KINDS)
     def test_every_kind_is_a_body(self, kind):
@@ -112,25 +123,26 @@ class TestPublishedAircraft:
         Aircraft.estimate(3.0, 2.0, kind=kind)
 
 
-class TestSharing:
-    """Factors carry the powers with which quantities follow a told one: the same as of a second estimate."""
+SIZES = {"mass": 3.0, "span": 1.8}
+TOLD = [{}, {"chord": 0.2}, {"wing_area": 0.4}, {"length": 1.1}]
 
-    @pytest.mark.parametrize("told", [{}, {"chord": 0.2}, {"wing_area": 0.4}, {"length": 1.1}])
-    @pytest.mark.parametrize("name", ["mass", "span", "chord", "wing_area", "length"])
-    def test_powers_are_derivatives(self, told, name):
-        sizes = {"mass": 3.0, "span": 1.8} | told
-        if name not in sizes:
-            return
-        step = 1e-4
-        aircraft = Aircraft.estimate(**sizes | {name: (sizes[name], 0.1 * sizes[name])})
-        more = Aircraft.estimate(**sizes | {name: sizes[name] * (1 + step)})
+
+@pytest.mark.parametrize("told", TOLD, ids=str)
+def test_powers_of_told_sizes_are_derivatives(told):
+    """Factors carry the powers with which quantities follow a told one: the same as of a second estimate."""
+    step = 1e-4
+    sizes = SIZES | told
+    for name, size in sizes.items():
+        aircraft = Aircraft.estimate(**sizes | {name: (size, 0.1 * size)})
+        more = Aircraft.estimate(**sizes | {name: size * (1 + step)})
         powers = aircraft.deviations[name.replace("_", " ")].powers
-        for quantity in ("mass", "wing_area", "span", "chord"):
-            change = np.log(getattr(more, quantity) / getattr(aircraft, quantity)) / step
-            assert_allclose(change, powers.get(quantity, 0.0), atol=1e-3, err_msg=quantity)
-        changes = np.log(more.inertia.diagonal() / aircraft.inertia.diagonal()) / step
-        for moment, change in zip(("Ixx", "Iyy", "Izz"), changes, strict=True):
-            assert_allclose(change, powers.get(moment, 0.0), atol=1e-3, err_msg=moment)
+        quantities = [
+            [each.mass, each.wing_area, each.span, each.chord, *each.inertia.diagonal()]
+            for each in (more, aircraft)
+        ]
+        changes = np.log(np.divide(*quantities)) / step
+        names = ("mass", "wing_area", "span", "chord", "Ixx", "Iyy", "Izz")
+        assert_allclose(changes, [powers.get(quantity, 0.0) for quantity in names], atol=1e-3)
 
 
 class TestFiles:
@@ -193,16 +205,8 @@ class TestFiles:
 class TestWhatErrorsDo:
     """The same log with the sizes of another aircraft: its forces and accelerations are what they are."""
 
-    STATE = np.r_[
-        0.0,
-        0.0,
-        -200.0,
-        air_velocity(36.0, 0.1, 0.04),
-        euler_to_quaternion(0.4, 0.15, 1.0),
-        0.2,
-        0.1,
-        0.15,
-    ]
+    VELOCITY, ATTITUDE = air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0)
+    STATE = np.array([0.0, 0.0, -200.0, *VELOCITY, *ATTITUDE, 0.2, 0.1, 0.15])
     CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04}
 
     def learned(self, aircraft):
@@ -211,49 +215,33 @@ class TestWhatErrorsDo:
         moments = aircraft.inertia / BRUMBY.inertia.diagonal() * BRUMBY.moment_lengths
         moments = moments / aircraft.moment_lengths[:, None]
         scale = scipy.linalg.block_diag(force, moments) * BRUMBY.wing_area / aircraft.wing_area
-        lengths = [
-            getattr(BRUMBY, RATE_LENGTHS[name]) if name in RATE_LENGTHS else 2 * 36.0
-            for name in REGRESSORS
-        ]
-        return Aerodynamics(
-            lambda X: brumby_coefficients(X * np.array(lengths) / (2 * 36.0)) @ scale.T, REGRESSORS
-        )
+        reduced = np.ones(10)
+        reduced[2:5] = BRUMBY.moment_lengths / (2 * 36.0)  # p, q, r
+        reduced[5:7] = BRUMBY.moment_lengths[1:] / (2 * 36.0)  # alpha_dot, beta_dot
+        names = EXAMPLE.regressor_names
+        return Aerodynamics(lambda X: EXAMPLE.aerodynamics(X * reduced) @ scale.T, names)
 
     @pytest.mark.parametrize(
-        "cause",
-        [
-            "mass",
-            "span",
-            "aspect ratio",
-            "length",
-            "roll inertia",
-            "yaw inertia",
-            "product of inertia",
-        ],
+        "cause", ["mass", "span", "aspect ratio", "length", "product of inertia", *AXES[::2]]
     )
     def test_relative_errors_are_those_of_a_second_identification(self, cause):
         factor = Aircraft.estimate((60.0, 0.6), (BRUMBY.span, 0.01)).deviations[cause]
         sizes = BRUMBY.to_dict() | {"deviations": {cause: {"std": 1e-5, "powers": factor.powers}}}
         diagonal = np.diag(BRUMBY.inertia.diagonal())
         known = Aircraft.from_dict(sizes | {"inertia": diagonal})
-        grown = {
-            name: getattr(known, name) * 1.00001 ** factor.powers.get(name, 0.0)
-            for name in QUANTITIES
-        }
-        moments = np.array([1.00001 ** factor.powers.get(name, 0.0) for name in MOMENTS])
-        inertia = diagonal * moments
+        growth = {name: 1.00001**power for name, power in factor.powers.items()}
+        grown = {name: getattr(known, name) * growth.get(name, 1.0) for name in QUANTITIES}
+        inertia = diagonal * [growth.get(name, 1.0) for name in MOMENTS]
         inertia[[0, 2], [2, 0]] = (
             -1e-5 * factor.powers.get("Ixz", 0.0) * np.sqrt(inertia[0, 0] * inertia[2, 2])
         )
         other = Aircraft.from_dict(sizes | grown | {"inertia": inertia})
-        at = {
-            "point": self.STATE,
-            "controls": self.CONTROLS,
-            "thrust": None,
-            "air": Air(density=1.1),
-        }
-        table = stability_derivatives(self.learned(known), known, **at)
-        change = stability_derivatives(self.learned(other), other, **at)["value"] - table["value"]
+        at = {"thrust": None, "air": Air(density=1.1)}
+        table, changed = (
+            stability_derivatives(self.learned(each), each, self.STATE, self.CONTROLS, **at)
+            for each in (known, other)
+        )
+        change = changed["value"] - table["value"]
         assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
         assert set(table["aircraft"]) <= {cause, ""}
 
@@ -264,12 +252,11 @@ class TestWhatErrorsDo:
         )
         wrong = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
         wrong = Aircraft.from_dict(known.to_dict() | wrong | {"inertia": 1.3 * known.inertia})
+        at = {"thrust": None, "air": Air(density=1.1)}
         found = []
         for aircraft in (known, wrong):
             model = self.learned(aircraft)
-            point = trim(model, aircraft, 36.0, climb=None, air=Air(density=1.1), thrust=None)
-            modes = linearize(model, aircraft, point, air=Air(density=1.1), thrust=None).modes()
-            found.append(
-                np.r_[point.alpha, point.controls["elevator"], np.sort(modes["frequency"])]
-            )
+            point = trim(model, aircraft, 36.0, climb=None, **at)
+            frequencies = linearize(model, aircraft, point, **at).modes()["frequency"]
+            found.append([point.alpha, point.controls["elevator"], *np.sort(frequencies)])
         assert_allclose(found[1], found[0], rtol=1e-5)

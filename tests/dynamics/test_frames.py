@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from skdgp._flight.frames import air_data_slopes, gravity_in_body_axes
 from skdgp.dynamics import (
     air_data,
     air_velocity,
@@ -17,7 +17,7 @@ from skdgp.dynamics import (
     quaternion_to_matrix,
 )
 
-RNG = np.random.default_rng(3)
+RNG = default_rng(3)
 EULER = RNG.uniform([-3.1, -1.5, -3.1], [3.1, 1.5, 3.1], (50, 3))
 
 
@@ -54,11 +54,6 @@ def test_signs_mean_what_pilots_mean():
     )
 
 
-def test_gravity_is_the_down_vector_in_body_axes():
-    down = ned_to_body(euler_to_quaternion(*EULER.T), [0.0, 0.0, 9.81])
-    assert_allclose(gravity_in_body_axes(EULER[:, 0], EULER[:, 1], 9.81), down, atol=1e-13)
-
-
 def test_air_data_round_trip():
     airspeed, alpha, beta = RNG.uniform([5, -0.5, -0.6], [60, 0.5, 0.6], (40, 3)).T
     for got, expected in zip(
@@ -72,15 +67,3 @@ def test_wind_from_the_right_is_positive_sideslip_and_from_below_positive_alpha(
     assert alpha > 0
     assert beta > 0
     assert_allclose(beta, np.arcsin(1.0 / np.sqrt(405.0)))
-
-
-def test_slopes_of_air_data_are_its_derivatives():
-    velocity, step = np.array([[20.0, 3.0, -4.0], [5.0, -2.0, 6.0]]), 1e-6
-    slopes = air_data_slopes(velocity)
-    for k in range(3):
-        h = step * np.eye(3)[k]
-        differences = (np.stack(air_data(velocity + h)) - np.stack(air_data(velocity - h))) / (
-            2 * step
-        )
-        assert_allclose(slopes[..., k], differences.T, atol=1e-8)
-    assert np.abs(air_data_slopes([0.0, 0.0, 0.0], least_speed=3.0)).max() <= 1 / 3

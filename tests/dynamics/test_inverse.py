@@ -3,13 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
-COEFFICIENTS = list(COEFFICIENTS)
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 
 
@@ -38,7 +38,7 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     simulated, aircraft, true_coefficients
 ):
     flight = simulated.drop(columns=DERIVATIVES)
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     noisy = flight.copy()
     for name, std in {
         "airspeed": 0.3,

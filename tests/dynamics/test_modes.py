@@ -2,7 +2,9 @@
 
 import numpy as np
 import pandas as pd
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 
 from skdgp.dynamics import LinearModel
 
@@ -33,10 +35,7 @@ def mode_table(A, states, paths=None):
     return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], drawn).modes()
 
 
-def both():
-    A = np.zeros((8, 8))
-    A[:4, :4], A[4:, 4:] = LONGITUDINAL, LATERAL
-    return A
+BOTH = block_diag(LONGITUDINAL, LATERAL)
 
 
 def test_published_longitudinal_modes():
@@ -60,16 +59,13 @@ def test_published_lateral_modes():
 
 
 def test_names_hold_whatever_the_order_and_units_of_states():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     scale, order = np.exp(3 * rng.normal(size=8)), rng.permutation(8)
-    A = (both() * scale[:, None] / scale)[np.ix_(order, order)]
+    A = (BOTH * scale[:, None] / scale)[np.ix_(order, order)]
     table = mode_table(A, [(ALONG + ACROSS)[k] for k in order])
     assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
-    apart = [mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)]
-    for part in apart:
-        assert_allclose(
-            list(table.loc[part.index, "eigenvalue"]), list(part["eigenvalue"]), rtol=1e-6
-        )
+    apart = pd.concat([mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)])
+    assert_allclose(table.loc[apart.index, "eigenvalue"], apart["eigenvalue"], rtol=1e-6)
 
 
 def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
@@ -84,8 +80,7 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
 
 def test_an_aircraft_without_lateral_derivatives_has_four_roots_of_zero():
     """Repeated roots with orthogonal left and right vectors have names too."""
-    A = both()
-    A[4:, 4:] = [[0, 0, -774, 32.2], [0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0]]
+    A = block_diag(LONGITUDINAL, LATERAL * [[0, 0, 1, 1], [0] * 4, [0] * 4, [0, 1, 0, 0]])
     table = mode_table(A, ALONG + ACROSS)
     names = ["short period", "phugoid", "Dutch roll 1", "Dutch roll 2", "roll", "spiral"]
     assert list(table.index) == names
@@ -94,21 +89,17 @@ def test_an_aircraft_without_lateral_derivatives_has_four_roots_of_zero():
 
 class TestSpreadOfModes:
     def test_is_that_of_the_frequency_and_the_damping(self):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         omega, zeta = 3 + 0.1 * rng.normal(size=500), 0.4 + 0.02 * rng.normal(size=500)
-        zero = np.zeros(500)
-        paths = np.stack(
-            [np.stack([zero, zero + 1], -1), np.stack([-(omega**2), -2 * zeta * omega], -1)], 1
-        )
+        paths = np.zeros((500, 2, 2))
+        paths[:, 0, 1] = 1.0
+        paths[:, 1, 0] = -(omega**2)
+        paths[:, 1, 1] = -2 * zeta * omega
         row = mode_table(np.array([[0, 1], [-9, -2.4]]), ["x", "v"], paths).loc["mode"]
         assert_allclose(row["frequency_std"], omega.std(ddof=1))
         assert_allclose(row["damping_std"], zeta.std(ddof=1))
-        tau = 1 / (zeta * omega)
-        assert_allclose(
-            [row["time_constant_lower"], row["time_constant_upper"]],
-            np.quantile(tau, [0.025, 0.975]),
-            rtol=1e-2,
-        )
+        ends = np.quantile(1 / (zeta * omega), [0.025, 0.975])
+        assert_allclose(row[["time_constant_lower", "time_constant_upper"]], ends, rtol=1e-2)
 
     def test_paths_in_which_a_pair_splits_stay_with_it(self):
         """s^2 + 2 zeta omega s + omega^2 is one mode on either side of critical damping."""

@@ -1,9 +1,14 @@
 """Thrust line and propeller: equation 7 by hand, bench tables given back, usual propellers."""
 
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.linear_model import LinearRegression
 
 from skdgp.dynamics import (
     Aerodynamics,
@@ -15,7 +20,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     stability_derivatives,
 )
-from skdgp.identification._prepare import assumptions, lacks_thrust, with_thrust_errors
+from skdgp.identification._prepare import with_thrust_errors
 
 TRUE = Propeller(
     diameter=0.5,
@@ -26,20 +31,10 @@ TRUE = Propeller(
 
 
 def bench(airspeeds=(0.0, 8.0, 16.0), densities=(1.2, 1.1)):
-    speed, airspeed, density = (
-        grid.ravel()
-        for grid in np.meshgrid(np.linspace(200, 700, 6), airspeeds, densities, indexing="ij")
-    )
-    state = (speed, airspeed, density)
-    return pd.DataFrame(
-        {
-            "propeller_speed": speed,
-            "airspeed": airspeed,
-            "density": density,
-            "thrust": TRUE.thrust(*state),
-            "torque": -TRUE.rotation * TRUE.torque(*state),
-        }
-    )
+    states = itertools.product(np.linspace(200, 700, 6), airspeeds, densities)
+    table = pd.DataFrame(states, columns=["propeller_speed", "airspeed", "density"])
+    thrust, torque = (load(*table.to_numpy().T) for load in (TRUE.thrust, TRUE.torque))
+    return table.assign(thrust=thrust, torque=-TRUE.rotation * torque)
 
 
 def flight(**columns):
@@ -47,17 +42,14 @@ def flight(**columns):
 
 
 def with_engine(aircraft, **changes):
-    return Aircraft(
-        **{**{key: getattr(aircraft, key) for key in aircraft.__dataclass_fields__}, **changes}
-    )
+    return Aircraft.from_dict(aircraft.to_dict() | changes)
 
 
 def test_equation_7_by_hand():
-    # 10 N along (.8, 0, -.6) at (-.5, .1, -.2): F = (8, 0, -6); r x F = (.1 * -6 - 0, -.2 * 8 - -.5
-    # * -6, 0 - .1 * 8)
-    force, moment = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(4.0, 0.0, -3.0)).loads(
-        10.0, torque=-2.0
-    )
+    # 10 N along (.8, 0, -.6) at (-.5, .1, -.2): F = (8, 0, -6);
+    # r x F = (.1 * -6 - 0, -.2 * 8 - -.5 * -6, 0 - .1 * 8)
+    line = ThrustLine(position=(-0.5, 0.1, -0.2), direction=(4.0, 0.0, -3.0))
+    force, moment = line.loads(10.0, torque=-2.0)
     assert_allclose(force, [8.0, 0.0, -6.0], atol=1e-14)
     assert_allclose(moment, [-0.6 - 1.6, -4.6, -0.8 + 1.2], atol=1e-14)
 
@@ -108,14 +100,12 @@ def test_propeller_thrust_of_a_flight(aircraft):
     powered = with_engine(aircraft, propeller=TRUE)
     table = flight(propeller_speed=[500.0, 600.0])
     force, moment = propulsive_loads(table, powered)
-    thrust, torque = (
-        TRUE.thrust([500.0, 600.0], [20, 21], 1.1),
-        TRUE.torque([500.0, 600.0], [20, 21], 1.1),
-    )
+    state = [500.0, 600.0], [20, 21], 1.1
     line = aircraft.thrust_line
-    assert_allclose(force, thrust[:, None] * line.direction)
-    assert_allclose(moment, np.cross(line.position, force) + torque[:, None] * line.direction)
-    assert_allclose(propeller_loads(powered, [500.0, 600.0], [20, 21], 1.1), (force, moment))
+    assert_allclose(force, np.outer(TRUE.thrust(*state), line.direction))
+    torque = np.outer(TRUE.torque(*state), line.direction)
+    assert_allclose(moment, np.cross(line.position, force) + torque)
+    assert_allclose(propeller_loads(powered, *state), (force, moment))
 
 
 def test_columns_win_over_the_propeller(aircraft):
@@ -166,16 +156,13 @@ REGRESSORS = ("alpha", "beta", "elevator", "throttle")
 def test_thrust_vanishes_beyond_the_pitch_and_power_is_more_than_thrust_times_airspeed():
     for pitch in (0.1, 0.15, 0.2, 0.25):
         propeller = Propeller.from_size(0.254, pitch)
-        J = np.linspace(0, 1.6 * pitch / 0.254, 200)
-        thrust, torque = (
-            propeller.thrust(2 * np.pi, J * 0.254),
-            -propeller.torque(2 * np.pi, J * 0.254),
-        )
-        zero = J[np.argmax(thrust < 0)] * 0.254 / pitch
-        assert 1.0 < zero < 1.5  # cambered blades pull beyond the geometric pitch
+        airspeed = np.linspace(0, 1.6 * pitch, 200)
+        thrust = propeller.thrust(2 * np.pi, airspeed)
+        # Cambered blades pull beyond the geometric pitch, at a turn a second
+        assert 1.0 < airspeed[np.argmax(thrust < 0)] / pitch < 1.5
         assert (np.diff(thrust) < 0).all()
-        efficiency = (thrust * J * 0.254 / (2 * np.pi * torque))[thrust > 0]
-        assert 0.4 < efficiency.max() < 0.85
+        power = -2 * np.pi * propeller.torque(2 * np.pi, airspeed)
+        assert 0.4 < (thrust * airspeed / power)[thrust > 0].max() < 0.85
 
 
 @pytest.mark.parametrize(
@@ -241,7 +228,7 @@ def test_an_aircraft_file_has_diameter_and_pitch():
 @pytest.fixture(scope="module")
 def flown():
     """A flight with a throttle alone, and its regressors."""
-    rng, n = np.random.default_rng(0), 400
+    rng, n = default_rng(0), 400
     regressors = pd.DataFrame(rng.uniform(0, 0.1, (n, len(REGRESSORS))), columns=list(REGRESSORS))
     regressors["throttle"] = rng.uniform(0.4, 0.9, n)
     still = dict.fromkeys(("ax", "ay", "p", "q", "r"), 0.0)
@@ -254,11 +241,8 @@ def flown():
 def test_the_throttle_gives_the_thrust_where_the_motor_is_known(flown):
     table, _ = flown
     told = Aircraft.estimate(2.0, 1.5, propeller=SIZE | MOTOR)
-    assert not lacks_thrust("auto", [table], told)
-    assert lacks_thrust("auto", [table], Aircraft.estimate(2.0, 1.5, propeller=SIZE))
-    thrust = told.propeller.thrust(
-        told.propeller.speed_at(table["throttle"]), table["airspeed"], 1.2
-    )
+    speed = told.propeller.speed_at(table["throttle"])
+    thrust = told.propeller.thrust(speed, table["airspeed"], 1.2)
     drag = aerodynamic_coefficients(table, told, cutoff=None)["CX"]
     assert np.allclose(drag, -thrust / (0.6 * table["airspeed"] ** 2 * told.wing_area))
 
@@ -268,34 +252,26 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
     table, X = flown
 
     def learned(factor):
+        """Return the aircraft, and the intercepts and slopes of its coefficients."""
         propeller = Propeller.from_size(**SIZE, **MOTOR)
-        coefficients = tuple(factor * c for c in propeller.thrust_coefficients)
-        torques = tuple(factor * c for c in propeller.torque_coefficients)
-        engine = {
-            **propeller.__dict__,
-            "thrust_coefficients": coefficients,
-            "torque_coefficients": torques,
-        }
+        loads = ("thrust_coefficients", "torque_coefficients")
+        more = {name: tuple(factor * np.array(getattr(propeller, name))) for name in loads}
+        line = {"position": [0, 0, -0.1]}
         aircraft = Aircraft.estimate(
-            2.0, 1.5, propeller=Propeller(**engine), thrust_line={"position": [0, 0, -0.1]}
+            2.0, 1.5, propeller=replace(propeller, **more), thrust_line=line
         )
         Y = aerodynamic_coefficients(table, aircraft, cutoff=None).to_numpy()
-        return aircraft, np.linalg.lstsq(np.column_stack([np.ones(len(X)), X]), Y, rcond=None)[0]
+        return aircraft, LinearRegression().fit(X.to_numpy(), Y)
 
-    (aircraft, weights), (_, others) = learned(1.0), learned(1.01)
+    (aircraft, fit), (_, other) = learned(1.0), learned(1.01)
     aircraft = with_thrust_errors(aircraft, table, X)
-    model = Aerodynamics(lambda rows: weights[0] + rows @ weights[1:], REGRESSORS)
-    state = np.array([0, 0, -100, 15, 0, 0.7, 1, 0, 0, 0, 0, 0, 0])
     only = {**aircraft.to_dict(), "deviations": {"thrust": aircraft.deviations["thrust"]}}
+    only = Aircraft.from_dict(only)
+    state = np.array([0, 0, -100, 15, 0, 0.7, 1, 0, 0, 0, 0, 0, 0])
     controls = {"elevator": 0.05, "throttle": 0.6}
-    derivatives = stability_derivatives(
-        model, Aircraft.from_dict(only), state, controls, thrust=None
-    )
-    for name, k in (("CX_alpha", 1), ("CX_throttle", 4)):
-        change = 100 * aircraft.propeller.load_std * abs(others[k, 0] - weights[k, 0])
-        assert_allclose(derivatives.loc[name, "std_aircraft"], change, rtol=1e-6)
-    change = 100 * aircraft.propeller.load_std * abs(others[4, 4] - weights[4, 4])
-    assert_allclose(derivatives.loc["Cm_throttle", "std_aircraft"], change, rtol=1e-6)
-    assert derivatives.loc["CZ_alpha", "std_aircraft"] == 0
-    (source,) = assumptions(aircraft)[-1:]
-    assert source.numbers["sources"]["thrust"] == "size of the propeller"
+    model = Aerodynamics(fit.predict, REGRESSORS)
+    std = stability_derivatives(model, only, state, controls, thrust=None)["std_aircraft"]
+    change = 100 * aircraft.propeller.load_std * np.abs(other.coef_ - fit.coef_)
+    expected = change[0, 0], change[0, 3], change[4, 3]
+    assert_allclose(std[["CX_alpha", "CX_throttle", "Cm_throttle"]], expected, rtol=1e-6)
+    assert std["CZ_alpha"] == 0

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid, quad
 from sklearn.base import clone
@@ -10,23 +11,24 @@ from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import Pipeline
 
-from skdgp._flight.channels import WIND
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    Drift,
     Motion,
     Turbulence,
+    air_data,
     as_aerodynamics,
+    dryden_gusts,
     dryden_wind,
     simulate,
 )
-from skdgp.dynamics._aerodynamics import Drift
-from skdgp.dynamics._dryden import dryden_gusts, dryden_system
+from skdgp.dynamics._dryden import dryden_system
 from skdgp.dynamics._path_air import drift_in, without_rotation
-from skdgp.dynamics._turbulence import FEET
 from skdgp.identification import make_identification_pipeline
 
+WIND = ["wind_north", "wind_east", "wind_down"]
 SPAN, SPEED, STEP = 2.0, 25.0, 0.05
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 AIRCRAFT = Aircraft(
@@ -36,25 +38,23 @@ AIRCRAFT = Aircraft(
 
 def flights(turbulence, n_flights, duration, noise, seed, heading=0.0):
     """Straight level flights over the ground at 25 m/s, in gusts and a wind along the way."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     n = round(duration / STEP)
-    length, intensity = (
-        np.tile(part, (n_flights, 1)) for part in (turbulence.length, turbulence.intensity)
-    )
-    gusts = dryden_gusts(n, STEP, SPEED, length, intensity, SPAN, rng).velocity
+    gusts = gusts_of(turbulence, n, rng, n_flights).velocity
     tables = []
     for k in range(n_flights):
-        u, v, w = (
-            [SPEED + 3.0, 0.0, 0.0] - gusts[:, k] - [3.0, 0.0, 0.0] + rng.normal(0, noise, (n, 3))
-        ).T
-        speed = np.sqrt(u**2 + v**2 + w**2)
-        zero = np.zeros(n)
-        tables.append(pd.DataFrame({
-            "time": STEP * np.arange(n), "flight": f"flight {k}", "airspeed": speed, "alpha": np.arctan2(w, u),
-            "beta": np.arcsin(v / speed), "phi": zero, "theta": zero, "psi": zero + heading,
-            "v_north": (SPEED + 3.0) * np.cos(heading), "v_east": (SPEED + 3.0) * np.sin(heading), "v_down": zero,
-        }))  # fmt: skip
-    return pd.concat(tables, ignore_index=True)
+        velocity = [SPEED, 0.0, 0.0] - gusts[:, k] + rng.normal(0, noise, (n, 3))
+        air = dict(zip(("airspeed", "alpha", "beta"), air_data(velocity), strict=True))
+        tables.append(pd.DataFrame({"time": STEP * np.arange(n), "flight": f"flight {k}", **air}))
+    ground = {"v_north": np.cos(heading), "v_east": np.sin(heading), "v_down": 0.0}
+    ground = {name: (SPEED + 3.0) * part for name, part in ground.items()}
+    return pd.concat(tables, ignore_index=True).assign(**ground, phi=0.0, theta=0.0, psi=heading)
+
+
+def gusts_of(turbulence, n, rng, n_flights=1, **options):
+    """Return gusts of n samples of flights side by side."""
+    scales = [np.tile(scale, (n_flights, 1)) for scale in (turbulence.length, turbulence.intensity)]
+    return dryden_gusts(n, STEP, SPEED, *scales, SPAN, rng, **options)
 
 
 class TestFromFlight:
@@ -84,22 +84,15 @@ class TestFromFlight:
     def test_each_axis_has_the_noise_of_its_sensor(self):
         """A vane that is noisier than the pitot tube does not make gusts from the side."""
         table = flights(TRUE, 2, 300.0, 0.1, seed=5)
-        vane = table["beta"] + np.random.default_rng(0).normal(0, 0.04, len(table))
+        vane = table["beta"] + default_rng(0).normal(0, 0.04, len(table))
         found = Turbulence.from_flight(table.assign(beta=vane), SPAN)
         assert_allclose(found.intensity, TRUE.intensity, rtol=0.2)
 
     def test_winds_of_seconds_tell_the_rates(self):
         """Of ten winds of ten seconds, and of one."""
-        n, (length, intensity) = (
-            201,
-            (np.tile(part, (10, 1)) for part in (TRUE.length, TRUE.intensity)),
-        )
-        gusts = dryden_gusts(
-            n, STEP, SPEED, length, intensity, SPAN, np.random.default_rng(3)
-        ).velocity
+        time, gusts = STEP * np.arange(201), gusts_of(TRUE, 201, default_rng(3), 10).velocity
         winds = [
-            pd.DataFrame(gusts[:, k], columns=WIND).assign(time=STEP * np.arange(n))
-            for k in range(10)
+            pd.DataFrame(gust, columns=WIND).assign(time=time) for gust in gusts.swapaxes(0, 1)
         ]
         density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
         for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
@@ -159,23 +152,12 @@ class TestDrift:
 
     def test_the_effect_of_rotation_is_that_of_drawn_gusts(self):
         """A drift whose integral over one second varies twice as much as that of the rotation keeps one half."""
-        n, flown = round(1.0 / STEP), 4000
-        rates = dryden_gusts(
-            n + 1,
-            STEP,
-            SPEED,
-            [TRUE.length],
-            [TRUE.intensity],
-            SPAN,
-            np.random.default_rng(0),
-            n_draws=flown,
-        ).rates
+        rates = gusts_of(TRUE, round(1.0 / STEP) + 1, default_rng(0), n_draws=4000).rates
         effect = np.trapezoid(rates, dx=STEP, axis=0) @ self.slopes.T
-        memory = np.full(6, 0.4)
-        unit = (
-            2 * memory**2 * (1 / memory + np.expm1(-1 / memory))
-        )  # of the integral of a drift with tau = 1
-        drift = Drift(np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit[3:]), memory)
+        memory = 0.4
+        unit = 2 * memory**2 * (1 / memory + np.expm1(-1 / memory))  # of its integral, with tau = 1
+        variance = np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit)
+        drift = Drift(variance, np.full(6, memory))
         left = without_rotation(drift, TRUE, self.slopes, SPEED, SPAN)
         assert_allclose(left[:3], 1.0)
         assert_allclose(left[3:] / drift.variance[3:], 0.5, atol=0.06)
@@ -188,12 +170,9 @@ class TestDrift:
         left = [drift_in(TRUE.scaled(k), known, SPEED).variance[0] / 1e-6 for k in factors]
         assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
         assert_allclose(left, [0.0, 0.25, 1.0, 2.0], atol=0.03)
+        # Learned in calm air, all of it is errors of the function
         calm = learned_in(TRUE.scaled(0.0), drift)
-        for air in (
-            TRUE.scaled(0.0),
-            TRUE,
-            None,
-        ):  # learned in calm air, all of it is errors of the function
+        for air in (TRUE.scaled(0.0), TRUE, None):
             assert_allclose(drift_in(air, calm, SPEED).variance, drift.variance)
 
     def test_draws_have_the_stated_covariance(self):
@@ -256,9 +235,7 @@ class TestSimulate:
     def test_a_wind_table_contains_the_gusts(self, model):
         """Then the air's velocity is that of the table, and only its rates are drawn."""
         time = np.linspace(0, 1, 21)
-        wind = pd.DataFrame(
-            {"time": time, "wind_north": 0.1 * time, "wind_east": 0.0, "wind_down": 0.2 * time}
-        )
+        wind = pd.DataFrame(np.outer(time, [0.1, 0.0, 0.2]), columns=WIND).assign(time=time)
         paths = flown(model, air=Air(wind, TRUE))
         expected = np.tile(wind["wind_down"], OPTIONS["n_paths"])
         assert_allclose(paths["wind_down"], expected, atol=1e-12)
@@ -353,24 +330,16 @@ def span_lag(omega, factor):
 def transfer(name, omega):
     """MIL-F-8785C, typed from the standard: one noise to one gust."""
     s, T = 1j * omega, LENGTH / AIRSPEED
-    along = INTENSITY[0] * np.sqrt(2 * T[0]) / (1 + T[0] * s)
-
-    def across(k):
-        return INTENSITY[k] * np.sqrt(T[k]) * (1 + np.sqrt(3) * T[k] * s) / (1 + T[k] * s) ** 2
-
-    roll = (
-        INTENSITY[2]
-        * np.sqrt(0.8 * np.pi / (AIRSPEED * LENGTH[2]))
-        * (np.pi * LENGTH[2] / (4 * WING)) ** (1 / 6)
-    )
-    return {
-        "u": along * span_lag(omega, 4),
-        "v": across(1) * span_lag(omega, 3),
-        "w": across(2) * span_lag(omega, 4),
-        "p": roll * span_lag(omega, 4),
-        "q": -s / AIRSPEED * span_lag(omega, 4) * across(2),
-        "r": s / AIRSPEED * span_lag(omega, 3) * across(1),
-    }[name]
+    lag = span_lag(omega, 3 if name in "vr" else 4)
+    if name == "u":
+        return lag * INTENSITY[0] * np.sqrt(2 * T[0]) / (1 + T[0] * s)
+    if name == "p":
+        size = np.sqrt(0.8 * np.pi / (AIRSPEED * LENGTH[2]))
+        return lag * INTENSITY[2] * size * (np.pi * LENGTH[2] / (4 * WING)) ** (1 / 6)
+    k = 1 if name in "vr" else 2
+    across = INTENSITY[k] * np.sqrt(T[k]) * (1 + np.sqrt(3) * T[k] * s) / (1 + T[k] * s) ** 2
+    factor = {"q": -s / AIRSPEED, "r": s / AIRSPEED}.get(name, 1.0)
+    return lag * factor * across
 
 
 # Output and noise of each gust in the linear system
@@ -389,30 +358,21 @@ def test_linear_system_is_the_standards_forming_filter(name):
 
 @pytest.fixture(scope="module")
 def gusts():
-    n = 200
-    return dryden_gusts(
-        6000,
-        0.025,
-        AIRSPEED,
-        np.tile(LENGTH, (n, 1)),
-        np.tile(INTENSITY, (n, 1)),
-        WING,
-        np.random.default_rng(5),
-    )
+    """Of 200 flights side by side."""
+    scales = np.tile(LENGTH, (200, 1)), np.tile(INTENSITY, (200, 1))
+    return dryden_gusts(6000, 0.025, AIRSPEED, *scales, WING, default_rng(5))
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_variance_is_the_integral_of_the_spectrum(gusts, name):
-    theory = quad(
-        lambda x: abs(transfer(name, np.exp(x))) ** 2 * np.exp(x) / np.pi, -12, 12, limit=200
-    )[0]
-    kind, axis = (
-        (gusts.velocity, "uvw".index(name)) if name in "uvw" else (gusts.rates, "pqr".index(name))
-    )
-    signal = kind[..., axis]
+    """Also of the first sample, in which no warm-up hides: 200 flights have a standard error of 10 %."""
+
+    def density(x):
+        return abs(transfer(name, np.exp(x))) ** 2 * np.exp(x) / np.pi
+
+    theory, _ = quad(density, -12, 12, limit=200)
+    signal = np.concatenate([gusts.velocity, gusts.rates], axis=-1)[..., "uvwpqr".index(name)]
     assert_allclose(np.mean(signal**2), theory, rtol=0.08)
-    # Stationary from the first sample on: no warm-up hides in the data. 200 flights: 10 % per
-    # standard error.
     assert_allclose(np.mean(signal[0] ** 2), theory, rtol=0.4)
 
 
@@ -424,33 +384,32 @@ def test_rates_are_gradients_of_the_gusts_that_are_felt(gusts):
 def test_acceleration_is_the_slope_of_velocity():
     """Each is rough, so the trapezia err with the root of the step cubed."""
     step = 2e-4
-    fine = dryden_gusts(8000, step, AIRSPEED, [LENGTH], [INTENSITY], WING, np.random.default_rng(1))
+    fine = dryden_gusts(8000, step, AIRSPEED, [LENGTH], [INTENSITY], WING, default_rng(1))
     climbed = cumulative_trapezoid(fine.acceleration, dx=step, axis=0, initial=0.0)
     assert_allclose(fine.velocity - fine.velocity[0], climbed, atol=1e-3)
 
 
 def test_step_does_not_change_the_law():
     """Discretised exactly: every fourth sample of fine gusts has the covariance over a lag of coarse ones."""
+    scales = np.tile(LENGTH, (300, 1)), np.tile(INTENSITY, (300, 1))
     covariances = []
     for step, stride in ((0.1, 1), (0.025, 4)):
-        long = dryden_gusts(
-            800 * stride, step, AIRSPEED, np.tile(LENGTH, (300, 1)), np.tile(INTENSITY, (300, 1)), WING,
-            np.random.default_rng(8),
-        ).velocity[::stride]  # fmt: skip
+        gusts = dryden_gusts(800 * stride, step, AIRSPEED, *scales, WING, default_rng(8))
+        long = gusts.velocity[::stride]
         covariances.append(np.mean(long[1:] * long[:-1], axis=(0, 1)))
     assert_allclose(*covariances, rtol=0.1)
 
 
 def test_low_altitude_model_joins_the_standards_corner_at_1000_feet():
-    turbulence = Turbulence.low_altitude(1000 * FEET, 10.0)
-    assert_allclose(turbulence.length, 1000 * FEET)
+    turbulence = Turbulence.low_altitude(304.8, 10.0)
+    assert_allclose(turbulence.length, 304.8)
     assert_allclose(turbulence.intensity, 1.0)
 
 
 def test_a_wind_to_fly_in_has_the_intensities_of_its_height():
     options = {"wind_at_6m": 8.0, "span": 0.01, "dt": 0.05}
     winds = [dryden_wind(200.0, 30.0, 40.0, **options, random_state=k) for k in range(12)]
-    gusts = np.concatenate([wind[[*WIND]].to_numpy() for wind in winds])
+    gusts = np.concatenate([wind[WIND].to_numpy() for wind in winds])
     intensity = Turbulence.low_altitude(40.0, 8.0).intensity
     assert_allclose(gusts.std(axis=0), intensity, rtol=0.15)
     assert abs(np.corrcoef(gusts.T)[0, 1]) < 0.15

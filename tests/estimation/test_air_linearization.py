@@ -4,6 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.dynamics import Aircraft
@@ -26,7 +28,7 @@ AIRCRAFT = Aircraft(
 @cache
 def flight_of_sines(n=30):
     """A record at states where nothing vanishes, parameters by name, and states of the filter."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     t = 0.02 * np.arange(n)[:, None]
     wave = lambda k: np.sin(2 * t + rng.uniform(0, 6, k))  # noqa: E731
     attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + np.array([0.1, 0.2, 1.0])).T), 1, 2)
@@ -77,7 +79,7 @@ def test_slopes_by_parameters_are_those_of_the_predictions(name):
         scale = np.abs(numeric).max() + 1e-3
         # terms within a step are taken as the mean of its ends, which is least true of rates
         atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
-        np.testing.assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
+        assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
 
 
 def test_slopes_by_states_are_those_of_the_predictions():
@@ -96,14 +98,14 @@ def test_slopes_by_states_are_those_of_the_predictions():
             ("residual", -here.residual_states @ here.transition),
         ):
             numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
-            np.testing.assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
+            assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
 
 
 def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
     record, layout, value, calm = flight_of_sines(200)
     record.inputs.surfaces[:] *= 5
     gusty = calm.copy()
-    gusty[:, :3] += np.random.default_rng(0).standard_normal((200, 3))
+    gusty[:, :3] += default_rng(0).standard_normal((200, 3))
     still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
     at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
     slopes, instruments = [], []
@@ -121,7 +123,7 @@ def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
 
 def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
     record, *_ = flight_of_sines(2000)
-    pushes, later = np.random.default_rng(0).standard_normal((2, 1999))
+    pushes, later = default_rng(0).standard_normal((2, 1999))
     answer = np.convolve(np.append(0, pushes), 0.9 ** np.arange(50))[:2000]
     record.inputs.surfaces[:, 0] = answer
     record.inputs.surfaces[:, 1] = np.append(later[3:], np.zeros(4))
@@ -132,8 +134,8 @@ def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
 
 def test_lag_of_a_ramp_is_the_lag():
     ramp = np.arange(200.0)[:, None]
-    np.testing.assert_allclose(servo_output(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
-    np.testing.assert_allclose(servo_output(ramp, 0.0, 0.02), ramp, atol=0.01)
+    assert_allclose(servo_output(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
+    assert_allclose(servo_output(ramp, 0.0, 0.02), ramp, atol=0.01)
 
 
 def test_slope_by_a_lag_of_zero_is_that_above_it():
@@ -145,6 +147,4 @@ def test_slope_by_a_lag_of_zero_is_that_above_it():
     j = layout.place("servo_lag")[0]
     expected = above.innovation_slopes[..., j]
     assert np.abs(expected).max() > 0.1
-    np.testing.assert_allclose(
-        at_zero.innovation_slopes[..., j], expected, atol=0.1 * np.abs(expected).max()
-    )
+    assert_allclose(at_zero.innovation_slopes[..., j], expected, atol=0.1 * np.abs(expected).max())

@@ -1,6 +1,8 @@
 """The filter and the smoother of the filter-error method against the joint normal distribution."""
 
 import numpy as np
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 
 from skdgp.estimation._kalman import (
@@ -47,7 +49,7 @@ def linear_system(rng, n=7, N=3, m=2):
 
 
 def test_linear_filter_and_smoother_equal_the_joint_gaussian_distribution():
-    linear, noises = linear_system(np.random.default_rng(0))
+    linear, noises = linear_system(default_rng(0))
     run = filtered(linear, noises)
     (n, N), m = linear.states.shape, linear.innovation.shape[1]
     # x = M (x_0, w_1, ...), y = H x + v; the noise of a step by Simpson's rule
@@ -68,33 +70,33 @@ def test_linear_filter_and_smoother_equal_the_joint_gaussian_distribution():
     for k in range(n - 1):
         past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
         gain = S[now, past] @ np.linalg.inv(S[past, past])
-        np.testing.assert_allclose(run.innovations.values[k], y[now] - gain @ y[past], atol=1e-10)
-        np.testing.assert_allclose(
+        assert_allclose(run.innovations.values[k], y[now] - gain @ y[past], atol=1e-10)
+        assert_allclose(
             run.innovations.covariance[k], S[now, now] - gain @ S[past, now], atol=1e-10
         )
     states, covariance = smoothed(linear, run)
     gain = X @ H.T @ np.linalg.inv(S)
-    np.testing.assert_allclose(states.ravel(), gain @ y, atol=1e-10)
+    assert_allclose(states.ravel(), gain @ y, atol=1e-10)
     P = X - gain @ H @ X
     for k in range(n):
         at = slice(k * N, (k + 1) * N)
-        np.testing.assert_allclose(covariance[k], P[at, at], atol=1e-10)
+        assert_allclose(covariance[k], P[at, at], atol=1e-10)
 
 
 def test_sets_of_noises_are_filtered_as_one_by_one():
-    linear, noises = linear_system(np.random.default_rng(1))
+    linear, noises = linear_system(default_rng(1))
     sets = Noise(*(np.concatenate([part, 2 * part]) for part in noises))
     together = innovations(linear, sets)
     for k in range(2):
         alone = filtered(linear, Noise(*(part[k : k + 1] for part in sets))).innovations
-        np.testing.assert_allclose(together.values[:, k], alone.values)
-        np.testing.assert_allclose(together.covariance[:, k], alone.covariance)
+        assert_allclose(together.values[:, k], alone.values)
+        assert_allclose(together.covariance[:, k], alone.covariance)
 
 
 def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
-    linear, noises = linear_system(np.random.default_rng(3))
+    linear, noises = linear_system(default_rng(3))
     (n, N), m = linear.states.shape, linear.innovation.shape[1]
-    slopes = np.random.default_rng(4).standard_normal((n - 1, N, 1))
+    slopes = default_rng(4).standard_normal((n - 1, N, 1))
     linear = linear._replace(
         transition_slopes=slopes,
         innovation_slopes=linear.residual_states @ slopes,
@@ -108,4 +110,4 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
         residual=linear.residual - push[..., 0],
     )
     change = (filtered(moved, noises).innovations.values - run.innovations.values) / 1e-6
-    np.testing.assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
+    assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)

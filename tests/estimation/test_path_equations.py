@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from skdgp.estimation import FlightPath, FlightSensors
@@ -18,7 +20,7 @@ EPS = 1e-6
 @pytest.fixture
 def near_path():
     """Sensors of a turning flight, and a path near it that is no solution."""
-    rng = np.random.default_rng(4)
+    rng = default_rng(4)
     n = 12
     time = 0.04 * np.arange(n)
     angles = np.column_stack([0.3 * time, 0.1 + 0.2 * time, 0.3 * np.sin(time)])
@@ -59,7 +61,7 @@ def test_slopes_by_states_are_those_of_the_residuals(equations, near_path):
             if base.d_next is not None:
                 pairs.append((slope[1 - first :: 2], base.d_next[1 - first :: 2, :, place]))
             for numeric, expected in pairs:
-                np.testing.assert_allclose(numeric, expected, atol=2e-3, rtol=2e-3)
+                assert_allclose(numeric, expected, atol=2e-3, rtol=2e-3)
 
 
 @pytest.mark.parametrize("equations", [measurements, process])
@@ -72,11 +74,11 @@ def test_slopes_by_constants_are_those_of_the_residuals(name, equations, near_pa
     constants[PLACE[name]] = EPS
     moved = equations(path.moved(np.zeros((len(sensors.time), 9)), constants), sensors)
     slope = (moved.residual - base.residual) / EPS
-    np.testing.assert_allclose(slope, base.d_constants[:, :, PLACE[name]], atol=1e-3, rtol=1e-3)
+    assert_allclose(slope, base.d_constants[:, :, PLACE[name]], atol=1e-3, rtol=1e-3)
 
 
 def test_the_bordered_solution_is_that_of_the_dense_problem():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     n, s, c, k = 6, 3, 2, 40_000
     process = Equations(
         *(
@@ -106,10 +108,8 @@ def test_the_bordered_solution_is_that_of_the_dense_problem():
     covariance = np.linalg.inv(J.T @ J)
     solution = -covariance @ J.T @ r
     found = solve(process, measured, prior, rng.standard_normal((n * s + c, k)))
-    np.testing.assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
-    np.testing.assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
+    assert_allclose(np.r_[found.states.ravel(), found.constants], solution, atol=1e-10)
+    assert_allclose(found.covariance, covariance[n * s :, n * s :], atol=1e-10)
     draws = np.vstack([found.state_draws.reshape(n * s, k), found.constant_draws])
     std = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(
-        np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03
-    )
+    assert_allclose(np.cov(draws) / np.outer(std, std), covariance / np.outer(std, std), atol=0.03)

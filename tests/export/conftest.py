@@ -3,21 +3,24 @@
 import warnings
 from dataclasses import replace
 from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.export import portable_model
-from skdgp.identification import _identification, identify, make_identification_pipeline
+from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
-from skdgp.report import FlightMechanics
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
 JOINT = {"structure": "joint"}
@@ -44,7 +47,7 @@ AIRCRAFT = Aircraft(
 
 def make_flight(n, seed, noise=1e-3):
     """Return a flight of random states, and the coefficients of a textbook aircraft with curves."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     x = {name: rng.normal(0.0, 0.1, n) for name in REGRESSORS}
     x["q_hat"] /= 20
     speed = rng.uniform(20.0, 30.0, n)
@@ -75,44 +78,36 @@ IDENTIFIED = "identified"
 
 def with_discrepancy(regressor, variance):
     """Give a regressor that learned from a time series a discrepancy of these variances (6,)."""
-    errors = regressor.posterior_.errors
-    discrepancy = variance / regressor.scale_**2
-    regressor.posterior_.errors = errors._replace(discrepancy=discrepancy)
+    posterior = regressor.posterior_
+    posterior.errors = posterior.errors._replace(discrepancy=variance / regressor.scale_**2)
     regressor.misfit_variance_ = variance
-
-
-def fit_identified(folder, data):
-    """Write the model that `identify` makes by default, of few rows: two searches, sparse, with a discrepancy."""
-    regressor = DependentGPRegressor(
-        inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
-    )
-    train = data.train[data.train["time"] < 25]
-    test = data.test[data.test["time"] < 5]
-    found = identify(
-        train, data.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
-    )
-    learned = found.pipeline[-1]
-    # Few rows show none; a longer flight shows some of this size
-    with_discrepancy(learned, np.linspace(0.1, 0.6, 6) * learned.noise_variance_)
-    joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
 
 
 @pytest.fixture(scope="session")
 def identified(once, first_minute, cut_short):
-    """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen."""
+    """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen.
+
+    The default model of few rows: two searches, sparse, with a discrepancy.
+    """
 
     def write(folder):
-        with cut_short(), warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
+        data = first_minute()
+        train, test = data.train[data.train["time"] < 25], data.test[data.test["time"] < 5]
+        regressor = DependentGPRegressor(
+            inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
+        )
+        options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [2.0]}
+        with cut_short(n_searches=2), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
-            settings = replace(DependentGPRegressor.settings, n_searches=2)
-            patch.setattr(DependentGPRegressor, "settings", settings)
-            mechanics = FlightMechanics()
-            patch.setattr(_identification, "flight_mechanics", lambda *_: mechanics)
-            fit_identified(folder, first_minute())
+            found = identify(train, data.aircraft, **options)
+        learned = found.pipeline[-1]
+        # Few rows show none; a longer flight shows some of this size
+        with_discrepancy(learned, np.linspace(0.1, 0.6, 6) * learned.noise_variance_)
+        joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
 
-    names = ("pipeline", "aircraft", "flight")
     path = once("identified to export", write) / "model.joblib"
-    return Bunch(**dict(zip(names, joblib.load(path), strict=True)))
+    pipeline, aircraft, flight = joblib.load(path)
+    return Bunch(pipeline=pipeline, aircraft=aircraft, flight=flight)
 
 
 @pytest.fixture(scope="session")
@@ -124,16 +119,28 @@ def fitted(cut_short):
         options = {"max_iter": 2, "random_state": 0} | KINDS[kind]
         if "kernel" not in options:
             options["n_latent"] = 1
+        flight, Y = make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
-            model = pipeline_of(DependentGPRegressor(**options)).fit(
-                *make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
-            )
+            model = pipeline_of(DependentGPRegressor(**options)).fit(flight, Y)
         return Bunch(
             pipeline=model, aircraft=AIRCRAFT, created="2026-01-01", versions={"skdgp": "1"}
         )
 
     return get
+
+
+@pytest.fixture(scope="session")
+def example():
+    """Return a function to an example of the project by name, as a module."""
+
+    def load(name):
+        spec = spec_from_file_location(name, EXAMPLES / f"{name}.py")
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="session")
@@ -162,6 +169,16 @@ class Case(NamedTuple):
         mean, std = tail.predict(table, return_std=True, include_input_noise=noise)
         return mean, std if self.added is None else np.sqrt(std**2 + self.added(self.X))
 
+    def with_noise(self, noise):
+        """Return the case whose moments are those with a factor of the regressors' noise."""
+        mean, std = self.predict(noise)
+        return self._replace(mean=mean, std=std)
+
+    def assert_moments(self, moments):
+        mean, std = moments
+        self.assert_mean(mean)
+        self.assert_std(std)
+
     def assert_mean(self, mean, tolerance=1e-9):
         """The tolerance is of the largest value of each coefficient."""
         assert (np.abs(mean - self.mean) <= tolerance * np.abs(self.mean).max(axis=0)).all()
@@ -189,20 +206,18 @@ def case_of(request, fitted, portable_of):
         else:
             model, portable = fitted(kind) | {"flight": make_flight(30, 3)[0]}, portable_of(kind)
             model = Bunch(**model)
-        rng = np.random.default_rng(5)
+        rng = default_rng(5)
         flown = np.asarray(model.pipeline[:-2].transform(model.flight))
         X = flown[rng.choice(len(flown), 30, replace=False)]
         X[1::2] += 0.5 * flown.std(axis=0) * rng.standard_normal(X[1::2].shape)
         slopes = as_aerodynamics(model.pipeline).gradient(X)
-        case = Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes)
-        mean, std = case.predict(0.0)
-        return case._replace(mean=mean, std=std)
+        return Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes).with_noise(0.0)
 
     def widened():
         """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
         case = get("average")
         model = case.model
-        further = np.random.default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
+        further = default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
 
         def added(X):
             z = (X - model.shift) / model.scale
@@ -216,8 +231,7 @@ def case_of(request, fitted, portable_of):
         known = model.reference
         std = np.sqrt(known.std**2 + added(known.regressors))
         model = replace(model, parts=tuple(parts), reference=replace(known, std=std))
-        wide = case._replace(kind="widened", model=model, added=added)
-        return wide._replace(std=wide.predict(0.0)[1])
+        return case._replace(kind="widened", model=model, added=added).with_noise(0.0)
 
     return cache(lambda kind: widened() if kind == "widened" else get(kind))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.dynamics import Aircraft
 from skdgp.export import export_model, write_c
@@ -26,6 +27,12 @@ def done(folder, *words):
     run = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr + run.stdout
     return run.stdout
+
+
+def outcome(folder):
+    """Compile the test of a model strictly, and run it."""
+    done(folder, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
+    return subprocess.run("./test", cwd=folder, capture_output=True, text=True, check=False)
 
 
 class Library:
@@ -56,10 +63,10 @@ def test_equals_the_pipeline(case, tmp_path):
     case.assert_std(found[:, 1])
     case.assert_slopes(np.array([library("gradient", x, (P, d))[0] for x in case.X]))
     limits = (ctypes.c_double * (2 * d)).in_dll(library.library, "aero_limits")
-    np.testing.assert_array_equal(np.reshape(limits, (2, d)), model.limits)
+    assert_array_equal(np.reshape(limits, (2, d)), model.limits)
     sources = case.flight[:50][list(model.columns)]
     inputs = np.array([library("inputs", row, d)[0] for row in sources.to_numpy(float)])
-    np.testing.assert_allclose(inputs, model.regressor_values(sources), rtol=1e-12, atol=1e-14)
+    assert_allclose(inputs, model.regressor_values(sources), rtol=1e-12, atol=1e-14)
     assert ", ".join(model.columns) in (tmp_path / "aero.h").read_text()
 
 
@@ -85,8 +92,7 @@ WRONG = {
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path, wrong):
     write_c(tmp_path, WRONG[wrong](case_of("identified").model))
-    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
+    run = outcome(tmp_path)
     assert run.returncode == 1
     assert "FAILED" in run.stdout
 
@@ -95,24 +101,19 @@ def test_a_reduced_model_is_compared_with_the_pipeline(case_of, tmp_path):
     """Within its loss, which a wrong model exceeds, though it equals its own values."""
     model = case_of("identified").model
     wrong = replace(model, trend_center=model.trend_center + 0.5)
-    codes = []
-    for each in (model, wrong):
+    for each, code, words in (
+        (model, 0, "with the values of the reduced model"),
+        (wrong, 1, "from the pipeline by more than the stated loss"),
+    ):
         export_model(tmp_path, each, "c", max_kb=100)
-        done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-        run = subprocess.run("./test", cwd=tmp_path, capture_output=True, text=True, check=False)
-        codes.append(run.returncode)
-        words = [
-            "with the values of the reduced model",
-            "from the pipeline by more than the stated loss",
-        ]
-        assert words[run.returncode] in run.stdout
-    assert codes == [0, 1]
+        run = outcome(tmp_path)
+        assert run.returncode == code
+        assert words in run.stdout
 
 
 def test_a_model_without_a_pipeline_is_compared_with_itself(portable_of, tmp_path):
     write_c(tmp_path, replace(portable_of("trend"), reference=None))
-    done(tmp_path, *STRICT, "aero.c", "test_aero.c", "-o", "test", "-lm")
-    assert "with the values of the portable model" in done(tmp_path, "./test")
+    assert "with the values of the portable model" in outcome(tmp_path).stdout
 
 
 def test_a_size_is_kept(portable_of, tmp_path):

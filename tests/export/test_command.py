@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
-from skdgp._cli import main
 from skdgp.export import FORMATS, load_portable, portable_model
 from skdgp.identification import load_model, save_model
 
@@ -19,12 +19,12 @@ def path(fitted, tmp_path):
 
 
 @pytest.fixture
-def run(tmp_path, capsys):
+def run(command, tmp_path, capsys):
     """Run a command; return the numbers that it printed, and its folder."""
 
     def run(model, *words):
         folder = tmp_path / "out"
-        assert main(["export", str(model), *map(str, words), "-o", str(folder), "--json"]) == 0
+        assert command(["export", str(model), *map(str, words), "-o", str(folder), "--json"]) == 0
         return json.loads(capsys.readouterr().out, parse_constant=pytest.fail), folder
 
     return run
@@ -54,10 +54,10 @@ def test_in_a_smaller_size(run, path, to, max_kb, files):
     assert set(numbers["loss"]) == {"CX", "CY", "CZ", "Cl", "Cm", "Cn"}
 
 
-def test_full_deflections_of_jsbsim(path, tmp_path, capsys):
+def test_full_deflections_of_jsbsim(command, path, tmp_path, capsys):
     """Those that are not given are the largest of the flights, and are named."""
     words = ["export", str(path), "--to", "jsbsim", "--full", "elevator=0.42"]
-    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    assert command([*words, "-o", str(tmp_path / "out")]) == 0
     error = capsys.readouterr().err
     assert re.search(
         r"warning: Got no full deflections, .* of the flights: aileron 0\.\d+ rad", error
@@ -75,17 +75,17 @@ def test_full_deflections_of_jsbsim(path, tmp_path, capsys):
         (["--to", "jsbsim", "--full", "flap=0.4"], "full deflection of 'flap', but expected one"),
     ],
 )
-def test_what_cannot_be_exported(path, words, message, tmp_path, capsys):
-    assert main(["export", str(path), *words, "-o", str(tmp_path / "new" / "out")]) == 1
+def test_what_cannot_be_exported(command, path, words, message, tmp_path, capsys):
+    assert command(["export", str(path), *words, "-o", str(tmp_path / "new" / "out")]) == 1
     lines = capsys.readouterr().err.splitlines()
     (error,) = [line for line in lines if not line.startswith("warning: ")]
     assert re.search(f"error: .*{message}", error)
     assert not (tmp_path / "new").exists()
 
 
-def test_what_is_no_format(path, tmp_path, capsys):
+def test_what_is_no_format(command, path, tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
-        main(["export", str(path), "--to", "fortran", "-o", str(tmp_path / "out")])
+        command(["export", str(path), "--to", "fortran", "-o", str(tmp_path / "out")])
     assert end.value.code == 2
     error = capsys.readouterr().err
     assert all(name in error for name in FORMATS)
@@ -104,4 +104,4 @@ def test_code_of_the_page_runs(fitted, flight, tmp_path, monkeypatch):
         exec(compile(block, "export.md", "exec"), names)
     assert names["slopes"].shape == (30, 6, 6)
     X = names["model"].regressor_values(flight)
-    np.testing.assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)
+    assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)

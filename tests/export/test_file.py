@@ -6,11 +6,12 @@ import re
 import subprocess
 import sys
 import zipfile
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.export import PortableFileError, load_portable, save_portable
 
@@ -38,36 +39,25 @@ def path(portable_of, tmp_path):
 
 def test_is_the_same_model(portable, flight, tmp_path):
     found = load_portable(save_portable(tmp_path / "model.npz", portable))
-    for ours, theirs in zip(
-        portable.predict(flight, True), found.predict(flight, True), strict=True
-    ):
-        np.testing.assert_allclose(theirs, ours, rtol=1e-12)
-    np.testing.assert_allclose(
-        found.predict_gradient(flight), portable.predict_gradient(flight), rtol=1e-9, atol=1e-12
-    )
-    assert found.content_hash == portable.content_hash
-    assert found.aircraft == portable.aircraft
-    assert found.provenance == portable.provenance
+    assert_allclose(found.predict(flight, True), portable.predict(flight, True), rtol=1e-12)
+    slopes = portable.predict_gradient(flight)
+    assert_allclose(found.predict_gradient(flight), slopes, rtol=1e-9, atol=1e-12)
+    for name in ("content_hash", "aircraft", "provenance"):
+        assert getattr(found, name) == getattr(portable, name)
     for name, array in vars(portable.reference).items():
-        np.testing.assert_array_equal(getattr(found.reference, name), array)
+        assert_array_equal(getattr(found.reference, name), array)
 
 
-def test_the_reader_of_the_examples(case, tmp_path):
+def test_the_reader_of_the_examples(example, case, tmp_path):
     """It predicts what the pipeline predicts, and imports NumPy alone."""
-    path = ROOT / "examples" / "read_portable.py"
-    spec = spec_from_file_location("read_portable", path)
-    reader = module_from_spec(spec)
-    spec.loader.exec_module(reader)
+    reader = example("read_portable")
     model = reader.Model(save_portable(tmp_path / "model.npz", case.model))
     X = model.regressors({name: case.flight[name] for name in case.model.columns})
-    np.testing.assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
+    assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
     for noise in (1.0, 0.0):
-        mean, std = case.predict(noise)
-        expected = case._replace(mean=mean, std=std)
-        found, deviation = model.predict(case.X, noise)
-        expected.assert_mean(found)
-        expected.assert_std(deviation)
-    imports = re.findall(r"^(?:import|from) (\w+)", path.read_text(), re.MULTILINE)
+        case.with_noise(noise).assert_moments(model.predict(case.X, noise))
+    text = Path(reader.__file__).read_text()
+    imports = re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)
     assert imports == ["argparse", "json", "numpy"]
 
 
@@ -77,14 +67,14 @@ def test_loads_where_no_pickle_is_read(path, portable_of, tmp_path):
     assert done.returncode == 0, done.stderr
     model = portable_of("average")
     expected = np.stack(model.predict(model.samples, return_std=True))
-    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
+    assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
 
 
 def test_changed_content_and_a_missing_end_are_noticed(path, portable_of):
     """A changed bit is either noticed, or in a date of the archive."""
     whole = path.read_bytes()
     noticed = 0
-    for place in np.random.default_rng(0).integers(len(whole), size=60):
+    for place in default_rng(0).integers(len(whole), size=60):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         try:
             assert load_portable(path).content_hash == portable_of("average").content_hash

@@ -1,32 +1,28 @@
 """The environment of the examples: one that Gymnasium accepts, and flies as `simulate` does."""
 
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import Air, FlightComputer, simulate, trim
 
 checker = pytest.importorskip(
     "gymnasium.utils.env_checker", reason="runs the example: pip install gymnasium"
 )
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "gymnasium_environment.py"
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity")  # observations have no limits
-def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted):
-    spec = spec_from_file_location("gymnasium_environment", EXAMPLE)
-    example = module_from_spec(spec)
-    spec.loader.exec_module(example)
+def test_an_episode_is_a_flight_of_a_drawn_aircraft(example, fitted):
+    environment = example("gymnasium_environment")
     model, uav = fitted("trend").pipeline, fitted("trend").aircraft
     steady = trim(model, uav, 25.0, altitude=200.0)
-    env = example.AircraftEnv(model, uav, steady)
+    env = environment.AircraftEnv(model, uav, steady)
     checker.check_env(env, skip_render_check=True)
     first, _ = env.reset(seed=3)
     seen = [first, *(env.step([0.01, 0.0, 0.0])[0] for _ in range(9))]
     env.reset(seed=3)
-    path = int(np.random.default_rng(np.random.SeedSequence(3)).integers(2**31))
+    path = int(default_rng(np.random.SeedSequence(3)).integers(2**31))
     held = steady.controls | {"elevator": steady.controls["elevator"] + 0.01}
     calm = Air(gusts=None, drift=False)
 
@@ -35,8 +31,8 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(fitted):
         rows = simulate(
             model, uav, steady, loop, 0.02, duration=0.18, n_paths=1, air=calm, random_state=path
         )
-        return rows[example.SEEN].to_numpy()
+        return rows[environment.SEEN].to_numpy()
 
-    np.testing.assert_allclose(seen[1:], flown(held)[1:], atol=1e-9)
+    assert_allclose(seen[1:], flown(held)[1:], atol=1e-9)
     # the accelerometers before the first action are those at the controls of the trim
-    np.testing.assert_allclose(first, flown(steady.controls)[0], atol=1e-9)
+    assert_allclose(first, flown(steady.controls)[0], atol=1e-9)

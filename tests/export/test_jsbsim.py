@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
@@ -48,8 +49,7 @@ def placed(fdm, model, x, airspeed=AIRSPEED):
     fdm["ic/h-sl-ft"] = 1000.0
     fdm["ic/alpha-rad"] = row["alpha"]
     fdm["ic/beta-rad"] = row["beta"]
-    lengths = zip("pqr", model.aircraft.moment_lengths, strict=True)
-    for rate, length in lengths:
+    for rate, length in zip("pqr", model.aircraft.moment_lengths, strict=True):
         fdm[f"ic/{rate}-rad_sec"] = row.get(f"{rate}_hat", 0.0) * 2 * airspeed / length
     for surface, largest in FULL.items():
         fdm[f"fcs/{surface}-cmd-norm"] = row[surface] / largest
@@ -131,20 +131,26 @@ def test_a_full_deflection_that_cannot_be_is_refused(portable_of, tmp_path, full
     assert not list(tmp_path.iterdir())
 
 
+def loads(fdm, kind):
+    """Return the forces [N] and the moments [N m] of a kind in body axes."""
+    force = [fdm[f"forces/fb{axis}-{kind}-lbs"] for axis in "xyz"]
+    moment = [fdm[f"moments/{axis}-{kind}-lbsft"] for axis in "lmn"]
+    return POUND_FORCE * np.array(force), POUND_FORCE * FOOT * np.array(moment)
+
+
 def test_loads_and_accelerations_are_those_of_the_coefficients(load, portable_of):
     model = portable_of("trend")
     uav = model.aircraft
     fdm = load(model)
     C = placed(fdm, model, model.samples[3])
     qbar_area = 0.5 * density(fdm) * AIRSPEED**2 * uav.wing_area
-    force = np.array([fdm[f"forces/fb{axis}-aero-lbs"] for axis in "xyz"]) * POUND_FORCE
-    moment = np.array([fdm[f"moments/{axis}-aero-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
-    np.testing.assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
-    np.testing.assert_allclose(moment, qbar_area * uav.moment_lengths * C[3:], rtol=1e-6)
+    force, moment = loads(fdm, "aero")
+    assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
+    assert_allclose(moment, qbar_area * uav.moment_lengths * C[3:], rtol=1e-6)
     omega = np.array([fdm[f"velocities/{rate}-rad_sec"] for rate in "pqr"])
-    found = np.array([fdm[f"accelerations/{rate}dot-rad_sec2"] for rate in "pqr"])
+    found = [fdm[f"accelerations/{rate}dot-rad_sec2"] for rate in "pqr"]
     expected = np.linalg.solve(uav.inertia, moment - np.cross(omega, uav.inertia @ omega))
-    np.testing.assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
+    assert_allclose(found, expected, atol=1e-3 * np.abs(expected).max())
     assert fdm["inertia/mass-slugs"] * POUND_FORCE / FOOT == pytest.approx(uav.mass)
 
 
@@ -156,11 +162,8 @@ def test_thrust_is_that_of_the_propeller(load, portable_of):
     fdm["fcs/throttle-cmd-norm"] = 0.6
     placed(fdm, model, model.samples[0])
     state = (580.0, AIRSPEED, density(fdm))
-    force, moment = line.loads(PROPELLER.thrust(*state), PROPELLER.torque(*state))
-    found = np.array([fdm[f"forces/fb{axis}-external-lbs"] for axis in "xyz"]) * POUND_FORCE
-    np.testing.assert_allclose(found, force, rtol=1e-6, atol=1e-9)
-    found = np.array([fdm[f"moments/{axis}-external-lbsft"] for axis in "lmn"]) * POUND_FORCE * FOOT
-    np.testing.assert_allclose(found, moment, rtol=1e-6, atol=1e-9)
+    expected = line.loads(PROPELLER.thrust(*state), PROPELLER.torque(*state))
+    assert_allclose(loads(fdm, "external"), expected, rtol=1e-6, atol=1e-9)
 
 
 def test_surfaces_follow_commands_with_the_lag_of_the_servos(load, portable_of):
@@ -186,13 +189,15 @@ def test_trim_is_that_of_jsbsim(load, portable_of, propeller):
     if propeller is None:
         fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
     fdm["simulation/do_simple_trim"] = 1
-    assert fdm["aero/alpha-rad"] == pytest.approx(expected.alpha, abs=1e-4)
-    assert fdm["attitude/phi-rad"] == pytest.approx(expected.phi, abs=1e-4)
-    assert fdm["attitude/theta-rad"] == pytest.approx(expected.theta, abs=1e-4)
-    for place, name in {
-        "elevator-pos-rad": "elevator", "left-aileron-pos-rad": "aileron", "rudder-pos-rad": "rudder",
-    }.items():  # fmt: skip
-        assert fdm[f"fcs/{place}"] == pytest.approx(expected.controls[name], abs=1e-4)
+    for place, value in {
+        "aero/alpha-rad": expected.alpha,
+        "attitude/phi-rad": expected.phi,
+        "attitude/theta-rad": expected.theta,
+        "fcs/elevator-pos-rad": expected.controls["elevator"],
+        "fcs/left-aileron-pos-rad": expected.controls["aileron"],
+        "fcs/rudder-pos-rad": expected.controls["rudder"],
+    }.items():
+        assert fdm[place] == pytest.approx(value, abs=1e-4)
     thrust = fdm["forces/fbx-external-lbs"] * POUND_FORCE
     assert thrust == pytest.approx(expected.thrust, rel=1e-3)
 

@@ -1,11 +1,10 @@
 """The plan of the example keeps its limits for the aircraft of the posterior, and the plan of the mean does not."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Air, Aircraft, standard_density, trim
@@ -29,18 +28,9 @@ AIRCRAFT = Aircraft(
 
 
 @pytest.fixture(scope="module")
-def example():
-    path = Path(__file__).resolve().parents[2] / "examples" / "pull_up_casadi.py"
-    spec = importlib.util.spec_from_file_location("pull_up_casadi", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
 def pipeline():
     """Return a model of 600 noisy samples of a textbook aircraft whose lift curve bends."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(CENTRE, SPREAD, (600, 8))
     alpha, beta, p, q, r, elevator, aileron, rudder = X.T
     flight = pd.DataFrame(X, columns=[name.removesuffix("_hat") for name in REGRESSORS])
@@ -65,22 +55,23 @@ def pipeline():
 
 
 def test_the_margin_keeps_the_limits_for_95_percent(example, pipeline):
+    planner = example("pull_up_casadi")
     steady = trim(pipeline, AIRCRAFT, 22.0, altitude=ALTITUDE, air=Air(density=DENSITY))
     model = portable_model(pipeline, AIRCRAFT)
-    motion, start = example.motion_of(model, AIRCRAFT, steady, DENSITY)
+    motion, start = planner.motion_of(model, AIRCRAFT, steady, DENSITY)
     rates, limited = motion(start, steady.controls["elevator"])
-    np.testing.assert_allclose(np.array(rates).ravel(), 0.0, atol=1e-5)
-    np.testing.assert_allclose(np.array(limited).ravel()[0], steady.alpha)
+    assert_allclose(np.array(rates).ravel(), 0.0, atol=1e-5)
+    assert_allclose(np.array(limited).ravel()[0], steady.alpha)
 
-    margin = np.zeros((len(example.TIME), 2))
+    margin = np.zeros((len(planner.TIME), 2))
     exceeding = []
     for seed in range(3):
-        plan = example.planned(motion, start, steady, LIMITS - margin, (-0.3, 0.3))
+        plan = planner.planned(motion, start, steady, LIMITS - margin, (-0.3, 0.3))
         controls, mean = plan
         assert (mean + margin <= LIMITS + 1e-6).all()
         fly = pipeline, AIRCRAFT, steady, controls, DENSITY, PATHS
-        others = example.flown(*fly, seed=1000 + seed)
+        others = planner.flown(*fly, seed=1000 + seed)
         exceeding.append(np.mean((others > LIMITS).any(axis=(1, 2))))
-        margin = example.margin(example.flown(*fly, seed=seed), mean)
+        margin = planner.margin(planner.flown(*fly, seed=seed), mean)
     assert exceeding[0] > 0.3
     assert exceeding[-1] <= 0.05

@@ -1,97 +1,97 @@
 """What identify assumes where nothing is said: thrust, sizes, surfaces that are missing."""
 
 import warnings
+from contextlib import suppress
 
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
-from skdgp import DependentGPRegressor
-from skdgp._compute.findings import Code, Finding
-from skdgp._compute.wording import text_of
-from skdgp._flight.tables import FlightTable
+from skdgp import DependentGPRegressor, listening
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import portable_model, write_c
-from skdgp.identification import _prepare, identify, load_model, validate
-from skdgp.identification._learn import thrust_sources
-from skdgp.identification._prepare import (
-    assumptions,
-    check_controls,
-    lacks_thrust,
-    servos_for,
-    usable_flights,
-)
-from skdgp.io import FULL_THROW
-from skdgp.preprocessing import FlightDataWarning
+from skdgp.identification import identify, load_model, validate
+from skdgp.report import Code
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
+UNKNOWN = Aircraft.estimate(3.0, 1.8)
+KNOWN = Aircraft.estimate(3.0, 1.8, propeller={"diameter": 0.3, "thrust_coefficients": [0.1]})
 # Of a stable aircraft, of its dampings, and of its controls
 SIGNS = {
     "CZ_alpha": -1, "Cm_alpha": -1, "Cm_q": -1, "Cl_p": -1, "Cn_beta": 1, "Cn_r": -1,
     "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1, "CX_throttle": 1,
 }  # fmt: skip
+WAVES = [
+    "alpha",
+    "beta",
+    "p",
+    "q",
+    "r",
+    "elevator",
+    "aileron",
+    "rudder",
+    "throttle",
+    "ax",
+    "ay",
+    "az",
+]
 
 
-class TestServos:
-    @pytest.fixture(autouse=True)
-    def parameters(self, monkeypatch):
-        monkeypatch.setattr(_prepare, "names_servos", lambda path: path != "nameless.ulg")
+def table(n=400):
+    """Return a flight without thrust and attitude."""
+    t = np.arange(n) * 0.05
+    k = np.arange(len(WAVES))
+    waves = 0.1 * np.sin(np.outer(t, 0.7 + 0.31 * k) + k)
+    waves[:, -1] -= 9.8
+    speed = {"airspeed": 20 + np.sin(0.3 * t), "density": 1.2}
+    return pd.DataFrame(waves, columns=WAVES).assign(time=t, **speed)
 
-    def test_logs_of_autopilots_have_full_throws(self):
-        assert servos_for(None, "a.ulg", None) == FULL_THROW
-        assert servos_for(None, {"one": "a.ulg"}, ["b.bin"]) == FULL_THROW
-        assert servos_for("servo.toml", ["a.ulg", "b.bin"], None) == "servo.toml"
-        assert servos_for(None, ["a.csv", pd.DataFrame()], "b.parquet") is None
 
-    def test_a_log_that_names_no_servo_has_none(self):
-        assert servos_for(None, "nameless.ulg", None) is None
+class Stopped(Exception):
+    """Raised where the flights are read and checked."""
 
-    def test_units_are_not_mixed(self):
-        with pytest.raises(ValueError, match="Got logs of autopilots without servos beside tables"):
-            servos_for(None, "a.csv", "b.ulg")
+
+def stop(stage, *_):
+    if stage == "coefficients":
+        raise Stopped
+
+
+def said_of(flight, aircraft=UNKNOWN, **options):
+    """Return what identify says of a flight before it learns anything."""
+    with warnings.catch_warnings(record=True) as shown, listening(stop), suppress(Stopped):
+        warnings.simplefilter("always")
+        identify(flight, aircraft, **options)
+    return " ".join(str(warning.message) for warning in shown)
 
 
 class TestThrust:
-    KNOWN = Aircraft.estimate(3.0, 1.8, propeller={"diameter": 0.3, "thrust_coefficients": [0.1]})
-    UNKNOWN = Aircraft.estimate(3.0, 1.8)
-
     @pytest.mark.parametrize(
         ("columns", "aircraft", "thrust", "lacks"),
         [
-            ("throttle", UNKNOWN, "auto", True),
-            ("throttle propeller_speed", UNKNOWN, "auto", True),
-            ("throttle propeller_speed", KNOWN, "auto", False),
-            ("throttle thrust_x", UNKNOWN, "auto", False),
-            ("throttle thrust", UNKNOWN, "auto", False),
-            ("airspeed", UNKNOWN, "auto", False),  # no throttle explains it: an error says so
-            ("throttle", UNKNOWN, None, False),
+            ([], UNKNOWN, "auto", True),
+            (["propeller_speed"], UNKNOWN, "auto", True),
+            (["propeller_speed"], KNOWN, "auto", False),
+            (["thrust_x"], UNKNOWN, "auto", False),
+            (["thrust"], UNKNOWN, "auto", False),
+            ([], UNKNOWN, None, False),
         ],
     )
     def test_is_unknown_where_nothing_gives_it(self, columns, aircraft, thrust, lacks):
-        assert lacks_thrust(thrust, [pd.DataFrame(columns=columns.split())], aircraft) is lacks
+        flight = table(200).assign(**dict.fromkeys(columns, 1.0))
+        said = said_of(flight, aircraft, thrust=thrust)
+        assert ("Neither columns (thrust, or thrust_x, thrust_y, thrust_z)" in said) is lacks
+
+    def test_without_a_throttle_an_error_says_so(self):
+        """No throttle explains it."""
+        with pytest.raises(ValueError, match="thrust"):
+            quietly(table(200).drop(columns="throttle"), UNKNOWN)
 
     @pytest.mark.parametrize("column", ["thrust", "thrust_x"])
     def test_a_column_beside_a_throttle_is_read(self, column):
-        table = pd.DataFrame({"throttle": [0.5], "airspeed": [20.0], "density": [1.2], column: 3.0})
-        assert thrust_sources("auto", [table]) == ["columns"]
-        force, _ = propulsive_loads(table, self.UNKNOWN)
-        np.testing.assert_array_equal(force, [[3.0, 0.0, 0.0]])
-
-
-class TestWords:
-    def test_nothing_was_assumed_of_what_was_told(self):
-        told = Aircraft.estimate(
-            3.0, 1.8, wing_area=0.4, length=1.2, inertia=np.diag([0.1, 0.15, 0.2])
-        )
-        assert assumptions(told) == ()
-
-    def test_sizes_are_said_with_all_their_errors(self):
-        """Iyy follows the length by its square: 25 % of the radius and twice 15 % of the length."""
-        aircraft = Aircraft.estimate(3.0, 1.8)
-        first = text_of(assumptions(aircraft)[0])
-        assert "wing area 0.432 m^2 ± 35 %" in first
-        assert "Iyy 0.208 kg m^2 ± 39 %" in first
-        assert "mass" not in first
+        flight = pd.DataFrame({"throttle": [0.5], "airspeed": 20.0, "density": 1.2, column: 3.0})
+        force, _ = propulsive_loads(flight, UNKNOWN)
+        assert_allclose(force, [[3.0, 0.0, 0.0]])
 
 
 def quietly(*flights, **options):
@@ -101,34 +101,29 @@ def quietly(*flights, **options):
         return identify(*flights, regressor=QUICK, **options)
 
 
+@pytest.mark.usefixtures("no_mechanics")
 def test_a_table_without_thrust():
-    """The model has throttle and airspeed among its regressors."""
-    t = np.arange(400) * 0.05
-    names = [
-        "alpha",
-        "beta",
-        "p",
-        "q",
-        "r",
-        "elevator",
-        "aileron",
-        "rudder",
-        "throttle",
-        "ax",
-        "ay",
-        "az",
-    ]
-    table = pd.DataFrame(
-        {name: 0.1 * np.sin((0.7 + 0.31 * k) * t + k) for k, name in enumerate(names)}
-    )
-    table = table.assign(time=t, airspeed=20 + np.sin(0.3 * t), density=1.2, az=table["az"] - 9.8)
-    found = quietly(table, Aircraft.estimate(3.0, 1.8), samples=100, horizons=[1.0])
+    """The model has throttle and airspeed among its regressors; sizes are said with all their errors.
+
+    Iyy follows the length by its square: 25 % of the radius and twice 15 % of the length.
+    """
+    found = quietly(table(), UNKNOWN, samples=100, horizons=[1.0])
     assert {"throttle", "airspeed"} <= set(found.fit.regressors)
     assert found.settings["thrust"] is None
     assert "servos" not in found.settings
-    lacks_thrust = Finding(Code.THRUST_IN_COEFFICIENTS)
-    assert lacks_thrust in found.assumptions
-    assert lacks_thrust in found.findings
+    for findings in (found.assumptions, found.findings):
+        assert Code.THRUST_IN_COEFFICIENTS in {finding.code for finding in findings}
+    assert "wing area 0.432 m^2 ± 35 %" in found.assumed[0]
+    assert "Iyy 0.208 kg m^2 ± 39 %" in found.assumed[0]
+    assert "mass" not in found.assumed[0]
+
+
+@pytest.mark.usefixtures("no_mechanics")
+def test_nothing_was_assumed_of_what_was_told():
+    inertia = np.diag([0.1, 0.15, 0.2])
+    told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=inertia)
+    flight = table().assign(thrust_x=1.0)
+    assert quietly(flight, told, samples=60, horizons=[1.0]).assumptions == ()
 
 
 @pytest.fixture(scope="module")
@@ -173,40 +168,34 @@ class TestALogAMassAndASpan:
         assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
 
     @pytest.mark.filterwarnings("ignore")
-    def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, monkeypatch):
-        monkeypatch.setattr("skdgp._display.page.find_spec", lambda name: None)  # words alone
+    def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, no_pictures):
         page = (found.save(tmp_path) / "report.html").read_text(encoding="utf-8")
         assert "What was assumed</h2>" in page
         assert "Those by surfaces are by their full throw." in page
 
 
-TABLE = pd.DataFrame({"time": [0.0, 0.1]}).assign(alpha=0.0, q=0.0, aileron=0.0, rudder=0.0)
-
-
-def test_another_name():
+def test_a_surface_of_another_name():
+    flight = table(200).rename(columns={"elevator": "de"})
     with pytest.raises(ValueError, match=r"did you mean 'de'\?.*--rename de=elevator"):
-        check_controls({"a": FlightTable.of(TABLE.assign(de=0.0))}, "quasi-steady")
+        identify(flight, UNKNOWN)
+    assert "elevator" not in said_of(flight, regressors=["alpha", "aileron"])
 
 
 def test_no_elevator():
-    with pytest.warns(UserWarning, match="without an elevator"):
-        check_controls({"a": FlightTable.of(TABLE)}, "quasi-steady")
+    flight = table(200).drop(columns="elevator")
+    assert "without an elevator" in said_of(flight)
+    assert "without an elevator" not in said_of(flight.assign(elevon_left=0.1, elevon_right=0.1))
 
 
-@pytest.mark.parametrize("given", ["elevator", "elevon_left"])
-def test_what_needs_none(given):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_controls({"a": FlightTable.of(TABLE.assign(**{given: 0.0}))}, "quasi-steady")
-        check_controls({"a": FlightTable.of(TABLE.assign(de=0.0))}, ["alpha", "aileron"])
-
-
+@pytest.mark.usefixtures("no_mechanics")
 def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_minute):
-    train = first_minute().train
-    flight = train[train["flight"] == "latlon"].reset_index(drop=True)
+    data = first_minute()
+    flight = data.train[data.train["flight"] == "latlon"].reset_index(drop=True)
     left, right = flight.pop("elevon_left"), flight.pop("elevon_right")
-    surfaces = {"elevator": (left + right) / 2 / 0.4, "aileron": (right - left) / 2 / 0.4}
-    reversed_aileron = flight.assign(**surfaces)
-    with pytest.warns(FlightDataWarning, match="Contradiction in the flights: aileron"):
-        usable = usable_flights({"one": FlightTable.of(reversed_aileron)}, ["aileron"], ["aileron"])
-    assert usable["one"]["aileron"].equals(reversed_aileron["aileron"])
+    opposite = flight.drop(columns="psi").assign(aileron=(right - left) / 2)
+    found = quietly(
+        {"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizons=[1.0]
+    )
+    (contradiction,) = [each for each in found.findings if each.code is Code.CONTRADICTION]
+    assert contradiction.numbers["channels"] == ["aileron"]
+    assert found.train["one"]["aileron"].equals(opposite["aileron"])

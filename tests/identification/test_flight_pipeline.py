@@ -6,6 +6,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
@@ -87,7 +89,7 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
         found[side] = pipeline.predict(seen(test_flight.iloc[:200], side), return_std=True)
     (mean, std), (mirrored, deviation) = found[1], found[-1]
     assert (np.abs(mean - mirrored * [1, -1, 1, -1, 1, -1]) < 0.05 * std).all()
-    np.testing.assert_allclose(deviation, std, rtol=0.05)
+    assert_allclose(deviation, std, rtol=0.05)
 
 
 class TestPredict:
@@ -99,27 +101,23 @@ class TestPredict:
             reconstruction.transform(test_flight)["gust"].to_numpy(),
             reconstruction.gust_std_,
         )
-        np.testing.assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
+        assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
         assert not np.allclose(ratio, 1.0, rtol=0.02)  # another flight, other air
         _, std = model.predict(test_flight, return_std=True)
         _, exact = model.predict(test_flight, return_std=True, include_input_noise=False)
         slopes = model[-1].predict_gradient(X)
         carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
-        np.testing.assert_allclose(
-            std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12
-        )
+        assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
 
     def test_noise_of_measurements_is_on_request(self, model, test_flight):
         mean, std = model.predict(test_flight, return_std=True)
         again, noisy = model.predict(test_flight, return_std=True, include_noise=True)
-        np.testing.assert_allclose(mean, again, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(
-            noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape)
-        )
-        np.testing.assert_allclose(model.predict(test_flight), mean, atol=1e-10)
+        assert_allclose(mean, again, rtol=1e-9, atol=1e-10)
+        assert_allclose(noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape))
+        assert_allclose(model.predict(test_flight), mean, atol=1e-10)
 
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
-        noise = np.random.default_rng(0).normal(0.0, 0.3, 400)
+        noise = default_rng(0).normal(0.0, 0.3, 400)
         slow = test_flight.assign(airspeed=np.where(np.arange(400) < 200, noise, 30.0 + noise))
         for use in (
             model.predict,
@@ -132,7 +130,7 @@ class TestPredict:
     def test_clones_pickles_and_other_regressors(self, model, flights, test_flight):
         assert isinstance(clone(model), FlightPipeline)
         again = pickle.loads(pickle.dumps(model))
-        np.testing.assert_allclose(
+        assert_allclose(
             again.predict(test_flight, return_std=True),
             model.predict(test_flight, return_std=True),
             rtol=1e-9,
@@ -170,10 +168,10 @@ class TestLeastSquares:
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T
-        np.testing.assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
+        assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
         assert (
             f"Least squares on the same rows has an error of {expected.mean():.3f}"
             in result.summary()
         )
         baseline = result.evaluations[0].baseline
-        np.testing.assert_allclose(baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)
+        assert_allclose(baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)

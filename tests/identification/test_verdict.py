@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from pandas.testing import assert_frame_equal
 
-from skdgp._compute.findings import Code, Finding
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -17,10 +17,8 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._free_flight import simulation_errors
-from skdgp.identification._mechanics import flight_mechanics
-from skdgp.identification._verdict import judge
-from skdgp.report import Evaluation, FitRecord, FlightMechanics, TrainingRecord
+from skdgp.identification import Identification
+from skdgp.report import Code, Evaluation, Finding, FitRecord, FlightMechanics, TrainingRecord
 
 AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -59,12 +57,9 @@ def glider(elevator=-1.0):
         alpha, beta, p, q, r, de, da, dr = X.T
         lift = 0.3 + 4.5 * alpha
         pitch = 0.02 - 0.6 * alpha - 9 * q + elevator * de
-        side, roll, yaw = (
-            -0.5 * beta,
-            -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * da,
-            0.08 * beta - 0.1 * r - 0.06 * dr,
-        )
-        return np.stack([-0.03 + lift * alpha, side, -lift, roll, pitch, yaw], axis=-1)
+        roll = -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * da
+        yaw = 0.08 * beta - 0.1 * r - 0.06 * dr
+        return np.stack([lift * alpha - 0.03, -0.5 * beta, -lift, roll, pitch, yaw], axis=-1)
 
     return Aerodynamics(coefficients, NAMES)
 
@@ -87,7 +82,7 @@ def flight():
 
 def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
     """Return a flight whose errors are these parts of the spread, exactly."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     measured, noise = rng.normal(size=(2, n, 6))
     measured = (measured - measured.mean(axis=0)) / measured.std(axis=0)
     noise /= np.sqrt((noise**2).mean(axis=0))
@@ -130,15 +125,47 @@ def simulated(lasts):
     return pd.DataFrame(columns, index=["theta", "p"])
 
 
-def verdict(evaluations=None, mechanics_=None, findings=(), **fit):
-    evaluations = [evaluation()] if evaluations is None else evaluations
-    train = [evaluations[0].table] * 3
-    return judge(train, evaluations, replace(FIT, **fit), mechanics_ or mechanics(), findings)
+def identification(
+    train, evaluations, *, model=None, aircraft=AIRCRAFT, findings=(), fit=FIT, **settings
+):
+    """Return the result of an identification of a model, by default the true glider."""
+    return Identification(
+        pipeline=model or glider(),
+        aircraft=aircraft,
+        settings=SETTINGS | settings,
+        fit=fit,
+        train=dict(enumerate(train)),
+        evaluations=evaluations,
+        findings=tuple(findings),
+    )
+
+
+def verdict(evaluations=None, findings=(), fit=None, **parts):
+    """Return the verdict on evaluations, mechanics and the record of a fit of three flights."""
+    evaluations = evaluations or [evaluation()]
+    train = 3 * [evaluations[0].table]
+    result = identification(train, evaluations, findings=findings, fit=replace(FIT, **fit or {}))
+    vars(result)["mechanics"] = mechanics(**parts)
+    return result.verdict
 
 
 def use(found, purpose):
     (one,) = [one for one in found.uses if one.purpose == purpose]
     return one.fit, one.reason
+
+
+def mechanics_of(*tables, train=None, **options):
+    """Return the mechanics of a model that flies like these tables, or not."""
+    tested = [replace(evaluation(n=2), table=table) for table in tables]
+    fit = replace(FIT, training=None)
+    return identification(
+        [train if train is not None else tables[0]], tested, fit=fit, **options
+    ).mechanics
+
+
+def errors_of(*tables, elevator=-1.0):
+    """Return how a simulation by a glider follows the tables."""
+    return mechanics_of(*tables, model=glider(elevator)).simulation
 
 
 def test_one_error_one_coverage_and_how_much_was_learned_from():
@@ -157,7 +184,14 @@ def test_least_squares_by_coefficient():
     assert found.compared().endswith(
         "the model is better in CX CY, equal in CZ Cl, worse in Cm Cn."
     )
-    assert verdict([evaluation(error=0.3, linear=linear)]).worse == COEFFICIENTS
+    assert verdict([evaluation(error=0.3, linear=linear)]).worse == (
+        "CX",
+        "CY",
+        "CZ",
+        "Cl",
+        "Cm",
+        "Cn",
+    )
 
 
 class TestPrediction:
@@ -186,29 +220,31 @@ class TestSimulation:
         ],
     )
     def test_is_good_for_as_long_as_its_worst_state(self, lasts, fit, words):
-        found = use(verdict(mechanics_=mechanics(simulation=simulated(lasts))), "simulate")
+        found = use(verdict(simulation=simulated(lasts)), "simulate")
         assert found[0] == fit
         assert words in found[1]
 
     @pytest.mark.parametrize(("apart", "fit"), [([4.0, 1.2], "unknown"), ([4.0, 0.6], "no")])
     def test_gusts_that_explain_the_error_leave_it_open(self, apart, fit):
         table = simulated([4.0, 0.5]).assign(lasts_without_gusts=apart, gusts=0.7)
-        found = use(verdict(mechanics_=mechanics(simulation=table)), "simulate")
+        found = use(verdict(simulation=table), "simulate")
         assert found[0] == fit
         assert ("not testable in this air" in found[1]) == (fit == "unknown")
 
     def test_says_why_it_is_not_known(self):
-        lacking = mechanics(simulation=None, simulation_note=NO_ALPHA)
-        assert use(verdict(mechanics_=lacking), "simulate") == ("unknown", "no alpha")
-        with_ax = verdict(regressors=["alpha", "ax"])
+        assert use(verdict(simulation=None, simulation_note=NO_ALPHA), "simulate") == (
+            "unknown",
+            "no alpha",
+        )
+        with_ax = verdict(fit={"regressors": ["alpha", "ax"]})
         assert use(with_ax, "simulate") == ("no", "the regressors ax are known only after a flight")
 
     def test_the_true_aircraft_follows_and_another_does_not(self, flight):
-        true = simulation_errors(glider(), AIRCRAFT, [flight], SETTINGS)
+        true = errors_of(flight)
         assert (true["lasts"] == true["horizon"]).all()
         assert true["horizon"].iloc[0] == pytest.approx(4.0, rel=0.06)
         assert true.loc["theta", "spread"] == pytest.approx(flight["theta"].std(), rel=0.01)
-        wrong = simulation_errors(glider(elevator=-0.2), AIRCRAFT, [flight], SETTINGS)
+        wrong = errors_of(flight, elevator=-0.2)
         assert wrong.loc["q", "lasts"] < 2
         assert (wrong["error"] >= true["error"]).all()
 
@@ -217,55 +253,48 @@ class TestSimulation:
         gusty = glide(40.0, air=Air(wind, gusts=None))
         felt = {name: np.interp(gusty["time"], wind["time"], wind[name]) for name in WIND}
         unknown = gusty.drop(columns=WIND, errors="ignore")
-        still = simulation_errors(glider(), AIRCRAFT, [unknown], SETTINGS)
-        known = simulation_errors(glider(), AIRCRAFT, [gusty.assign(**felt)], SETTINGS)
+        still = errors_of(unknown)
+        known = errors_of(gusty.assign(**felt))
         assert still["lasts"].min() < 1
         assert still["lasts_without_gusts"].min() >= 1
-        wrong = simulation_errors(glider(elevator=1.0), AIRCRAFT, [unknown], SETTINGS)
+        wrong = errors_of(unknown, elevator=1.0)
         assert wrong["lasts_without_gusts"].min() < 1
         assert known["gusts"].eq(0).all()
         assert (known["lasts"] >= 4 * still["lasts"].min()).all()
         turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
-        found = simulation_errors(glider(), AIRCRAFT, [turns], SETTINGS)
-        pd.testing.assert_frame_equal(found, known, rtol=1e-6)
+        found = errors_of(turns)
+        assert_frame_equal(found, known, rtol=1e-6)
 
     def test_flights_too_short_to_show_their_noise_do_not_narrow_the_limit(self, flight):
-        noise = np.random.default_rng(0).normal(0, 0.05, len(flight))
+        noise = default_rng(0).normal(0, 0.05, len(flight))
         noisy = flight.assign(q=flight["q"] + noise)
-        tables = [noisy, noisy[:8], noisy[8:16].reset_index(drop=True)]
-        alone, found = (
-            simulation_errors(glider(), AIRCRAFT, each, SETTINGS).loc["q", "limit"]
-            for each in ([noisy], tables)
-        )
-        assert found == pytest.approx(alone) == pytest.approx(3 * 0.05, rel=0.2)
+        found = errors_of(noisy, noisy[:8], noisy[8:16].reset_index(drop=True)).loc["q", "limit"]
+        assert found == pytest.approx(errors_of(noisy).loc["q", "limit"])
+        assert found == pytest.approx(3 * 0.05, rel=0.2)
 
     def test_gaps_are_not_flown_through(self, flight):
         broken = flight.assign(time=flight["time"] + 100.0 * (flight["time"] > 12))
-        found = simulation_errors(glider(), AIRCRAFT, [broken], SETTINGS)
+        found = errors_of(broken)
         assert (found["lasts"] == found["horizon"]).all()
 
     @pytest.mark.parametrize(
         ("change", "settings", "message"),
         [
-            ({}, {"external_forces": ["tether"]}, "simulation lacks: tether"),
-            ({"alpha": None}, {}, "the flights lack alpha"),
-            ({"theta": np.nan}, {}, "no part of"),
+            (lambda table: table, {"external_forces": ["tether"]}, "simulation lacks: tether"),
+            (lambda table: table.drop(columns="alpha"), {}, "the flights lack alpha"),
+            (lambda table: table.assign(theta=np.nan), {}, "no part of"),
         ],
     )
-    def test_refuses_what_it_cannot_fly(self, flight, change, settings, message):
-        table = (
-            flight.assign(**change).dropna(axis=1, how="all")
-            if "alpha" in change
-            else flight.assign(**change)
-        )
-        with pytest.raises(ValueError, match=message):
-            simulation_errors(glider(), AIRCRAFT, [table], SETTINGS | settings)
+    def test_says_what_it_cannot_fly(self, flight, change, settings, message):
+        found = mechanics_of(change(flight), train=flight, **settings)
+        assert found.simulation is None
+        assert message in found.simulation_note.numbers["error"]
 
 
 class TestControl:
     def test_a_wide_band_of_a_control(self):
         wide = mechanics().derivatives.assign(std=[0.3, 0.01, 0.01])
-        fit, reason = use(verdict(mechanics_=mechanics(derivatives=wide)), "design a controller")
+        fit, reason = use(verdict(derivatives=wide), "design a controller")
         assert (fit, reason) == (
             "no",
             "not known well enough, half of the 95 % interval: Cm_elevator ± 59 %",
@@ -278,7 +307,7 @@ class TestControl:
         modes = pd.DataFrame(
             {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=[mode, "phugoid"]
         )
-        fit, reason = use(verdict(mechanics_=mechanics(modes=modes)), "design a controller")
+        fit, reason = use(verdict(modes=modes), "design a controller")
         assert (fit, reason) == (
             "no",
             f"not known well enough, half of the 95 % interval: {mode} ± 78 %",
@@ -286,8 +315,8 @@ class TestControl:
 
     def test_no_derivatives_at_a_trim(self):
         note = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-        without = mechanics(derivatives=pd.DataFrame(), notes=(note,))
-        assert use(verdict(mechanics_=without), "design a controller") == ("no", "no derivatives")
+        found = verdict(derivatives=pd.DataFrame(), notes=(note,))
+        assert use(found, "design a controller") == ("no", "no derivatives")
 
     @pytest.mark.parametrize(("error", "fit"), [(1.2, "partly"), (0.8, "yes")])
     def test_moments_that_a_constant_predicts_better_are_no_yes(self, error, fit):
@@ -296,7 +325,7 @@ class TestControl:
         assert ("a constant predicts Cm" in use(found, "design a controller")[1]) == (error > 1)
 
     def test_no_steady_flight(self):
-        found = verdict(mechanics_=mechanics(trim=None, notes=(NO_TRIM,)))
+        found = verdict(trim=None, notes=(NO_TRIM,))
         assert use(found, "design a controller") == ("no", "no steady flight was found at 20 m/s")
 
 
@@ -304,12 +333,12 @@ def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
     table = mechanics().derivatives
     for name, value in (("Cm_q", 7.5), ("Cl_p", 0.1), ("Cn_beta", -0.1)):
         wrong = pd.concat([table, pd.DataFrame({"value": [value], "std": [0.01]}, index=[name])])
-        found = verdict(mechanics_=mechanics(derivatives=wrong), findings=[ALONE["a"]])
+        found = verdict(derivatives=wrong, findings=[ALONE["a"]])
         assert "not as on a conventional stable aircraft" in found.warnings[0]
         assert f"{name} {value:+.2g}" in found.warnings[0]
         assert use(found, "design a controller") == ("no", f"wrong sign of {name}")
         right = wrong.assign(value=wrong["value"].mask(wrong.index == name, -value))
-        found = verdict(mechanics_=mechanics(derivatives=right))
+        found = verdict(derivatives=right)
         assert use(found, "design a controller")[0] == "yes"
         assert found.warnings == ()
 
@@ -319,7 +348,7 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
     doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
     found = verdict(findings=[ALONE["a"], doubt])
     if where == "fit":
-        found = verdict(findings=[ALONE["a"], doubt], paths_not_converged=["a"])
+        found = verdict(findings=[ALONE["a"], doubt], fit={"paths_not_converged": ["a"]})
     assert "The paths of these flights did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
     assert "yes" in {use.fit for use in verdict().uses}
@@ -331,7 +360,7 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": "too short."})
     doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
-    found = verdict(gusts_unknown=doubt) if where == "fit" else verdict(findings=[doubt])
+    found = verdict(fit={"gusts_unknown": doubt}) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts are not known: too short.",)
     for purpose in ("predict coefficients", "simulate"):
@@ -348,7 +377,7 @@ def test_warnings_are_ranked():
         evaluation(error=1.2, linear=0.5, inside=False),
         evaluation("b", error=0.1, inside=False),
     ]
-    found = verdict(bad, findings=findings, converged=False).warnings
+    found = verdict(bad, findings=findings, fit={"converged": False}).warnings
     assert found[0].startswith(
         "In 1 of 2 test flights a constant predicts better (error above 1): a."
     )
@@ -364,7 +393,7 @@ def test_warnings_are_ranked():
 
 class TestMechanics:
     def test_is_at_the_median_of_what_was_flown(self, flight):
-        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS)
+        found = mechanics_of(flight)
         airspeed = flight["airspeed"].median()
         point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, air=Air(density=1.225))
         assert found.trim.airspeed == pytest.approx(airspeed)
@@ -372,13 +401,13 @@ class TestMechanics:
         expected = stability_derivatives(
             glider(), AIRCRAFT, point, thrust=None, air=Air(density=1.225)
         )
-        pd.testing.assert_frame_equal(found.derivatives, expected)
+        assert_frame_equal(found.derivatives, expected)
         assert {"short period", "Dutch roll"} <= set(found.modes.index)
         assert (found.simulation["lasts"] == found.simulation["horizon"]).all()
 
     def test_without_a_trim_derivatives_are_at_the_median_state(self, flight):
-        heavy = Aircraft(mass=500, inertia=AIRCRAFT.inertia, wing_area=1.3, span=2.6, chord=0.55)
-        found = flight_mechanics(glider(), heavy, [flight], [flight], SETTINGS)
+        heavy = replace(AIRCRAFT, mass=500)
+        found = mechanics_of(flight, aircraft=heavy)
         assert found.trim is None
         assert found.modes is None
         assert [note.code for note in found.notes] == [Code.NO_TRIM]
@@ -386,15 +415,14 @@ class TestMechanics:
 
     def test_without_trim_and_derivatives_both_are_told(self, flight):
         heavy = replace(AIRCRAFT, mass=500)
-        without_elevator = flight.drop(columns="elevator")
-        found = flight_mechanics(glider(), heavy, [without_elevator], [flight], SETTINGS)
+        found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
         assert found.derivatives.empty
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
         assert found.to_dict()["note"].startswith("No steady flight was found at ")
         assert "No derivatives: " in found.to_dict()["note"]
 
     def test_is_plain_for_json(self, flight):
-        found = flight_mechanics(glider(), AIRCRAFT, [flight], [flight], SETTINGS).to_dict()
+        found = mechanics_of(flight).to_dict()
         assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
         assert found["modes"]["short period"]["frequency"] > 1
         assert set(found["simulation"]) == {

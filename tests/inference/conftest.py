@@ -4,6 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp.inference import Data
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -30,15 +32,15 @@ def assert_gradient(central_difference):
 
     def check(gradient, function, x, *, rtol, atol, n_directions=8):
         assert gradient.shape == np.shape(x)
-        for direction in np.random.default_rng(0).choice([-1.0, 1.0], (n_directions, len(x))):
+        for direction in default_rng(0).choice([-1.0, 1.0], (n_directions, len(x))):
             slope = central_difference(lambda t, way=direction: function(x + t[0] * way), [0.0])[0]
-            np.testing.assert_allclose(gradient @ direction, slope, rtol=rtol, atol=atol)
+            assert_allclose(gradient @ direction, slope, rtol=rtol, atol=atol)
 
     return check
 
 
 def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     widths = {"tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
     kernel = ConvolvedGaussian(
         2,

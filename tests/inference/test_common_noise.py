@@ -2,45 +2,48 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, Objective, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
 
-STD = 0.1, 0.01
-"""Of the errors of two regressors."""
+STD = 0.1, 0.01  # of the errors of two regressors
 
 
 @pytest.fixture(scope="module")
 def time_series():
     """Two noisy regressors, which two outputs that share nothing else both feel."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     x = rng.uniform(-2, 2, (800, 2))
-    Y = np.column_stack([np.sin(x[:, 0]) + np.cos(x[:, 1]), np.cos(x[:, 0]) + np.sin(x[:, 1])])
+    Y = np.sin(x) + np.cos(x[:, ::-1])
     return x + rng.normal(0, STD, x.shape), Y + rng.normal(0, 0.02, Y.shape)
 
 
 def test_the_objective_keeps_or_neglects_it(time_series):
-    X, Y = time_series[0][:40], time_series[1][:40]
-    kernel = ConvolvedGaussian(0).initialize(X, Y, np.random.RandomState(0))
-    loading = np.random.default_rng(1).normal(size=(40, 2, 1))
-    data, noise = Data.from_table(X, Y, loading), np.array([0.1, 0.2, 0.3])
+    X, Y = (part[:40] for part in time_series)
+    kernel = ConvolvedGaussian(0).initialize(X, Y, 0)
+    loading = default_rng(1).normal(size=(40, 2, 1))
+    noise = np.array([0.1, 0.2, 0.3])
     theta = np.concatenate([kernel.theta, np.log(noise)])
-    alone = [np.where(np.arange(2) == i, Y, np.nan) for i in range(2)]
-    parts = [log_likelihood(kernel, noise, Data.from_table(X, one, loading)) for one in alone]
-    assert Objective(kernel, data, 3)(theta)[0] == pytest.approx(
-        log_likelihood(kernel, noise, data)
+    alone = [np.where(output, Y, np.nan) for output in np.eye(2, dtype=bool)]
+    whole, *parts = (
+        log_likelihood(kernel, noise, Data.from_table(X, targets, loading))
+        for targets in (Y, *alone)
     )
+    data = Data.from_table(X, Y, loading)
+    assert Objective(kernel, data, 3)(theta)[0] == pytest.approx(whole)
     assert Objective(kernel, data, 3, common=False)(theta)[0] == pytest.approx(sum(parts))
-    assert sum(parts) != pytest.approx(log_likelihood(kernel, noise, data), rel=1e-3)
+    assert sum(parts) != pytest.approx(whole, rel=1e-3)
 
 
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_the_noise_of_each_regressor_is_found(time_series, inference):
-    X, Y = time_series if inference == "sparse" else (part[:150] for part in time_series)
+@pytest.mark.parametrize(("inference", "n"), [("exact", 150), ("sparse", 800)])
+def test_the_noise_of_each_regressor_is_found(time_series, inference, n):
+    X, Y = (part[:n] for part in time_series)
     model = DependentGPRegressor(
         n_latent=0, structure="joint", inference=inference, random_state=0, max_iter=30
-    ).fit(X, Y, time=0.1 * np.arange(len(X)))
+    )
+    model.fit(X, Y, time=0.1 * np.arange(n))
     found = np.sqrt(np.diag(model.input_covariance_))
     assert found[0] == pytest.approx(STD[0], rel=0.2)
     assert found[1] < 3 * STD[1]

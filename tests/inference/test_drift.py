@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
@@ -23,100 +25,88 @@ def integral_variance(variance, memory, time):
     return time**2 * np.mean(variance * np.exp(-np.abs(np.subtract.outer(times, times)) / memory))
 
 
-class TestResiduals:
-    """The fit is that of white noise, and its residuals show the drift."""
+STEP, MEMORY, DRIFT, WHITE = 0.05, 0.5, 0.09, 0.01
 
-    step, memory, tau2, sigma2 = 0.05, 0.5, 0.09, 0.01
 
-    @pytest.fixture
-    def log(self):
-        """Four flights, each with its own clock from zero and its own drift."""
-        rng = np.random.default_rng(5)
-        time = np.tile(self.step * np.arange(300), 4)
-        x = np.sin(2 * np.pi * 0.1 * time + np.repeat([0, 1, 2, 3], 300)) + 0.1 * rng.normal(
-            size=1200
-        )
-        drift = [ornstein_uhlenbeck(rng, 300, self.step, self.memory, self.tau2) for _ in range(4)]
-        Y = 2 * x + np.concatenate(drift) + rng.normal(0, np.sqrt(self.sigma2), 1200)
-        Y = np.column_stack([Y, rng.normal(0, 0.3, 1200) - x])  # the second output has white noise
-        return x[:, None], Y, time, np.repeat(["a", "b", "c", "d"], 300)
+@pytest.fixture
+def log():
+    """Four flights, each with its own clock from zero and its own drift."""
+    rng = default_rng(5)
+    time = np.tile(STEP * np.arange(300), 4)
+    phase = np.repeat(np.arange(4), 300)
+    x = np.sin(2 * np.pi * 0.1 * time + phase) + 0.1 * rng.normal(size=1200)
+    drift = [ornstein_uhlenbeck(rng, 300, STEP, MEMORY, DRIFT) for _ in range(4)]
+    drifting = 2 * x + np.concatenate(drift) + rng.normal(0, np.sqrt(WHITE), 1200)
+    steady = rng.normal(0, 0.3, 1200) - x
+    return x[:, None], np.column_stack([drifting, steady]), time, phase
 
-    @pytest.mark.parametrize("inference", ["exact", "sparse"])
-    def test_show_tau_and_T_and_change_nothing_else(self, log, inference):
-        """Another clock has another drift, and the same posterior."""
-        X, Y, time, flight = log
-        Y = Y.copy()
-        Y[:400:2, 0] = np.nan
-        Y[600:, 0][::3] = np.nan
-        if inference == "exact":
-            Y[::2, 1] = np.nan
-            Y[1::4, 1] = np.nan
-        model = DependentGPRegressor(
-            structure="trend", inference=inference, n_inducing=10, random_state=0
-        )
-        other = clone(model).fit(X, Y, time=np.arange(len(X)))
-        model.fit(X, Y, time=time, flight=flight)
-        assert model.drift_variance_[0] == pytest.approx(self.tau2, rel=0.3)
-        for horizon in (0.5, 2.0, 5.0):  # what a simulated flight integrates
-            found = integral_variance(model.drift_variance_[0], model.drift_memory_[0], horizon)
-            assert found == pytest.approx(
-                integral_variance(self.tau2, self.memory, horizon), rel=0.4
-            )
-        after_a_second = model.drift_variance_ * np.exp(-1.0 / model.drift_memory_)
-        assert after_a_second[1] < 0.05 * 0.3**2
-        for found, expected in zip(
-            *(m.posterior_.posterior.predict(X[:9], True) for m in (model, other)), strict=True
-        ):
-            np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
-        totals = [m.noise_variance_ + m.misfit_variance_ for m in (model, other)]
-        np.testing.assert_allclose(*totals, rtol=1e-6)
-        np.testing.assert_array_equal(
-            clone(model).set_params(max_iter=1).fit(X, Y).drift_variance_, 0.0
-        )
 
-    def test_flights_are_independent(self, log):
-        """Any order of the flights has the same likelihood."""
-        _, Y, time, _ = log
-        Y, flight = Y - Y.mean(axis=0), np.repeat(np.arange(4), 300)
-        orders = [
-            np.concatenate([np.arange(300) + 300 * k for k in order])
-            for order in ([0, 1, 2, 3], [2, 0, 3, 1])
-        ]
-        first, second = (
-            residual_drift(Nothing(), Y[rows], Y[rows], np.column_stack([time[rows], flight[rows]]))
-            for rows in orders
-        )
-        np.testing.assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
-
-    def test_the_end_of_a_flight_tells_nothing_of_the_next(self):
-        """Errors that only change from flight to flight last as long as a flight can show."""
-        offset, white = (
-            np.random.default_rng(0).choice([-1.0, 1.0], 40),
-            np.random.default_rng(1).normal(0, 0.1, 800),
-        )
-        Y, time = (np.repeat(offset, 20) + white)[:, None], 0.1 * np.arange(800)
-        apart = residual_drift(
-            Nothing(), Y, Y, np.column_stack([time, np.repeat(np.arange(40), 20)])
-        )
-        assert apart[2, 0] == pytest.approx(1.9, rel=0.01)
-
-    @pytest.mark.parametrize(
-        "flight", [np.arange(60), np.arange(60) // 2], ids=["alone", "in pairs"]
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_residuals_show_the_drift_and_change_nothing_else(log, inference):
+    """The fit is that of white noise; another clock has another drift, and the same posterior."""
+    X, Y, time, flight = log
+    Y[:400:2, 0] = np.nan
+    Y[600::3, 0] = np.nan
+    if inference == "exact":
+        Y[::2, 1] = np.nan
+        Y[1::4, 1] = np.nan
+    model = DependentGPRegressor(
+        structure="trend", inference=inference, n_inducing=10, random_state=0
     )
-    def test_rows_that_show_no_drift_have_none(self, flight):
-        Y = np.random.default_rng(0).normal(size=(60, 1))
-        white, variance, _ = residual_drift(
-            Nothing(), Y, Y, np.column_stack([0.1 * np.arange(60), flight])
+    other = clone(model).fit(X, Y, time=np.arange(len(X)))
+    model.fit(X, Y, time=time, flight=np.array(list("abcd"))[flight])
+    variance, memory = model.drift_variance_, model.drift_memory_
+    assert variance[0] == pytest.approx(DRIFT, rel=0.3)
+    for horizon in (0.5, 2.0, 5.0):  # what a simulated flight integrates
+        expected = integral_variance(DRIFT, MEMORY, horizon)
+        assert integral_variance(variance[0], memory[0], horizon) == pytest.approx(
+            expected, rel=0.4
         )
-        assert white == pytest.approx(np.mean(Y**2))
-        assert variance < 1e-6 * white
+    assert variance[1] * np.exp(-1.0 / memory[1]) < 0.05 * 0.3**2  # after a second
+    found, expected = (each.posterior_.posterior.predict(X[:9], True) for each in (model, other))
+    assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+    totals = [each.noise_variance_ + each.misfit_variance_ for each in (model, other)]
+    assert_allclose(*totals, rtol=1e-6)
+    untimed = clone(model).set_params(max_iter=1).fit(X, Y)
+    assert not untimed.drift_variance_.any()
 
 
-class Nothing:
-    """A posterior whose mean is zero."""
+def drift_of(residuals, time, flight):
+    """Return white variance, variance and memory of the drift of residuals."""
 
-    def predict(self, X):
-        return np.zeros_like(X)
+    class Nothing:
+        """A posterior whose mean is zero."""
+
+        predict = staticmethod(np.zeros_like)
+
+    return residual_drift(Nothing(), residuals, residuals, np.column_stack([time, flight]))
+
+
+def test_flights_are_independent(log):
+    """Any order of the flights has the same likelihood."""
+    _, Y, time, flight = log
+    rows = np.concatenate([np.flatnonzero(flight == k) for k in (2, 0, 3, 1)])
+    Y = Y - Y.mean(axis=0)
+    first, second = (drift_of(Y[k], time[k], flight[k]) for k in (slice(None), rows))
+    assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
+
+
+def test_the_end_of_a_flight_tells_nothing_of_the_next():
+    """Errors that only change from flight to flight last as long as a flight can show."""
+    flight = np.repeat(np.arange(40), 20)
+    offset = default_rng(0).choice([-1.0, 1.0], 40)
+    residuals = offset[flight] + default_rng(1).normal(0, 0.1, 800)
+    _, _, memory = drift_of(residuals[:, None], 0.1 * np.arange(800), flight)
+    assert memory[0] == pytest.approx(1.9, rel=0.01)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_rows_that_show_no_drift_have_none(rows):
+    """Flights of one row or two."""
+    residuals = default_rng(0).normal(size=(60, 1))
+    white, variance, _ = drift_of(residuals, 0.1 * np.arange(60), np.arange(60) // rows)
+    assert white == pytest.approx(np.mean(residuals**2))
+    assert variance < 1e-6 * white
 
 
 @pytest.mark.parametrize(
@@ -133,6 +123,6 @@ class Nothing:
     ],
 )
 def test_rows_must_say_when_they_were(clock, words):
-    X = np.random.default_rng(0).normal(size=(50, 1))
+    X = default_rng(0).normal(size=(50, 1))
     with pytest.raises(ValueError, match=words):
         DependentGPRegressor(structure="trend").fit(X, X[:, 0], **clock)

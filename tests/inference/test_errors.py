@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import function_errors
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.inference import Data, ExactPosterior, function_errors, mean_errors
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N_DRAWN = 2000
 # Relative error of a standard deviation of so many draws, five of its own
@@ -24,7 +26,7 @@ def wandering(rng, n, memory):
 @pytest.fixture(scope="module")
 def series():
     """Return a flight with lasting noise and a kink: regressors, two outputs, time."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = np.column_stack([wandering(rng, 240, 8), 5 * wandering(rng, 240, 5)])
     noise = 0.1 * np.column_stack([wandering(rng, 240, 3), wandering(rng, 240, 3)])
     Y = np.column_stack([X[:, 0] + np.abs(X[:, 0]), 0.3 * X[:, 1] - X[:, 0]]) + noise
@@ -42,58 +44,45 @@ def model(request, series):
     return DependentGPRegressor(**options, inference=request.param).fit(X, Y, time=time)
 
 
-@pytest.mark.parametrize("noise", [False, True])
-@pytest.mark.parametrize("input_noise", [True, False, 2.0])
-class TestOnePosterior:
-    """Deviations, covariances and samples with the same switches are of one distribution."""
-
-    def test_deviations_are_of_the_joint_covariance(self, model, series, noise, input_noise):
-        switches = {"include_noise": noise, "include_input_noise": input_noise}
-        X = series[0][::50]
-        mean, std = model.predict(X, return_std=True, **switches)
-        again, cov = model.predict(X, return_cov=True, **switches)
-        np.testing.assert_allclose(again, mean)
-        np.testing.assert_allclose(np.diag(cov), std.T.ravel() ** 2, rtol=1e-9)
-
-    def test_samples_have_the_joint_covariance(self, model, series, noise, input_noise):
-        switches = {"include_noise": noise, "include_input_noise": input_noise}
-        X = series[0][:80:20]
-        mean, cov = model.predict(X, return_cov=True, **switches)
-        drawn = model.sample_y(X, N_DRAWN, random_state=1, **switches)
-        off = (drawn - mean[..., None]).transpose(2, 1, 0).reshape(N_DRAWN, -1)
-        std = np.sqrt(np.diag(cov))
-        assert np.abs(off.mean(axis=0) / std).max() < 5 / np.sqrt(N_DRAWN)
-        correlation = np.cov(off.T) / np.outer(std, std)
-        np.testing.assert_allclose(correlation, cov / np.outer(std, std), atol=2 * WITHIN)
+@pytest.mark.parametrize(("noise", "input_noise"), [(False, True), (True, False), (True, 2.0)])
+def test_deviations_covariances_and_samples_are_of_one_distribution(
+    model, series, noise, input_noise
+):
+    switches = {"include_noise": noise, "include_input_noise": input_noise}
+    X = series[0][:80:20]
+    mean, std = model.predict(X, return_std=True, **switches)
+    again, cov = model.predict(X, return_cov=True, **switches)
+    assert_allclose(again, mean)
+    std = std.T.ravel()
+    assert_allclose(np.diag(cov), std**2, rtol=1e-9)
+    drawn = model.sample_y(X, N_DRAWN, random_state=1, **switches)
+    off = (drawn - mean[..., None]).transpose(2, 1, 0).reshape(N_DRAWN, -1) / std
+    assert np.abs(off.mean(axis=0)).max() < 5 / np.sqrt(N_DRAWN)
+    assert_allclose(np.cov(off.T), cov / np.outer(std, std), atol=2 * WITHIN)
 
 
 def test_paths_are_the_function_at_exact_regressors(model, series):
     X = series[0][:80:20]
     mean, std = model.predict(X, return_std=True, include_input_noise=False)
     drawn = model.sample_paths(N_DRAWN, random_state=2)(X)
-    np.testing.assert_allclose(drawn.std(axis=0), std, rtol=2 * WITHIN)
-    np.testing.assert_allclose(drawn.mean(axis=0), mean, atol=5 * std.max() / np.sqrt(N_DRAWN))
+    assert_allclose(drawn.std(axis=0), std, rtol=2 * WITHIN)
+    assert_allclose(drawn.mean(axis=0), mean, atol=5 * std.max() / np.sqrt(N_DRAWN))
 
 
-def test_slopes_of_paths_are_those_of_their_values(model, series):
-    X, step = series[0][:60:20], 1e-4
+def test_slopes_of_paths_are_those_of_their_values(model, series, central_difference):
+    X = series[0][:60:20]
     paths = model.sample_paths(6, random_state=3)
-    for k, unit in enumerate(np.eye(2) * step):
-        change = (paths(X + unit) - paths(X - unit)) / (2 * step)
-        np.testing.assert_allclose(paths.gradient(X)[..., k], change, rtol=1e-4, atol=1e-4)
+    change = central_difference(lambda step: paths(X + step), np.zeros(2))
+    assert_allclose(paths.gradient(X), change, rtol=1e-4, atol=1e-4)
 
 
-def test_variance_of_slopes_is_of_the_joint_covariance(model, series):
-    """By the covariance of two close points: var(f(x + h) - f(x - h)) = 4 h^2 var(f')."""
-    x, step = series[0][100], 1e-2
-    move = np.array([step, 0.0])
-    pair = np.array([x - move, x + move])
-    cov = model.predict(pair, return_cov=True, include_input_noise=False)[1]
-    expected = [
-        np.sqrt(cov[a, a] + cov[b, b] - 2 * cov[a, b]) / (2 * step) for a, b in ((0, 1), (2, 3))
-    ]
-    slopes = model.sample_paths(N_DRAWN, random_state=4).gradient(x[None])[:, 0, :, 0]
-    np.testing.assert_allclose(slopes.std(axis=0), expected, rtol=2 * WITHIN)
+def test_variance_of_slopes_is_of_the_joint_covariance(model, series, slope_std):
+    x = series[0][100]
+    expected = slope_std(
+        lambda X: model.predict(X, return_cov=True, include_input_noise=False)[1], x, 1e-2
+    )
+    slopes = model.sample_paths(N_DRAWN, random_state=4).gradient(x[None])[:, 0]
+    assert_allclose(slopes.std(axis=0)[:, 0], expected[:, 0], rtol=2 * WITHIN)
 
 
 def test_at_the_centre_the_function_is_known_as_the_mean(series):
@@ -101,11 +90,23 @@ def test_at_the_centre_the_function_is_known_as_the_mean(series):
     X, Y, _ = series
     model = DependentGPRegressor(structure="trend").fit(X, Y)
     std = model.predict(X.mean(axis=0, keepdims=True), return_std=True)[1]
-    np.testing.assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=1e-6)
+    assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=1e-6)
     errors = model.function_errors()
     assert not errors.slopes()[0].any()
     uncentred = DependentGPRegressor(ConvolvedGaussian(1), trend=None, max_iter=2)
     assert uncentred.fit(X, Y).function_errors() is None
+
+
+def test_the_mean_of_values_of_different_noise_is_known_by_their_precision():
+    """1 / v = sum of 1 / s_a^2; a prior of variance t^2 holds t^2 v / (t^2 + v) of it, and the rest is added."""
+    rng = default_rng(0)
+    X, loading = rng.normal(size=(40, 1)), rng.normal(size=(40, 1, 1))
+    trend = LinearTrend([0.3], [[1.0]], [0.0])
+    data = Data.from_table(X, rng.normal(size=(40, 1)), loading)
+    errors = mean_errors(ExactPosterior(trend, np.array([0.2]), data))
+    v = 1 / np.sum(1 / (0.2 + loading**2))
+    held = 0.3**2 * v / (0.3**2 + v)
+    assert_allclose(errors.variance(np.zeros((1, 1))), [[v - held]])
 
 
 def test_discrepancy_is_in_the_units_of_the_outputs(series):
@@ -113,9 +114,9 @@ def test_discrepancy_is_in_the_units_of_the_outputs(series):
     model = DependentGPRegressor(structure="trend", random_state=0).fit(X, Y, time=time)
     assert model.misfit_variance_[0] > 0  # the kink
     errors = model.function_errors()
-    np.testing.assert_allclose(errors.discrepancy, model.misfit_variance_)
+    assert_allclose(errors.discrepancy, model.misfit_variance_)
     linear = np.sum(errors.linear(X[:3]) ** 2, axis=0)
-    np.testing.assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
+    assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
 
 
 def test_too_few_samples_show_the_discrepancy_alone(series):
@@ -125,19 +126,24 @@ def test_too_few_samples_show_the_discrepancy_alone(series):
     assert not errors.slopes()[0].any()
     of_mean = errors.variance(X[:2]) - model.misfit_variance_
     assert (of_mean > 0).all()
-    np.testing.assert_allclose(of_mean[0], of_mean[1])
+    assert_allclose(of_mean[0], of_mean[1])
+
+
+def line_of(x, Y, noise_variance=1.0, **options):
+    """Return a model of a linear function with known noise, and the errors of the function."""
+    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=noise_variance)
+    posterior = model.fit(x, Y).posterior_
+    return model, function_errors(posterior, np.zeros(Y.shape[1]), **options)
 
 
 def test_random_errors_are_the_scatter_over_many_series():
     """Slopes by least squares with noise and regressors that last five samples (Liang & Zeger 1986)."""
     slopes, stated = [], []
     for seed in range(60):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         x = wandering(rng, 1200, 5)[:, None]
         y = 2.0 * x + wandering(rng, 1200, 5)[:, None]
-        model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
-        model.fit(x, y)
-        errors = function_errors(model.posterior_, np.zeros(1))
+        model, errors = line_of(x, y)
         slopes.append(model.predict_gradient(x[:1])[0, 0, 0])
         stated.append(np.sum(errors.slopes()[0] ** 2) * model.scale_[0] ** 2)
     assert np.std(slopes) == pytest.approx(np.sqrt(np.mean(stated)), rel=0.3)
@@ -145,43 +151,41 @@ def test_random_errors_are_the_scatter_over_many_series():
 
 def test_outputs_err_together():
     """Both outputs have the same error, so the difference of their functions has none."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     x = wandering(rng, 500, 5)[:, None]
     y = x + wandering(rng, 500, 4)[:, None]
-    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0)
-    errors = function_errors(model.fit(x, np.hstack([y, y])).posterior_, np.zeros(2))
+    _, errors = line_of(x, np.hstack([y, y]))
     of_blocks = errors.random[2:]  # the first are of the means
     assert np.abs(of_blocks).max() > 0.001
-    np.testing.assert_allclose(of_blocks[..., 0], of_blocks[..., 1], atol=1e-9)
+    assert_allclose(of_blocks[..., 0], of_blocks[..., 1], atol=1e-9)
 
 
 def test_outputs_with_different_gaps_err_together_where_both_were_observed():
     """The first tenth of the second output is missing, and its error elsewhere is that of the first."""
-    rng = np.random.default_rng(2)
+    rng = default_rng(2)
     x = wandering(rng, 1200, 5)[:, None]
     y = x + wandering(rng, 1200, 8)[:, None]
     Y = np.hstack([y, y])
     Y[:120, 1] = np.nan
-    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1).fit(x, Y)
-    slopes = function_errors(model.posterior_, np.zeros(2)).slopes()[0][:, 0]
-    cosine = slopes[0] @ slopes[1] / np.linalg.norm(slopes[0]) / np.linalg.norm(slopes[1])
-    assert cosine > 0.8
+    first, second = line_of(x, Y, 0.1)[1].slopes()[0][:, 0]
+    assert first @ second > 0.8 * np.linalg.norm(first) * np.linalg.norm(second)
 
 
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 @pytest.mark.parametrize("memory", [0.01, 4.0])
 def test_slopes_of_a_line_err_as_stated(inference, memory):
     """White and lasting noise: errors over deviations have a root mean square near one."""
+    truth = [1.0, -0.5, 0.3, 0.0]
+    model = DependentGPRegressor(
+        structure="trend", inference=inference, input_noise=None, random_state=0
+    )
     ratios = []
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        x = np.column_stack([wandering(rng, 1200, 10), wandering(rng, 1200, 10)])
-        y = x @ [1.0, -0.5] + 0.5 * wandering(rng, 1200, memory)
-        model = DependentGPRegressor(
-            structure="trend", inference=inference, input_noise=None, random_state=0
-        ).fit(x, y, time=np.arange(1200.0))
-        gradient = model.sample_paths(200, random_state=0).gradient(x[:1])[:, 0]
-        ratios.append((model.predict_gradient(x[:1])[0] - [1.0, -0.5]) / gradient.std(axis=0))
+    for seed in range(6):
+        rng = default_rng(seed)
+        x = np.column_stack([wandering(rng, 1200, 10) for _ in truth])
+        model.fit(x, x @ truth + 0.5 * wandering(rng, 1200, memory), time=np.arange(1200.0))
+        spread = model.sample_paths(200, random_state=0).gradient(x[:1])[:, 0].std(axis=0)
+        ratios.append((model.predict_gradient(x[:1])[0] - truth) / spread)
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
 
 
@@ -191,7 +195,7 @@ def flown_in_gusts(memory):
     The load turns the rate, so its lasting error is in the rate, and least squares finds too little
     damping.
     """
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     gust, stick, rate = wandering(rng, 9000, memory), wandering(rng, 9000, 20), np.zeros(9000)
     for t in range(1, 9000):
         rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
@@ -201,9 +205,8 @@ def flown_in_gusts(memory):
 @pytest.mark.parametrize("memory", [1.5, 3.0])
 def test_errors_by_method_hold_what_gusts_take_from_the_damping(memory):
     x, load = flown_in_gusts(memory)
-    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=1.0).fit(x, load)
+    model, errors = line_of(x, load)
     missing = abs(model.predict_gradient(x[:1])[0, 0, 0] + 1)
-    errors = function_errors(model.posterior_, np.zeros(1))
     by_method = np.abs(errors.slopes()[1][0, 0, 0]) * model.scale_[0]
     assert missing > 0.1
     assert 0.4 * missing < by_method < 1.5 * missing
@@ -211,12 +214,11 @@ def test_errors_by_method_hold_what_gusts_take_from_the_damping(memory):
 
 def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
     """Slope 2 by the truth, 40 % of the variance is noise: least squares finds 1.2 (Fuller 1987)."""
-    rng = np.random.default_rng(6)
+    rng = default_rng(6)
     truth, error = rng.normal(size=(2, 20000, 1)) * np.sqrt([[[0.6]], [[0.4]]])
     x, y = truth + error, 2 * truth
-    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1).fit(x, y)
+    model, errors = line_of(x, y, 0.1, input_std=np.sqrt([0.4]))
     slope = model.predict_gradient(x[:1])[0, 0, 0]
-    errors = function_errors(model.posterior_, np.zeros(1), input_std=np.sqrt([0.4]))
     attenuation = errors.slopes()[1][0, 0, 1] * model.scale_[0]
     assert slope == pytest.approx(1.2, rel=0.05)
     # to first order in the noise
@@ -224,11 +226,10 @@ def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
 
 
 def test_more_rows_narrow_slopes_as_least_squares():
-    rng = np.random.default_rng(7)
+    rng = default_rng(7)
     x = rng.normal(size=(100, 2))
     model = DependentGPRegressor(structure="trend").fit(x, x @ [[1.0], [2.0]])
-    same_again = model.narrowing(x)
-    np.testing.assert_allclose(same_again, np.sqrt(0.5) * np.ones((1, 2)), rtol=1e-6)
-    wide = np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1))
-    assert model.narrowing(wide)[0, 1] < 0.3
-    assert model.narrowing(wide)[0, 0] == pytest.approx(1.0, abs=0.05)
+    assert_allclose(model.narrowing(x), np.full((1, 2), np.sqrt(0.5)), rtol=1e-6)
+    same, narrowed = model.narrowing(np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1)))[0]
+    assert same == pytest.approx(1.0, abs=0.05)
+    assert narrowed < 0.3

@@ -4,29 +4,26 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute import parallel
 from skdgp.inference import (
     Data,
     ExactPosterior,
     PosteriorSettings,
-    SinglePosterior,
     TileSettings,
     log_likelihood,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
-NEW = np.random.default_rng(5).normal(size=(6, 2))
+NEW = default_rng(5).normal(size=(6, 2))
 
 
-def at(problem, theta):
-    """The likelihood as a function of [theta, log noise]."""
-    n = problem.kernel.n_dims
-    return log_likelihood(
-        problem.kernel.clone_with_theta(theta[:n]), np.exp(theta[n:]), problem.data
-    )
+def likelihood(problem, **options):
+    return log_likelihood(problem.kernel, problem.noise, problem.data, **options)
 
 
 def posterior_of(problem):
@@ -41,152 +38,116 @@ def cross(problem, Xs):
 class TestLikelihood:
     def test_is_the_density_of_the_observed_values(self, problem):
         expected = multivariate_normal(cov=problem.K).logpdf(problem.y)
-        assert log_likelihood(problem.kernel, problem.noise, problem.data) == pytest.approx(
-            expected, rel=1e-10
-        )
+        assert likelihood(problem) == pytest.approx(expected, rel=1e-10)
         assert posterior_of(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-10)
 
     def test_gradient(self, problem, assert_gradient):
-        value, gradient = log_likelihood(
-            problem.kernel, problem.noise, problem.data, eval_gradient=True
-        )
+        """By the hyperparameters, then by the logarithms of the noise."""
+        n = problem.kernel.n_dims
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)])
-        assert value == pytest.approx(at(problem, theta))
-        assert_gradient(gradient, lambda t: at(problem, t), theta, rtol=1e-7, atol=1e-7)
+
+        def at(theta):
+            kernel = problem.kernel.clone_with_theta(theta[:n])
+            return log_likelihood(kernel, np.exp(theta[n:]), problem.data)
+
+        value, gradient = likelihood(problem, eval_gradient=True)
+        assert value == pytest.approx(at(theta))
+        assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
 
     @pytest.mark.parametrize("silent", [0, 1, 2])
     def test_an_output_without_values_has_no_gradient_by_its_noise(self, one_problem, silent):
-        X = [x[:0] if i == silent else x for i, x in enumerate(one_problem.data.X)]
-        y = [v[:0] if i == silent else v for i, v in enumerate(one_problem.data.y)]
-        everything = log_likelihood(
-            one_problem.kernel, one_problem.noise, one_problem.data, eval_gradient=True
-        )[1]
-        _, gradient = log_likelihood(
-            one_problem.kernel, one_problem.noise, Data(X, y), eval_gradient=True
-        )
-        assert (gradient[-3:] == 0).tolist() == [i == silent for i in range(3)]
+        by_noise = likelihood(one_problem, eval_gradient=True)[1][-3:]
+        assert by_noise.all()
+        one_problem.Y[:, silent] = np.nan
+        one_problem.data = Data.from_table(one_problem.X, one_problem.Y)
+        _, gradient = likelihood(one_problem, eval_gradient=True)
+        assert_array_equal(gradient[-3:] == 0, np.arange(3) == silent)
         assert np.isfinite(gradient).all()
-        assert everything[-3:].all()
 
     def test_of_outputs_that_are_not_coupled_adds_up(self, one_problem):
-        rng = np.random.default_rng(7)
-        kernel = LinearTrend(np.ones(3), np.ones((3, 2)), np.zeros(2)) + ConvolvedGaussian(
-            0, amplitude=np.diag([0.5, 1.0, 2.0]), length_scale=rng.uniform(0.5, 1.5, (3, 3, 2))
-        )
-        Y = one_problem.Y.copy()
-        Y[:, 1] = np.nan  # an output without values
-        data = Data.from_table(one_problem.X, Y)
-        expected = log_likelihood(kernel, one_problem.noise, data, eval_gradient=True)
-        parts = [
+        lengths = default_rng(7).uniform(0.5, 1.5, (3, 3, 2))
+        process = ConvolvedGaussian(0, amplitude=np.diag([0.5, 1.0, 2.0]), length_scale=lengths)
+        kernel = LinearTrend(np.ones(3), np.ones((3, 2)), np.zeros(2)) + process
+        one_problem.Y[:, 1] = np.nan  # an output without values
+        data = Data.from_table(one_problem.X, one_problem.Y)
+        whole, *parts = (
             log_likelihood(kernel, one_problem.noise, part, eval_gradient=True)
-            for part in (data.of_outputs([0]), data.of_outputs([2]))
-        ]
-        assert sum(value for value, _ in parts) == pytest.approx(expected[0], rel=1e-10)
-        np.testing.assert_allclose(
-            sum(slope for _, slope in parts), expected[1], rtol=1e-8, atol=1e-10
+            for part in (data, *data.by_output())
         )
+        assert len(parts) == 2
+        assert sum(value for value, _ in parts) == pytest.approx(whole[0], rel=1e-10)
+        assert_allclose(sum(slope for _, slope in parts), whole[1], rtol=1e-8, atol=1e-10)
 
 
-class TestPosterior:
-    def test_mean_is_equation_17(self, problem):
-        expected = cross(problem, NEW) @ np.linalg.solve(problem.K, problem.y)
-        np.testing.assert_allclose(
-            posterior_of(problem).predict(NEW), expected.reshape(-1, len(NEW)).T, rtol=1e-9
-        )
-
-    def test_covariance_is_equation_18(self, problem):
-        Ks = cross(problem, NEW)
-        expected = problem.kernel(NEW) - Ks @ np.linalg.solve(problem.K, Ks.T)
-        posterior = posterior_of(problem)
-        np.testing.assert_allclose(posterior.covariance(NEW), expected, rtol=1e-8, atol=1e-10)
-        mean, variance = posterior.predict(NEW, return_variance=True)
-        np.testing.assert_allclose(variance, np.diag(expected).reshape(-1, len(NEW)).T, rtol=1e-8)
-        np.testing.assert_allclose(mean, posterior.predict(NEW), rtol=1e-12)
+def test_posterior_is_equations_17_and_18(problem):
+    Ks = cross(problem, NEW)
+    expected = Ks @ np.linalg.solve(problem.K, problem.y)
+    covariance = problem.kernel(NEW) - Ks @ np.linalg.solve(problem.K, Ks.T)
+    posterior = posterior_of(problem)
+    assert_allclose(posterior.covariance(NEW), covariance, rtol=1e-8, atol=1e-10)
+    mean, variance = posterior.predict(NEW, return_variance=True)
+    assert_allclose(mean.T.ravel(), expected, rtol=1e-9)
+    assert_allclose(variance.T.ravel(), np.diag(covariance), rtol=1e-8)
+    assert_allclose(posterior.predict(NEW), mean, rtol=1e-12)
 
 
-class TestTrendIntegratedOut:
+def test_trend_is_integrated_out(one_problem):
     """Rasmussen & Williams (2006), equations 2.41 to 2.43 with a prior N(0, B) on the weights."""
+    trend, dependent = one_problem.kernel.k1, one_problem.kernel.k2
 
-    @pytest.fixture
-    def parts(self, one_problem):
-        trend, dependent = one_problem.kernel.k1, one_problem.kernel.k2
+    def basis(arrays):
+        """Design matrix of all outputs, block-diagonal."""
+        designs = [np.column_stack([np.ones(len(x)), x - trend.center]) for x in arrays]
+        return block_diag(*designs)
 
-        def basis(arrays):
-            """Stacked design matrix of all outputs, block-diagonal."""
-            designs = [np.column_stack([np.ones(len(x)), x - trend.center]) for x in arrays]
-            width = designs[0].shape[1]
-            out = np.zeros((sum(map(len, arrays)), 3 * width))
-            row = 0
-            for i, design in enumerate(designs):
-                out[row : row + len(design), i * width : (i + 1) * width] = design
-                row += len(design)
-            return out
-
-        B = np.diag(np.column_stack([trend.intercept_scale, trend.slope_scale]).ravel() ** 2)
-        sizes = [len(y) for y in one_problem.data.y]
-        Ky = dependent(one_problem.data.X) + np.diag(np.repeat(one_problem.noise, sizes))
-        H = basis(one_problem.data.X)
-        precision = np.linalg.inv(B) + H.T @ np.linalg.solve(Ky, H)
-        return dependent, basis, B, Ky, H, precision
-
-    def test_prediction(self, one_problem, parts):
-        dependent, basis, _, Ky, H, precision = parts
-        y = one_problem.y
-        weights = np.linalg.solve(precision, H.T @ np.linalg.solve(Ky, y))
-        Ks = dependent([NEW] * 3, one_problem.data.X)
-        R = basis([NEW] * 3) - Ks @ np.linalg.solve(Ky, H)
-        mean = Ks @ np.linalg.solve(Ky, y) + R @ weights
-        cov = dependent(NEW) - Ks @ np.linalg.solve(Ky, Ks.T) + R @ np.linalg.solve(precision, R.T)
-        posterior = posterior_of(one_problem)
-        np.testing.assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-8)
-        np.testing.assert_allclose(posterior.covariance(NEW), cov, rtol=1e-8, atol=1e-9)
-
-    def test_likelihood(self, one_problem, parts):
-        _, _, B, Ky, H, _ = parts
-        expected = multivariate_normal(cov=Ky + H @ B @ H.T).logpdf(one_problem.y)
-        assert posterior_of(one_problem).log_marginal_likelihood == pytest.approx(expected)
+    y = one_problem.y
+    B = np.diag(np.column_stack([trend.intercept_scale, trend.slope_scale]).ravel() ** 2)
+    sizes = [len(values) for values in one_problem.data.y]
+    Ky = dependent(one_problem.data.X) + np.diag(np.repeat(one_problem.noise, sizes))
+    H = basis(one_problem.data.X)
+    precision = np.linalg.inv(B) + H.T @ np.linalg.solve(Ky, H)
+    weights = np.linalg.solve(precision, H.T @ np.linalg.solve(Ky, y))
+    Ks = dependent([NEW] * 3, one_problem.data.X)
+    R = basis([NEW] * 3) - Ks @ np.linalg.solve(Ky, H)
+    mean = Ks @ np.linalg.solve(Ky, y) + R @ weights
+    cov = dependent(NEW) - Ks @ np.linalg.solve(Ky, Ks.T) + R @ np.linalg.solve(precision, R.T)
+    posterior = posterior_of(one_problem)
+    assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-8)
+    assert_allclose(posterior.covariance(NEW), cov, rtol=1e-8, atol=1e-9)
+    density = multivariate_normal(cov=Ky + H @ B @ H.T).logpdf(y)
+    assert posterior.log_marginal_likelihood == pytest.approx(density)
 
 
 class TestTiles:
-    """How the matrix is cut is nobody's business."""
+    """How matrices are cut, and by how many threads, is nobody's business."""
 
-    @pytest.mark.parametrize(("tile", "threads"), [(1, 2), (3, 1)])
-    def test_do_not_change_the_results(self, problem, tile, threads, monkeypatch):
-        value, gradient = log_likelihood(
-            problem.kernel, problem.noise, problem.data, eval_gradient=True
-        )
-        posterior = posterior_of(problem)
-        expected = (
-            posterior.predict(NEW, True),
-            posterior.covariance(NEW),
-            posterior.gradient(NEW),
-        )
-        monkeypatch.setattr(SinglePosterior, "settings", PosteriorSettings(chunk_bytes=100))
-        monkeypatch.setattr(parallel, "SMALL", 0)
-        with threadpool_limits(threads, user_api="blas"):
-            tiles = TileSettings(tile, 2)
-            again, again_gradient = log_likelihood(
-                problem.kernel, problem.noise, problem.data, eval_gradient=True, tiles=tiles
-            )
-            one_value = log_likelihood(problem.kernel, problem.noise, problem.data, tiles=tiles)
-            posterior = posterior_of(problem)
-            got = (
-                posterior.predict(NEW, True),
-                posterior.covariance(NEW),
-                posterior.gradient(NEW),
-            )
+    @pytest.mark.parametrize("tile", [1, 3])
+    def test_do_not_change_the_likelihood(self, problem, tile):
+        value, gradient = likelihood(problem, eval_gradient=True)
+        tiles = TileSettings(tile, 2)
+        again, again_gradient = likelihood(problem, eval_gradient=True, tiles=tiles)
         assert again == pytest.approx(value, rel=1e-12)
-        assert one_value == pytest.approx(value, rel=1e-12)
-        np.testing.assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
-        for a, b in zip((*got[0], *got[1:]), (*expected[0], *expected[1:]), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+        assert likelihood(problem, tiles=tiles) == pytest.approx(value, rel=1e-12)
+        assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
+
+    @pytest.mark.parametrize("threads", [1, 2])
+    def test_do_not_change_predictions(self, problem, threads):
+        """Of as many rows as several threads share."""
+        whole, cut = posterior_of(problem), posterior_of(problem)
+        cut.settings = PosteriorSettings(chunk_bytes=2**16)
+        X = default_rng(6).normal(size=(2600, 2))
+        with threadpool_limits(threads, user_api="blas"):
+            assert_allclose(cut.predict(X, True), whole.predict(X, True), rtol=1e-9, atol=1e-12)
+            assert_allclose(cut.gradient(X), whole.gradient(X), rtol=1e-9, atol=1e-12)
+        cut.settings = PosteriorSettings(chunk_bytes=100)
+        assert_allclose(cut.covariance(NEW), whole.covariance(NEW), rtol=1e-9, atol=1e-12)
 
 
-def peak_memory(function):
+def peak_memory(function, *arguments, **options):
     """Bytes that NumPy held at most while the function ran."""
     tracemalloc.start()
     try:
-        function()
+        function(*arguments, **options)
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -194,7 +155,7 @@ def peak_memory(function):
 
 @pytest.fixture(scope="module")
 def large():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X, Y = rng.normal(size=(500, 4)), rng.normal(size=(500, 3))
     kernel = LinearTrend() + ConvolvedGaussian(1)
     return kernel.initialize(X, Y, 0), np.full(3, 0.3), Data.from_table(X, Y)
@@ -203,23 +164,18 @@ def large():
 class TestMemory:
     def test_of_one_evaluation_is_below_three_matrices(self, large):
         matrix = 8 * large[2].n_values ** 2
-        used = peak_memory(lambda: log_likelihood(*large, eval_gradient=True))
-        assert matrix <= used < 3 * matrix
+        assert matrix <= peak_memory(log_likelihood, *large, eval_gradient=True) < 3 * matrix
 
-    def test_of_predictions_does_not_grow_with_their_number(self, large, monkeypatch):
-        settings = PosteriorSettings(chunk_bytes=2**19)
-        monkeypatch.setattr(SinglePosterior, "settings", settings)
+    @pytest.mark.parametrize(("call", "times"), [("predict", 1), ("gradient", 4)])
+    def test_of_predictions_does_not_grow_with_their_number(self, large, call, times):
         kernel, noise, data = large
-        few_data = Data([x[:80] for x in data.X], [y[:80] for y in data.y])
-        posterior = ExactPosterior(kernel, noise, few_data)
-        posterior.predict(np.zeros((2, 4)), True)
-        few, many = np.zeros((300, 4)), np.zeros((3000, 4))
+        posterior = ExactPosterior(kernel, noise, data.every(6))
+        posterior.settings = PosteriorSettings(chunk_bytes=2**19)
+        options = {"return_variance": True} if call == "predict" else {}
+        used = [
+            peak_memory(getattr(posterior, call), np.zeros((n, 4)), **options)
+            for n in (2, 300, 3000)  # the first computes what the others share
+        ]
         results = 2 * 8 * 3 * 2700
-        calls = (lambda X: posterior.predict(X, True), 1), (posterior.gradient, 4)
-        for call, times in calls:
-            grown = peak_memory(lambda call=call: call(many)) - peak_memory(
-                lambda call=call: call(few)
-            )
-            assert (
-                grown < 2 * times * results + settings.chunk_bytes
-            )  # which threads need not hold at the same time
+        # which threads need not hold at the same time
+        assert used[2] - used[1] < 2 * times * results + posterior.settings.chunk_bytes

@@ -4,11 +4,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from threadpoolctl import threadpool_limits
 
 from skdgp import listening
 from skdgp.inference import (
     Data,
+    ExactPosterior,
     SearchSettings,
     fit_exact,
     fit_sparse,
@@ -24,14 +27,10 @@ FITS = {"exact": fit_exact, "sparse": partial(fit_sparse, n_inducing=40)}
 @pytest.fixture(scope="module")
 def drawn():
     """Two dependent outputs drawn from a known prior: length scale .8, noise variances .01 and .09."""
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     X = np.sort(rng.uniform(-9, 9, (110, 1)), axis=0)
-    kernel = ConvolvedGaussian(
-        1,
-        amplitude=[[1.0, -0.9], [0.3, 0], [0, 0.3]],
-        length_scale=np.full((3, 2, 1), 0.8),
-        private_latents=True,
-    )
+    amplitude = [[1.0, -0.9], [0.3, 0], [0, 0.3]]
+    kernel = ConvolvedGaussian(1, amplitude=amplitude, length_scale=np.full((3, 2, 1), 0.8))
     noise = np.array([0.01, 0.09])
     K = kernel(X) + np.diag(np.repeat(noise, 110))
     Y = (np.linalg.cholesky(K) @ rng.normal(size=220)).reshape(2, 110).T
@@ -39,95 +38,88 @@ def drawn():
     return X, Y, kernel, noise
 
 
-@pytest.mark.parametrize("fit", FITS.values(), ids=FITS.keys())
-class TestFit:
-    def test_is_better_than_the_truth_that_drew_the_data(self, fit, drawn):
-        X, Y, kernel, noise = drawn
-        found = fit(ConvolvedGaussian(1), X, Y, **OPTIONS).posterior
-        truth = log_likelihood(kernel, noise, Data.from_table(X, Y))
-        # More hyperparameters than the truth has: the maximum is above it. The bound may lie a
-        # little below.
-        assert found.log_marginal_likelihood > truth - (1.0 if fit is not fit_exact else 0.0)
+@pytest.fixture(scope="module", params=FITS)
+def fit(request, drawn):
+    """Return a function of a kernel: its fit to the drawn data."""
 
-    def test_recovers_noise_and_coupling(self, fit, drawn):
-        X, Y, _, noise = drawn
-        found = fit(ConvolvedGaussian(1), X, Y, **OPTIONS).posterior
-        np.testing.assert_allclose(found.noise, noise, rtol=0.5)
-        origin = np.zeros((1, 1))
-        size = [found.kernel.block_diag(i, origin)[0] for i in range(2)]
-        assert found.kernel.block(0, 1, origin, origin)[0, 0] / np.sqrt(np.prod(size)) < -0.7
-
-    def test_value_is_the_likelihood_at_what_was_found(self, fit, drawn):
+    def fitted(kernel, every=1, **options):
         X, Y, *_ = drawn
-        posterior = fit(
-            LinearTrend() + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
-        ).posterior
+        return FITS[request.param](kernel, X[::every], Y[::every], **OPTIONS | options)
+
+    return fitted
+
+
+@pytest.fixture(scope="module")
+def found(fit):
+    return fit(ConvolvedGaussian(1)).posterior
+
+
+class TestFit:
+    def test_is_better_than_the_truth_that_drew_the_data(self, found, drawn):
+        """More hyperparameters than the truth has: the maximum is above it. The bound may lie a little below."""
+        X, Y, kernel, noise = drawn
+        truth = log_likelihood(kernel, noise, Data.from_table(X, Y))
+        below = 0.0 if isinstance(found, ExactPosterior) else 1.0
+        assert found.log_marginal_likelihood > truth - below
+
+    def test_recovers_noise_and_coupling(self, found, drawn):
+        assert_allclose(found.noise, drawn[-1], rtol=0.5)
+        K = found.kernel(np.zeros((1, 1)))
+        assert K[0, 1] / np.sqrt(K[0, 0] * K[1, 1]) < -0.7
+
+    def test_value_is_the_likelihood_at_what_was_found(self, fit):
+        posterior = fit(LinearTrend() + ConvolvedGaussian(1), max_iter=5).posterior
         again = posterior.of(posterior.data, posterior.noise).log_marginal_likelihood
         assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
 
     @pytest.mark.parametrize("threads", [1, 2])
-    def test_seed_decides_and_threads_do_not(self, fit, drawn, threads):
-        X, Y, *_ = drawn
-        X, Y = X[::3], Y[::3]
-        options = OPTIONS | {"max_iter": 2, "settings": SearchSettings(single_iterations=3)}
-        once = fit(ConvolvedGaussian(1), X, Y, **options).posterior
+    def test_seed_decides_and_threads_do_not(self, fit, threads):
+        options = {"every": 3, "max_iter": 2, "settings": SearchSettings(single_iterations=3)}
+        once = fit(ConvolvedGaussian(1), **options).posterior
         with threadpool_limits(threads, user_api="blas"):
-            again = fit(ConvolvedGaussian(1), X, Y, **options).posterior
-        np.testing.assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
+            again = fit(ConvolvedGaussian(1), **options).posterior
+        assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
 
-    def test_stages_are_told(self, fit, drawn):
-        X, Y, *_ = drawn
-        stages = []
-        with listening(lambda stage, n, value: stages.append(stage)):
-            fit(ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 3}))
-        assert set(stages) == {"output 1", "output 2", "fit"}
+    def test_stages_are_told(self, fit):
+        stages = set()
+        with listening(lambda stage, n, value: stages.add(stage)):
+            fit(ConvolvedGaussian(1), max_iter=3)
+        assert stages == {"output 1", "output 2", "fit"}
 
 
-@pytest.mark.parametrize("fit", FITS.values(), ids=FITS.keys())
 class TestGivenKernel:
     """What a user says of a kernel holds."""
 
     lengths = np.array([[[0.7], [0.9]], [[0.6], [1.0]], [[1.0], [0.8]]])
     amplitude = np.array([[1.0, -0.7], [0.4, 0.0], [0.0, 0.5]])
 
-    def test_fixed_values_stay(self, fit, drawn):
-        X, Y, *_ = drawn
-        kernel = ConvolvedGaussian(
-            1, length_scale=self.lengths, parameter_bounds={"length_scale": "fixed"}
-        )
-        found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
-        np.testing.assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
+    def test_fixed_values_stay(self, fit):
+        fixed = {"length_scale": "fixed"}
+        kernel = ConvolvedGaussian(1, length_scale=self.lengths, parameter_bounds=fixed)
+        found = fit(kernel, max_iter=10).posterior.kernel
+        assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
 
-    def test_bounds_are_kept(self, fit, drawn):
-        X, Y, *_ = drawn
+    def test_bounds_are_kept(self, fit):
         kernel = ConvolvedGaussian(1, parameter_bounds={"length_scale": (0.2, 0.5)})
-        found = fit(kernel, X, Y, **(OPTIONS | {"max_iter": 10})).posterior.kernel
-        fed = np.array([[1, 1], [1, 0], [0, 1]], dtype=bool)
-        assert (found.length_scale[fed] >= 0.2 - 1e-12).all()
-        assert (found.length_scale[fed] <= 0.5 + 1e-12).all()
+        found = fit(kernel, max_iter=10).posterior.kernel
+        lengths = found.length_scale[np.array(found.amplitude) != 0]
+        assert (lengths >= 0.2 - 1e-12).all()
+        assert (lengths <= 0.5 + 1e-12).all()
 
-    def test_starting_values_are_where_it_starts(self, fit, drawn):
-        X, Y, *_ = drawn
+    def test_starting_values_are_where_it_starts(self, fit):
         kernel = ConvolvedGaussian(1, amplitude=self.amplitude, length_scale=self.lengths)
-        fitted = fit(kernel, X, Y, **(OPTIONS | {"optimizer": None}))
+        fitted = fit(kernel, optimizer=None)
         found = fitted.posterior.kernel
         assert fitted.learned.n_iter == 0
-        np.testing.assert_allclose(found.amplitude, self.amplitude, rtol=1e-9, atol=1e-10)
-        np.testing.assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
+        assert_allclose(found.amplitude, self.amplitude, rtol=1e-9, atol=1e-10)
+        assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
 
-    def test_fixed_trend_stays(self, fit, drawn):
-        X, Y, *_ = drawn
-        trend = LinearTrend(
-            [1.0, 2.0],
-            [[0.5], [0.6]],
-            [0.0],
-            parameter_bounds={"intercept_scale": "fixed", "slope_scale": "fixed"},
-        )
-        found = fit(
-            trend + ConvolvedGaussian(1), X, Y, **(OPTIONS | {"max_iter": 5})
-        ).posterior.kernel
-        np.testing.assert_array_equal(found.k1.intercept_scale, [1.0, 2.0])
-        np.testing.assert_array_equal(found.k1.slope_scale, [[0.5], [0.6]])
+    def test_fixed_trend_stays(self, fit):
+        fixed = {"intercept_scale": "fixed", "slope_scale": "fixed"}
+        trend = LinearTrend([1.0, 2.0], [[0.5], [0.6]], [0.0], parameter_bounds=fixed)
+        found = fit(trend + ConvolvedGaussian(1), max_iter=5).posterior.kernel.k1
+        assert_array_equal(found.intercept_scale, [1.0, 2.0])
+        assert_array_equal(found.slope_scale, [[0.5], [0.6]])
 
 
 def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
@@ -145,7 +137,7 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
 
 
 def test_a_rare_output_survives_the_subset_of_the_sparse_start():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(900, 1))
     Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))
     Y[:4, 1] = np.cos(X[:4, 0])
@@ -156,13 +148,10 @@ def test_a_rare_output_survives_the_subset_of_the_sparse_start():
 
 def test_gradient_vanishes_at_the_end_or_points_out_of_the_bounds(drawn):
     X, Y, *_ = drawn
-    found = fit_exact(
-        ConvolvedGaussian(1, covariance_type="tied"), X, Y, **(OPTIONS | {"max_iter": 1000})
-    )
-    posterior = found.posterior
-    at = posterior.kernel, posterior.noise, posterior.data
-    _, gradient = log_likelihood(*at, eval_gradient=True)
-    theta, bounds = posterior.kernel.theta, posterior.kernel.bounds
-    inside = (theta > bounds[:, 0] + 1e-6) & (theta < bounds[:, 1] - 1e-6)
+    kernel = ConvolvedGaussian(1, covariance_type="tied")
+    found = fit_exact(kernel, X, Y, **OPTIONS | {"max_iter": 1000}).posterior
+    _, gradient = log_likelihood(found.kernel, found.noise, found.data, eval_gradient=True)
+    theta, (low, high) = found.kernel.theta, found.kernel.bounds.T
+    inside = (theta > low + 1e-6) & (theta < high - 1e-6)
     # One unit of log likelihood is nothing.
     assert np.abs(gradient[: len(theta)][inside]).max() < 0.5

@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import KnownSlopes
@@ -11,7 +14,7 @@ NAN = np.nan
 
 
 def samples(n=200):
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.standard_normal((n, 3)) @ [[1.0, 0.3, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 1.0]]
     Y = X @ [[2.0, 0.0], [1.0, -3.0], [0.5, 1.0]] + 0.1 * rng.standard_normal((n, 2))
     return X, Y
@@ -19,22 +22,18 @@ def samples(n=200):
 
 KNOWN = KnownSlopes(
     np.array([[1.5, NAN, 0.7], [NAN, -2.5, NAN]]),
-    np.random.default_rng(1).standard_normal((2, 3, 4)),
+    default_rng(1).standard_normal((2, 3, 4)),
 )
-
-
-def slopes(X, Y):
-    return np.linalg.lstsq(np.column_stack([np.ones(len(X)), X]), Y, rcond=None)[0]
 
 
 def test_least_squares_of_corrected_targets_has_the_known_slopes():
     X, Y = samples()
-    found = slopes(X, KNOWN.corrected(X, Y))
-    np.testing.assert_allclose(found[1:].T[KNOWN.known[..., 0]], [1.5, 0.7, -2.5])
-    rest = Y[:, 0] - X[:, [0, 2]] @ [1.5, 0.7]
-    free = np.linalg.lstsq(np.column_stack([np.ones(len(X)), X[:, 1]]), rest, rcond=None)[0]
-    np.testing.assert_allclose(found[[0, 2], 0], free)
-    np.testing.assert_allclose(KNOWN.corrected(X, Y).mean(axis=0), Y.mean(axis=0))
+    found = LinearRegression().fit(X, KNOWN.corrected(X, Y))
+    assert_allclose(found.coef_[KNOWN.known[..., 0]], [1.5, 0.7, -2.5])
+    free = LinearRegression().fit(X[:, [1]], Y[:, 0] - X[:, [0, 2]] @ [1.5, 0.7])
+    assert_allclose(found.coef_[0, 1], free.coef_[0])
+    assert_allclose(found.intercept_[0], free.intercept_)
+    assert_allclose(KNOWN.corrected(X, Y).mean(axis=0), Y.mean(axis=0))
 
 
 def test_targets_that_are_not_observed_stay_so():
@@ -53,10 +52,10 @@ def test_model_has_the_known_slopes_and_their_errors(log, trend):
         options = {"trend": None, "kernel": LinearTrend(), "structure": "joint"}
     model = DependentGPRegressor(**options).fit(X, Y, **time, slopes=KNOWN)
     known = KNOWN.known[..., 0]
-    np.testing.assert_allclose(model.predict_gradient(X[:1])[0][known], [1.5, 0.7, -2.5], atol=0.01)
+    assert_allclose(model.predict_gradient(X[:1])[0][known], [1.5, 0.7, -2.5], atol=0.01)
     random, method = model.function_errors().slopes()
     least = np.linalg.norm(KNOWN.errors, axis=-1)[known]
-    np.testing.assert_allclose(np.linalg.norm(random, axis=-1)[known], least)
+    assert_allclose(np.linalg.norm(random, axis=-1)[known], least)
     assert not method[known].any()
     drawn = model.sample_paths(4000, random_state=0).gradient(X[:1])
     assert np.all(drawn[:, 0].std(axis=0)[known] > 0.95 * least)
@@ -64,12 +63,12 @@ def test_model_has_the_known_slopes_and_their_errors(log, trend):
 
 def test_slopes_of_samples_leave_missing_values_out():
     """On a plane least squares is exact, and errors have the given standard deviations."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X, slopes = rng.normal(size=(40, 2)), np.array([[1.0, -2.0], [0.5, 3.0]])
     Y = X @ slopes.T + [4.0, -1.0]
     X[3, 0], Y[7, 1] = np.nan, np.nan
     deviations = np.array([[0.1, np.nan], [0.2, 0.3]])
     known = KnownSlopes.of_samples(X, Y, deviations)
-    np.testing.assert_allclose(known.value, np.where(np.isnan(deviations), np.nan, slopes))
+    assert_allclose(known.value, np.where(np.isnan(deviations), np.nan, slopes))
     std = np.sqrt((known.errors**2).sum(axis=-1))
-    np.testing.assert_allclose(std, np.nan_to_num(deviations))
+    assert_allclose(std, np.nan_to_num(deviations))

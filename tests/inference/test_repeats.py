@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from scipy.signal import lfilter
 
 from skdgp.inference import SearchSettings, autocorrelation_time, fit_sparse
@@ -10,13 +11,21 @@ from skdgp.kernels import ConvolvedGaussian
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8, 0.95])
 def test_of_an_autoregression_is_the_known_one(rho):
-    noise = lfilter([1.0], [1.0, -rho], np.random.default_rng(0).normal(size=200_000))
+    noise = lfilter([1.0], [1.0, -rho], default_rng(0).normal(size=200_000))
     assert autocorrelation_time(noise) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
 
 
 @pytest.mark.parametrize("values", [np.zeros(10), np.ones(1), np.tile([1.0, -1.0], 50)])
 def test_is_never_less_than_one(values):
     assert autocorrelation_time(values) == 1.0
+
+
+X = np.linspace(0, 8, 3000)[:, None]
+TRUTH = np.sin(2 * X)
+# Lasting noise of variance 0.09
+NOISE = 0.3 * lfilter(
+    [np.sqrt(1 - 0.9**2)], [1.0, -0.9], default_rng(3).normal(size=(3000, 4)), axis=0
+)
 
 
 def fitted(X, Y):
@@ -36,22 +45,15 @@ def fitted(X, Y):
 class TestSparseFit:
     """Samples taken so fast that neighbours share their noise teach no more than the noise lets them."""
 
-    x = np.linspace(0, 8, 3000)[:, None]
-    truth = np.sin(2 * x)
-    noise = 0.3 * lfilter(
-        [np.sqrt(1 - 0.9**2)], [1.0, -0.9], np.random.default_rng(3).normal(size=(3000, 4)), axis=0
-    )
-
     def test_deviations_are_as_large_as_errors(self):
-        fit = fitted(self.x, self.truth + self.noise)
-        mean, variance = fit.posterior.predict(self.x, True)
-        z = (mean - self.truth) / np.sqrt(variance)
-        assert (
-            0.6 < np.sqrt(np.mean(z**2)) < 1.5
-        )  # counted as independent, errors are about four deviations
+        """Counted as independent, errors are about four deviations."""
+        fit = fitted(X, TRUTH + NOISE)
+        mean, variance = fit.posterior.predict(X, True)
+        z = (mean - TRUTH) / np.sqrt(variance)
+        assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
         assert fit.learned.noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
 
     def test_shuffled_rows_are_independent_evidence(self):
-        order = np.random.default_rng(4).permutation(len(self.x))
-        fit = fitted(self.x[order], (self.truth + self.noise)[order, :1])
+        order = default_rng(4).permutation(len(X))
+        fit = fitted(X[order], (TRUTH + NOISE)[order, :1])
         assert fit.posterior.noise == pytest.approx(fit.learned.noise, rel=0.3)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.gaussian_process.kernels import RBF
 
 from skdgp.inference import coarse, from_coarse, narrowed, single_output, starting_kernel
@@ -19,7 +21,7 @@ KERNELS = {
 
 @pytest.fixture
 def data():
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
     Z = (X - X.mean(axis=0)) / X.std(axis=0)
     Y = np.column_stack([np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2]])
@@ -40,7 +42,7 @@ def test_what_outputs_found_alone_is_adopted(kernel, data):
     start = starting_kernel(kernel, X, Y, 0, singles)
     assert start.n_dims == kernel.initialize(X, Y, 0).n_dims
     for i, single in enumerate(singles):
-        np.testing.assert_allclose(start.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
+        assert_allclose(start.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
     assert np.linalg.eigvalsh(start(X[:8])).min() > -1e-9 * start.diag(X[:8]).max()
 
 
@@ -51,7 +53,7 @@ def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, da
     scale = X.std(axis=0)
     wide = [single.set_params(length_scale=500.0 * scale) for single in singles_of(kernel, X, Y)]
     start = starting_kernel(kernel, X, Y, 0, wide)
-    np.testing.assert_allclose(np.max(start.length_scale / scale), widest)
+    assert_allclose(np.max(start.length_scale / scale), widest)
 
 
 def test_given_values_stay(data):
@@ -64,7 +66,7 @@ def test_given_values_stay(data):
         starting_kernel(kernel, X, Y, 0, singles_of(kernel, X, Y)),
     )
     for start in starts:
-        np.testing.assert_array_equal(start.length_scale, lengths)
+        assert_array_equal(start.length_scale, lengths)
     assert coarse(kernel) is kernel
 
 
@@ -73,7 +75,7 @@ def test_a_narrowed_start_has_narrower_widths_of_regressors_with_an_effect(data)
     kernel = LinearTrend() + ConvolvedGaussian(1, regressors=[0, 2])
     start = starting_kernel(kernel, X, Y, 0)
     ratio = narrowed(kernel, start, 0.1).k2.length_scale / start.k2.length_scale
-    np.testing.assert_allclose(ratio, np.broadcast_to([0.1, 1.0, 0.1], ratio.shape))
+    assert_allclose(ratio, np.broadcast_to([0.1, 1.0, 0.1], ratio.shape))
 
 
 def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(data):
@@ -82,7 +84,7 @@ def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(data):
     fitted = starting_kernel(coarse(kernel), X, Y, 1)
     start = from_coarse(kernel, starting_kernel(kernel, X, Y, 0), fitted)
     assert fitted.n_dims < start.n_dims
-    np.testing.assert_allclose(start(X[:5]), fitted(X[:5]))
+    assert_allclose(start(X[:5]), fitted(X[:5]))
 
 
 def test_other_kernels_are_not_fitted_to_single_outputs():

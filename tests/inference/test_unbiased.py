@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import unbiased_factor
@@ -11,7 +13,7 @@ SMOOTH = {"structure": "joint", "trend": "constant", "n_latent": 0, "random_stat
 
 
 def waves(n=30):
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.uniform(-2, 2, (n, 1))
     return X, 5 * np.sin(2 * X[:, 0]) + rng.normal(size=n)
 
@@ -22,16 +24,16 @@ def test_an_output_of_n_values_has_lost_one_for_each_hyperparameter():
     Y[:16, 1] = np.nan
     slopes = LinearTrend(np.ones(2), np.ones((2, 3)), np.zeros(3))
     process = ConvolvedGaussian(0, amplitude=np.eye(2), length_scale=np.ones((2, 2, 3)))
-    np.testing.assert_allclose(unbiased_factor(slopes, Y), [40 / 36, 24 / 20])
-    np.testing.assert_allclose(unbiased_factor(slopes + process, Y), [40 / 32, 24 / 16])
-    np.testing.assert_allclose(unbiased_factor(slopes + process, Y[:20, :1]), [20 / 12])
-    np.testing.assert_allclose(unbiased_factor(slopes + process, Y[:12, :1]), [2.0])
+    assert_allclose(unbiased_factor(slopes, Y), [40 / 36, 24 / 20])
+    assert_allclose(unbiased_factor(slopes + process, Y), [40 / 32, 24 / 16])
+    assert_allclose(unbiased_factor(slopes + process, Y[:20, :1]), [20 / 12])
+    assert_allclose(unbiased_factor(slopes + process, Y[:12, :1]), [2.0])
 
 
 def test_the_noise_of_a_line_is_that_of_least_squares_in_the_mean():
     variances = []
     for seed in range(100):
-        rng = np.random.default_rng(seed)
+        rng = default_rng(seed)
         X = rng.normal(size=(15, 1))
         y = 3 * X[:, 0] + rng.normal(size=15)
         variances.append(DependentGPRegressor(structure="trend").fit(X, y).noise_variance_[0])
@@ -47,7 +49,7 @@ def test_a_variance_that_is_given_stays():
     kernel = ConvolvedGaussian(0, amplitude=[[4.0]], parameter_bounds={"amplitude": "fixed"})
     options = SMOOTH | {"n_latent": None}
     model = DependentGPRegressor(kernel, **options).fit(X, y)
-    np.testing.assert_allclose(model.kernel_.diag(X[:1]), 16.0)
+    assert_allclose(model.kernel_.diag(X[:1]), 16.0)
 
 
 def test_the_likelihood_is_largest_at_smaller_variances():
@@ -62,4 +64,4 @@ def test_the_likelihood_is_largest_at_smaller_variances():
     ).fit(X, y)
     gain = best.log_marginal_likelihood_value_ - model.log_marginal_likelihood_value_
     assert gain == pytest.approx(0.5 * len(X) * (np.log(factor) - 1 + 1 / factor), rel=0.05)
-    np.testing.assert_allclose(best.predict(X), model.predict(X), rtol=1e-6)
+    assert_allclose(best.predict(X), model.predict(X), rtol=1e-6)

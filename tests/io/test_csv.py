@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import FlightDataWarning
@@ -150,7 +151,7 @@ def test_case(tmp_path, text, expected):
         if isinstance(values[0], str):
             assert found[name].tolist() == values
         else:
-            np.testing.assert_allclose(found[name], values, rtol=1e-15)
+            assert_allclose(found[name], values, rtol=1e-15)
 
 
 def test_the_page_has_these_cases():

@@ -1,9 +1,10 @@
 """DataFlash: what is written is read, as pymavlink reads it; what is damaged costs only itself."""
 
 import struct
+from functools import partial
 
-import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.io import AUTOPILOTS, FlightReadError
 
@@ -12,15 +13,9 @@ DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 
 
 @pytest.fixture
-def read(tmp_path):
+def read(parse):
     """Read a log."""
-
-    def of(content):
-        path = tmp_path / "log.bin"
-        path.write_bytes(bytes(content))
-        return read_dataflash(path)
-
-    return of
+    return partial(parse, name="log.bin")
 
 
 def assert_as_pymavlink(path):
@@ -43,20 +38,18 @@ def assert_as_pymavlink(path):
         for field in messages[0]:
             if field in topic:
                 expected = [fields[field] for fields in messages]
-                np.testing.assert_allclose(topic[field], expected, rtol=1e-14, equal_nan=True)
+                assert_allclose(topic[field], expected, rtol=1e-14, equal_nan=True)
 
 
 class TestAsPymavlink:
-    def test_a_log_of_every_column(self, tmp_path, ardupilot):
-        (tmp_path / "log.bin").write_bytes(ardupilot)
-        assert_as_pymavlink(tmp_path / "log.bin")
+    def test_a_log_of_every_column(self, write, ardupilot):
+        assert_as_pymavlink(write(ardupilot, "log.bin"))
 
     @pytest.mark.shared
-    def test_shared_log(self, shared_data, tmp_path):
+    def test_shared_log(self, shared_data, write):
         """Its first quarter: pymavlink takes its time."""
         content = (shared_data / "logs" / "pyflightcoach_elevator_bench.BIN").read_bytes()
-        (tmp_path / "log.bin").write_bytes(content[:600_000])
-        assert_as_pymavlink(tmp_path / "log.bin")
+        assert_as_pymavlink(write(content[:600_000], "log.bin"))
 
 
 def ticks(log, *times):
@@ -91,7 +84,7 @@ class TestWhatTheLogSaysOfItself:
             )
         topics = read(log).topics
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
-        np.testing.assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
+        assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
     def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
         log = dataflash().topic(
@@ -99,7 +92,7 @@ class TestWhatTheLogSaysOfItself:
         )
         kind = log.types["ABC"][0]
         log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
-        np.testing.assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
+        assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
 
     def test_scaled_integers(self, read, dataflash):
         log = dataflash().topic(
@@ -110,9 +103,9 @@ class TestWhatTheLogSaysOfItself:
             L=("L", [48.1234567, -9.0]),
         )
         topic = read(log).topics["S"]
-        np.testing.assert_allclose(topic["c"], [-1.25, 1.25])
-        np.testing.assert_allclose(topic["C"], [3.5, 350.25])
-        np.testing.assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
+        assert_allclose(topic["c"], [-1.25, 1.25])
+        assert_allclose(topic["C"], [3.5, 350.25])
+        assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
 
 
 class TestDamage:

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 
 from skdgp.io import AUTOPILOTS, FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
@@ -125,7 +126,7 @@ def test_damaged_logs(logs, tmp_path, suffix):
     """Some are read and some refused; a damaged log of an autopilot is mostly a good one, telemetry always."""
     path, outcomes = tmp_path / f"log{suffix}", []
     for kind, damage in enumerate(DAMAGES):
-        rng = np.random.default_rng([len(suffix), kind])
+        rng = default_rng([len(suffix), kind])
         for _ in range(ROUNDS[suffix]):
             content = damage(logs[suffix].copy(), rng).tobytes()
             path.write_bytes(content)

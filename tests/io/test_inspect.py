@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 
-from skdgp._cli import main
-from skdgp.identification._flights import named_flights
-from skdgp.io import FlightReadError, inspect_log, read_flight
+from skdgp.dynamics import Aircraft
+from skdgp.identification import identify, named_flights
+from skdgp.io import FlightReadError, inspect_log, names_servos, read_flight
 
 SERVOS = {
     name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}
@@ -17,19 +18,24 @@ SERVOS = {
 
 
 @pytest.fixture
-def whole(tmp_path, px4):
-    (tmp_path / "whole.ulg").write_bytes(px4)
-    return tmp_path / "whole.ulg"
+def whole(write, px4):
+    return write(px4, "whole.ulg")
 
 
 @pytest.fixture
-def quad(tmp_path, ulog):
-    t = np.arange(0, 20, 0.02)
-    log = ulog(MAV_TYPE=2).topic(
-        "vehicle_angular_velocity", t, xyz=np.sin(np.column_stack([t, t, t]))
-    )
-    (tmp_path / "quad.ulg").write_bytes(bytes(log))
-    return tmp_path / "quad.ulg"
+def tabled(tmp_path):
+    """Write a table; return its path."""
+
+    def tabled(table):
+        table.to_csv(tmp_path / "a.csv", index=False)
+        return tmp_path / "a.csv"
+
+    return tabled
+
+
+def named(*names):
+    """Return a table of columns that are zero."""
+    return pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
 
 
 class TestSummary:
@@ -48,30 +54,24 @@ class TestSummary:
         topic = summary.topics.loc["vehicle_acceleration"]
         assert topic["rate"] == pytest.approx(100, rel=1e-3)
 
-    def test_a_multicopter_is_called_one(self, quad):
+    def test_a_multicopter_is_called_one(self, write, ulog):
+        t = np.arange(0, 20, 0.02)
+        log = ulog(MAV_TYPE=2)
+        quad = write(log.topic("vehicle_angular_velocity", t, xyz=np.sin(np.outer(t, [1, 1, 1]))))
         assert "multicopter: not for this program" in inspect_log(quad).remarks[-1]
         for airborne in (True, False):
             with pytest.raises(FlightReadError, match="a multicopter: not for this program"):
                 read_flight(quad, airborne=airborne)
 
-    def test_a_table_of_many_short_records(self, tmp_path):
+    def test_a_table_of_many_short_records(self, tabled):
         time = 0.01 * np.arange(150)
+        motion = {"airspeed": 5 + np.sin(time), "p": np.cos(time)}
+        still = dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1)
         records = [
-            pd.DataFrame(
-                {
-                    "time": 0.003 * k + time,
-                    "flight": f"run {k}",
-                    "airspeed": 5 + np.sin(time),
-                    "p": np.cos(time),
-                }
-            )
+            pd.DataFrame({"time": 0.003 * k + time, "flight": f"run {k}", **motion, **still})
             for k in range(9)
         ]
-        table = pd.concat(records).assign(
-            **dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1)
-        )
-        table.to_csv(tmp_path / "runs.csv", index=False)
-        summary = inspect_log(tmp_path / "runs.csv")
+        summary = inspect_log(tabled(pd.concat(records)))
         assert len(summary.flights) == 9
         assert summary.columns["rate"].tolist() == pytest.approx([100.0] * len(summary.columns))
         text = str(summary)
@@ -80,35 +80,29 @@ class TestSummary:
         assert len(summary.remarks) == 2  # of q and r in each record
         assert all("9 times, the longest: " in remark for remark in summary.remarks)
 
-    def test_columns_of_unknown_names_are_one_line(self, tmp_path):
-        names = ["ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))]
-        table = pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
-        table.to_csv(tmp_path / "a.csv", index=False)
+    def test_columns_of_unknown_names_are_one_line(self, tabled):
+        path = tabled(named("ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))))
         words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'aoa' \(.* 'alpha'"
         with pytest.warns(UserWarning, match=words):
-            (remark,) = inspect_log(tmp_path / "a.csv").remarks
+            (remark,) = inspect_log(path).remarks
         assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)")
         assert "and 66 others: sensor_0, sensor_1" in remark
         rename = {"ias": "airspeed", "de": "elevator", "aoa": "alpha"}
-        found = set(inspect_log(tmp_path / "a.csv", rename=rename).columns.index)
+        found = set(inspect_log(path, rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}
 
-    def test_a_unit_in_a_name_hides_no_suggestion(self, tmp_path):
+    def test_a_unit_in_a_name_hides_no_suggestion(self, tabled):
         names = {"Roll_deg": "'phi' [rad]", "gx_dps": "'p' [rad/s]", "IAS_mps": "'airspeed' [m/s]"}
-        table = pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
-        table.to_csv(tmp_path / "a.csv", index=False)
         with pytest.warns(UserWarning, match="did you mean") as caught:
-            inspect_log(tmp_path / "a.csv")
+            inspect_log(tabled(named(*names)))
         said = str(caught[0].message)
         assert all(f"{name!r} (did you mean {meant}?)" in said for name, meant in names.items())
 
-    def test_the_faults_of_a_table_at_seconds_of_the_log(self, tmp_path):
-        rng = np.random.default_rng(0)
-        table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500)})
-        table = table.assign(flight="a", alpha=rng.normal(0.1, 0.01, 500))
+    def test_the_faults_of_a_table_at_seconds_of_the_log(self, tabled):
+        table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500), "flight": "a"})
+        table["alpha"] = default_rng(0).normal(0.1, 0.01, 500)
         table.loc[200:260, "alpha"] = table.alpha[200]
-        table.to_csv(tmp_path / "a.csv", index=False)
-        summary = inspect_log(tmp_path / "a.csv")
+        summary = inspect_log(tabled(table))
         (remark,) = summary.remarks
         assert remark.startswith("flight a: alpha is stuck at")
         assert "(4.02 to 5.2 s, 60 samples)" in remark
@@ -116,41 +110,37 @@ class TestSummary:
 
 
 class TestCommand:
-    def test_json(self, whole, capsys):
-        assert main(["inspect", str(whole), "--json"]) == 0
+    def test_json(self, command, whole, capsys):
+        assert command(["inspect", str(whole), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"
 
     def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
-        (tmp_path / "table.csv").write_text("time,alpha\n0,0\n0.1,0\n")
-        flights = named_flights([whole, tmp_path / "table.csv"], servos=SERVOS)
-        assert set(SERVOS) <= set(flights["whole"].table.columns)
-        assert set(flights["table"].table.columns) == {"time", "flight", "alpha"}
+        table = tmp_path / "table.csv"
+        table.write_text("time,alpha\n0,0\n0.1,0\n")
+        flights = named_flights([whole, table], servos=SERVOS)
+        assert set(SERVOS) <= set(flights["whole"].columns)
+        assert set(flights["table"].columns) == {"time", "flight", "alpha"}
+        words = "Got logs of autopilots without servos beside tables"
+        with pytest.raises(ValueError, match=words):
+            identify([whole, table], Aircraft.estimate(3.0, 1.8))
 
-    def test_identify_is_told_what_of_a_log_is_a_flight(self, whole, tmp_path, capsys):
-        flown, everything = (
-            named_flights([whole], airborne=airborne)["whole"] for airborne in (True, False)
-        )
-        assert len(flown.table) == len(read_flight(whole))
-        assert len(everything.table) == len(read_flight(whole, airborne=False)) > 0
-        (tmp_path / "uav.json").write_text(
-            json.dumps(
-                {"mass": 2, "inertia": np.eye(3).tolist(), "wing_area": 1, "span": 2, "chord": 0.5}
-            )
-        )
-        words = [
-            "identify",
-            str(whole),
-            "--aircraft",
-            str(tmp_path / "uav.json"),
-            "-o",
-            str(tmp_path / "out"),
-        ]
-        assert main([*words, "--airborne", "300"]) == 1
+    def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        assert names_servos(tmp_path / "log.bin")
+        assert not names_servos(whole)
+
+    def test_identify_is_told_what_of_a_log_is_a_flight(self, command, whole, tmp_path, capsys):
+        for airborne in (True, False):
+            flight = named_flights([whole], airborne=airborne)["whole"]
+            assert len(flight) == len(read_flight(whole, airborne=airborne)) > 0
+        (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
+        files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
+        assert command(["identify", str(whole), *files, "--airborne", "300"]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
-    def test_no_such_file(self, capsys):
-        assert main(["inspect", "nowhere.ulg"]) == 1
+    def test_no_such_file(self, command, capsys):
+        assert command(["inspect", "nowhere.ulg"]) == 1
         assert "o such file" in capsys.readouterr().err
 
 

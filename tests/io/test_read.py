@@ -5,6 +5,8 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.io import FlightReadError, read_flight
 
@@ -52,10 +54,10 @@ def test_stated_units_are_converted(write):
     header = "time [ms],alpha [deg],q (deg/s),airspeed [kt],wind speed [kt]"
     text = f"{header}\n0,90,180,10,1\n20,45,90,20,2\n"
     flight = read_flight(write("log.csv", text))
-    np.testing.assert_allclose(flight.time, [0, 0.02])
-    np.testing.assert_allclose(flight.alpha, [np.pi / 2, np.pi / 4])
-    np.testing.assert_allclose(flight.q, [np.pi, np.pi / 2])
-    np.testing.assert_allclose(flight.airspeed, [10 * 1852 / 3600, 20 * 1852 / 3600])
+    assert_allclose(flight.time, [0, 0.02])
+    assert_allclose(flight.alpha, [np.pi / 2, np.pi / 4])
+    assert_allclose(flight.q, [np.pi, np.pi / 2])
+    assert_allclose(flight.airspeed, [10 * 1852 / 3600, 20 * 1852 / 3600])
     assert flight.iloc[:, -1].tolist() == [1, 2]  # unknown columns stay as they are
 
 
@@ -141,7 +143,7 @@ class TestRefusals:
 
     def test_binary_called_csv(self, tmp_path):
         path = tmp_path / "log.csv"
-        path.write_bytes(np.random.default_rng(0).bytes(5000))
+        path.write_bytes(default_rng(0).bytes(5000))
         with pytest.raises(FlightReadError, match="not text"):
             read_flight(path)
 
@@ -175,9 +177,7 @@ class TestRemarks:
         rows = table(
             time=pd.Timestamp("2024-05-01") + pd.to_timedelta(0.02 * np.arange(50), unit="s")
         )
-        np.testing.assert_allclose(
-            read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50)
-        )
+        assert_allclose(read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50))
 
 
 class TestRename:
@@ -186,7 +186,7 @@ class TestRename:
     def test_names_and_units(self, write):
         text = "time,de [deg],ias\n0,18,20\n0.02,9,21\n"
         flight = read_flight(write("log.csv", text), rename=self.NAMES)
-        np.testing.assert_allclose(flight.elevator, [np.pi / 10, np.pi / 20])
+        assert_allclose(flight.elevator, [np.pi / 10, np.pi / 20])
         assert flight.airspeed.tolist() == [20, 21]
         expected = table().rename(columns={"elevator": "de", "airspeed": "ias"})
         for path in (write("a.parquet", expected), write("b.csv", expected)):
@@ -219,7 +219,7 @@ def test_every_shared_flight(shared_data):
         flight = read_flight(path)
         raw = pd.read_parquet(path)
         assert set(flight.columns) == set(raw.columns)
-        np.testing.assert_array_equal(flight.alpha, raw.alpha.astype(float))
+        assert_array_equal(flight.alpha, raw.alpha.astype(float))
 
 
 def test_accelerations_that_were_never_sampled_are_no_warning(tmp_path):

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 
 from skdgp.io import read_flight
 
@@ -47,9 +48,7 @@ def same(found, table, **tolerance):
         if name == "flight":
             assert found[name].tolist() == table[name].tolist()
         else:
-            np.testing.assert_allclose(
-                found[name], table[name].to_numpy(float), err_msg=name, **tolerance
-            )
+            assert_allclose(found[name], table[name].to_numpy(float), err_msg=name, **tolerance)
     assert set(found) == {"flight", *table}
 
 

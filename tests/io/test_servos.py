@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.design import Wavetrain, ardupilot_script, doublet
-from skdgp.io import AUTOPILOTS, FlightReadError, read_flight, read_servos
+from skdgp.io import FlightReadError, read_servos
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
 
@@ -18,14 +19,12 @@ def deflection(values, **entry):
 
 class TestAngles:
     def test_ends(self):
-        np.testing.assert_allclose(
-            deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4]
-        )
+        assert_allclose(deflection([1100, 1300, 1500, 1900], **ENDS), [-0.4, -0.2, 0.0, 0.4])
 
     def test_points_in_any_order_and_lines_beyond(self):
         points = [[1, 0.3], [-1, -0.5], [0, 0.1]]
         found = deflection([-1.5, -1, -0.5, 0.5, 1, 1.5], channel="a.b", points=points)
-        np.testing.assert_allclose(found, [-0.8, -0.5, -0.2, 0.2, 0.3, 0.4])
+        assert_allclose(found, [-0.8, -0.5, -0.2, 0.2, 0.3, 0.4])
 
     def test_no_pulse_is_no_angle(self):
         assert np.isnan(deflection([0.0, 65.0], **ENDS)).all()
@@ -66,150 +65,102 @@ class TestRefusals:
 
 def parameters_of(surfaces):
     """Return PX4's parameters of surfaces: type, and torques about roll, pitch, yaw."""
-    names = ("TYPE", "TRQ_R", "TRQ_P", "TRQ_Y")
-    return {
-        f"CA_SV_CS{n}_{name}": value if name == "TYPE" else float(value)
-        for n, surface in surfaces.items()
-        for name, value in zip(names, surface, strict=True)
-    }
+    parameters = {}
+    for n, (kind, *torques) in surfaces.items():
+        parameters[f"CA_SV_CS{n}_TYPE"] = kind
+        for axis, torque in zip("RPY", torques, strict=True):
+            parameters[f"CA_SV_CS{n}_TRQ_{axis}"] = float(torque)
+    return parameters
+
+
+COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
+# More torque pitches up, rolls right, yaws right: of these only roll has the sign of the table
+ROLL, PITCH, YAW = 0.3, 0.4, -0.2
 
 
 class TestFullThrow:
     """Surfaces from -1 to 1 by the parameters of the autopilot, with the signs of a flight table."""
 
-    def test_of_ardupilot(self, tmp_path, ardupilot, flight):
-        (tmp_path / "log.bin").write_bytes(ardupilot)
-        table = read_flight(tmp_path / "log.bin", servos="full throw")
-        # More pulse pitches up, rolls right, yaws right: of these only roll has the sign of the table
-        for name, sign in (("aileron", 1), ("elevator", -1), ("rudder", -1)):
-            pulses = sign * PULSE[name] * flight[name](table.time)
-            assert np.corrcoef(table[name][20:-20], pulses[20:-20])[0, 1] > 0.999
+    def test_of_ardupilot(self, read, ardupilot, flight):
+        table = read(ardupilot, "log.bin", servos="full throw")
+        for name, sign in {"aileron": 1, "elevator": 1, "rudder": -1}.items():
+            found, flown = table[name][20:-20], flight[name](table.time)[20:-20]
+            assert np.corrcoef(found, sign * flown)[0, 1] > 0.999
         assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
 
-    def test_a_throw_in_one_line(self, tmp_path, ardupilot):
-        (tmp_path / "log.bin").write_bytes(ardupilot)
-        parts = read_flight(tmp_path / "log.bin", servos="full throw")
+    def test_a_throw_in_one_line(self, read, ardupilot, tmp_path):
+        parts = read(ardupilot, "log.bin", servos="full throw")
         (tmp_path / "servo.toml").write_text('elevator = "25 deg"\nrudder = ".5 rad"\n')
-        table = read_flight(tmp_path / "log.bin", servos=tmp_path / "servo.toml")
-        np.testing.assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
-        np.testing.assert_allclose(table["rudder"], 0.5 * parts["rudder"])
+        table = read(ardupilot, "log.bin", servos=tmp_path / "servo.toml")
+        assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
+        assert_allclose(table["rudder"], 0.5 * parts["rudder"])
         assert "aileron" not in table
-        with pytest.raises(
-            FlightReadError,
-            match=r"full throw of \['elevon_left'\], but expected surfaces .*'elevator'",
-        ):
-            read_flight(tmp_path / "log.bin", servos={"elevon_left": "25 deg"})
+        words = r"full throw of \['elevon_left'\], but expected surfaces .*'elevator'"
+        with pytest.raises(FlightReadError, match=words):
+            read(ardupilot, "log.bin", servos={"elevon_left": "25 deg"})
 
-    COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
-
-    def test_an_a_tail_and_a_single_aileron_servo_of_px4(self, tmp_path, ulog):
-        types = {
-            0: (15, 1.0, 0, 0),
-            1: (13, 0, 0.5, 0.5),
-            2: (14, 0, 0.5, -0.5),
-            3: (16, 0, 0, 1.0),
-        }  # the last: a wheel
-        log = ulog(**parameters_of(types)).topic(
-            "actuator_servos", [0.1, 0.2], control=np.zeros((2, 4))
-        )
-        (tmp_path / "log.ulg").write_bytes(bytes(log))
-        mixing = AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls
+    def test_an_a_tail_and_a_single_aileron_servo_of_px4(self, parse, ulog):
+        """The last is a wheel."""
+        kinds = {0: (15, 1, 0, 0), 1: (13, 0, 0.5, 0.5), 2: (14, 0, 0.5, -0.5), 3: (16, 0, 0, 1)}
+        log = ulog(**parameters_of(kinds))
+        mixing = parse(log.topic("actuator_servos", [0.1, 0.2], control=np.zeros((2, 4)))).controls
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
         assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
 
-    def test_elevons_of_px4_take_nothing_from_a_fixed_mixer(self, tmp_path, ulog):
+    def test_elevons_of_px4_take_nothing_from_a_fixed_mixer(self, parse, ulog):
         log = ulog(**parameters_of({0: (5, -0.5, 0.5, 0), 1: (6, 0.5, 0.5, 0)}))
         log.topic("actuator_servos", [0.1, 0.2], control=np.zeros((2, 2)))
         log.topic("actuator_controls_0", [0.1, 0.2], control=np.zeros((2, 4)))
-        (tmp_path / "log.ulg").write_bytes(bytes(log))
-        assert {*AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls} == {"aileron", "elevator"}
+        assert {*parse(log).controls} == {"aileron", "elevator"}
 
-    def test_any_mixing_of_px4(self, tmp_path, ulog):
+    def test_any_mixing_of_px4(self, read, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
-        types = {
-            0: (1, -0.5, 0, 0),
-            1: (2, 0.8, 0, 0),
-            2: (7, 0, 0.5, 0.5),
-            3: (8, 0, 0.5, -0.5),
-            4: (9, 0.3, 0, 0),
-        }
-        roll, pitch, yaw = (
-            self.COMMANDS["aileron"],
-            -self.COMMANDS["elevator"],
-            -self.COMMANDS["rudder"],
-        )
+        ailerons = {0: (1, -0.5, 0, 0), 1: (2, 0.8, 0, 0), 4: (9, 0.3, 0, 0)}
+        tail = {2: (7, 0, 0.5, 0.5), 3: (8, 0, 0.5, -0.5)}
         t = np.arange(0, 10, 0.05)
-        control = np.tile([-roll, roll, pitch + yaw, pitch - yaw, 0.7], (t.size, 1))
-        log = ulog(**parameters_of(types)).topic("actuator_servos", t, control=control)
-        log.topic("airspeed", t, true_airspeed_m_s=20.0)
-        (tmp_path / "log.ulg").write_bytes(bytes(log))
-        table = read_flight(tmp_path / "log.ulg", servos="full throw")
-        found = {name: round(float(table[name].median()), 6) for name in self.COMMANDS}
-        assert found == self.COMMANDS
+        control = np.tile([-ROLL, ROLL, PITCH + YAW, PITCH - YAW, 0.7], (t.size, 1))
+        log = ulog(**parameters_of(ailerons | tail)).topic("actuator_servos", t, control=control)
+        table = read(log.topic("airspeed", t, true_airspeed_m_s=20.0), servos="full throw")
+        assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
-    def test_a_v_tail_of_ardupilot(self, tmp_path, dataflash):
+    def test_a_v_tail_of_ardupilot(self, read, dataflash):
         """left = elevator + rudder, right = elevator - rudder, of commands that pitch up and yaw right."""
-        pitch, yaw = -self.COMMANDS["elevator"], -self.COMMANDS["rudder"]
-        log = dataflash(
-            SERVO1_FUNCTION=4.0, SERVO2_FUNCTION=79.0, SERVO4_FUNCTION=80.0, SERVO4_REVERSED=1.0
-        )
+        functions = {"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 79.0, "SERVO4_FUNCTION": 80.0}
+        log = dataflash(**functions, SERVO4_REVERSED=1.0)
         t = np.arange(0, 10, 0.05)
-        pulses = {"C1": 1500 + 400 * self.COMMANDS["aileron"], "C2": 1500 + 400 * (pitch + yaw)}
-        pulses["C4"] = 1500 - 400 * (pitch - yaw)
-        log.topic(
-            "RCOU", t, **{name: ("H", np.full(t.size, pulse)) for name, pulse in pulses.items()}
-        )
-        log.topic("ARSP", t, Airspeed=("f", np.full(t.size, 20.0)), H=("B", np.ones(t.size)))
-        (tmp_path / "log.bin").write_bytes(bytes(log))
-        table = read_flight(tmp_path / "log.bin", servos="full throw", airborne=False)
-        assert {
-            name: round(float(table[name].median()), 6) for name in self.COMMANDS
-        } == self.COMMANDS
+        aileron, left, right = 1500 + 400 * np.array([ROLL, PITCH + YAW, YAW - PITCH])
+        log.topic("RCOU", t, C1=("H", aileron), C2=("H", left), C4=("H", right))
+        log.topic("ARSP", t, Airspeed=("f", 20.0), H=("B", 1))
+        table = read(log, "log.bin", servos="full throw", airborne=False)
+        assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
-    def test_what_cannot_be(self, tmp_path, dataflash, ulog):
-        log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0).topic(
-            "RCOU", [0.1, 0.2], C1=("H", 1500)
-        )
-        (tmp_path / "log.bin").write_bytes(bytes(log))
-        with pytest.raises(
-            FlightReadError,
-            match=r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)",
-        ):
-            read_flight(tmp_path / "log.bin", servos="full throw")
+    def test_what_cannot_be(self, read, dataflash, ulog):
+        log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0)
+        log.topic("RCOU", [0.1, 0.2], C1=("H", 1500))
+        words = r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)"
+        with pytest.raises(FlightReadError, match=words):
+            read(log, "log.bin", servos="full throw")
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=[1, 2])
-        (tmp_path / "log.ulg").write_bytes(bytes(log))
         with pytest.raises(FlightReadError, match="without parameters that name"):
-            read_flight(tmp_path / "log.ulg", servos="full throw")
+            read(log, servos="full throw")
 
 
-def test_reversed_outputs(tmp_path, dataflash):
+def test_reversed_outputs(parse, dataflash):
     log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0)
     log.topic("RCOU", [0.1, 0.2], C1=("H", 1500), C2=("H", 1500))
-    (tmp_path / "log.bin").write_bytes(bytes(log))
-    controls = AUTOPILOTS[".bin"](tmp_path / "log.bin").controls
+    controls = parse(log, "log.bin").controls
     ends = {name: servo.angles[-1] for name, ((_, servo),) in controls.items()}
     assert ends == {"elevon_left": 1.0, "elevon_right": -1.0}
 
 
 @pytest.mark.parametrize(
-    ("topic", "parameters", "channel"),
-    [
-        ("actuator_controls_0", {}, "actuator_controls_0.control[1]"),
-        (
-            "actuator_servos",
-            {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3},
-            "actuator_servos.control[1]",
-        ),
-    ],
+    ("topic", "parameters"),
+    [("actuator_controls_0", {}), ("actuator_servos", {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3})],
 )
-def test_servos_of_px4(tmp_path, ulog, topic, parameters, channel):
+def test_servos_of_px4(parse, ulog, topic, parameters):
     log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))
-    (tmp_path / "log.ulg").write_bytes(bytes(log))
-    assert AUTOPILOTS[".ulg"](tmp_path / "log.ulg").controls["elevator"][0][1].channel == channel
-
-
-# Signs of the pulses of the log that every column comes from
-PULSE = {"aileron": 1, "elevator": -1, "rudder": 1}
+    _, servo = parse(log).controls["elevator"][0]
+    assert servo.channel == f"{topic}.control[1]"
 
 
 def test_a_plan_for_a_v_tail():
@@ -228,20 +179,17 @@ def blocks(language):
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
 
 
-def test_the_code_runs(tmp_path, monkeypatch, ulog, flight):
+def test_the_code_runs(write, monkeypatch, ulog, flight):
     t = flight.time(50)
     log = ulog(MAV_TYPE=1)
-    for name, field, columns in (
-        ("vehicle_angular_velocity", "xyz", "pqr"),
-        ("vehicle_acceleration", "xyz", ("ax", "ay", "az")),
-        ("actuator_controls_0", "control", ("aileron", "elevator", "rudder", "throttle")),
-    ):
-        log.topic(name, t, **{field: (f"float[{len(columns)}]", flight.at(t, *columns))})
+    log.topic("vehicle_angular_velocity", t, xyz=flight.at(t, "p", "q", "r"))
+    log.topic("vehicle_acceleration", t, xyz=flight.at(t, "ax", "ay", "az"))
+    controls = flight.at(t, "aileron", "elevator", "rudder", "throttle")
+    log.topic("actuator_controls_0", t, control=controls)
     log.topic("airspeed", t, true_airspeed_m_s=flight["airspeed"](t))
     log.topic("vehicle_air_data", t, rho=flight["density"](t))
     log.topic("rpm", t, indicated_frequency_rpm=flight["propeller_speed"](t))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "sortie.ulg").write_bytes(bytes(log))
+    monkeypatch.chdir(write(log, "sortie.ulg").parent)
     names = {}
     for block in blocks("python"):
         exec(compile(block, "logs.md", "exec"), names)

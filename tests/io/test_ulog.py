@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from skdgp.io import AUTOPILOTS, FlightReadError
+from skdgp.io import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35\x01" + bytes(8)
 
@@ -34,15 +34,9 @@ def ticks(*times):
 
 
 @pytest.fixture
-def read(tmp_path):
+def read(parse):
     """Read messages after a header."""
-
-    def of(*messages, header=HEADER):
-        path = tmp_path / "log.ulg"
-        path.write_bytes(header + b"".join(messages))
-        return AUTOPILOTS[".ulg"](path)
-
-    return of
+    return lambda *messages, header=HEADER: parse(header + b"".join(messages))
 
 
 class TestWhatTheLogSaysOfItself:

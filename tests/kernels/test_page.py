@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
+from numpy.random import default_rng
 
 from skdgp.kernels import prior_paths
 
@@ -32,7 +32,7 @@ def kernel_of_the_page():
     for code in blocks:
         if "\nclass " in code:
             exec(compile(code, PAGE.name, "exec"), vars(made))
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     return made.SharedMatern(rng.normal(size=3), rng.uniform(0.7, 1.6, 2))
 
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.stats import kstest
 
 from skdgp.kernels import (
@@ -11,13 +13,13 @@ from skdgp.kernels import (
     prior_paths,
 )
 
-X = np.random.default_rng(0).normal(0, 1.2, (4, 2))
-Z = np.random.default_rng(1).normal(0, 1.2, (3, 2))
+X = default_rng(0).normal(0, 1.2, (4, 2))
+Z = default_rng(1).normal(0, 1.2, (3, 2))
 
 
 def make_kernel(shifted=True, P=3, d=2, seed=0):
     """Two shared latents and one for each output, all different."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     M = 2 + P
     return ConvolvedGaussian(
         2,
@@ -28,7 +30,7 @@ def make_kernel(shifted=True, P=3, d=2, seed=0):
 
 
 def trend():
-    rng = np.random.default_rng(3)
+    rng = default_rng(3)
     return LinearTrend(rng.uniform(0.5, 2, 3), rng.uniform(0.5, 2, (3, 2)), rng.normal(size=2))
 
 
@@ -80,11 +82,11 @@ def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
 
 def test_more_waves_make_paths_more_gaussian():
     """Of outputs of different widths; the excess kurtosis falls as one over the number of waves."""
-    lengths = 2.0 * np.exp(np.random.default_rng(0).normal(0, 0.5, (1, 4, 6)))
+    lengths = 2.0 * np.exp(default_rng(0).normal(0, 0.5, (1, 4, 6)))
     kernel = ConvolvedGaussian(
         1, private_latents=False, amplitude=np.ones((1, 4)), length_scale=lengths
     )
-    points = np.random.default_rng(1).normal(size=(1, 8, 6))
+    points = default_rng(1).normal(size=(1, 8, 6))
 
     def kurtosis(n_frequencies):
         paths = prior_paths(kernel, 10000, n_frequencies, np.random.RandomState(2)).values(points)
@@ -99,4 +101,4 @@ def test_inducing_inputs_far_from_each_other_lose_no_digits():
     kernel, Z = make_kernel(), np.array([[0.0, 0.0], [1e8, -1e8]])
     features, X = inducing_features(kernel, Z), Z + 0.3
     expected = np.hstack([features.Kfu(i, X) for i in range(kernel.n_outputs)])
-    np.testing.assert_allclose(features.basis()[0](X), expected, rtol=1e-6, atol=1e-9)
+    assert_allclose(features.basis()[0](X), expected, rtol=1e-6, atol=1e-9)

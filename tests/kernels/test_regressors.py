@@ -2,19 +2,21 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.kernels import ConvolvedGaussian, inducing_features
 
 
 @pytest.fixture
 def rng():
-    return np.random.default_rng(0)
+    return default_rng(0)
 
 
 @pytest.fixture(scope="module")
 def data():
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     X = rng.uniform(-1, 1, (80, 3)) * [1.0, 50.0, 1e-3]
     Y = np.column_stack([np.sin(3 * X[:, 0]), X[:, 0] ** 2 + X[:, 1] / 50]) + rng.normal(
         0, 0.05, (80, 2)
@@ -33,14 +35,14 @@ def pair(columns, rng, d=3, P=2):
 class TestIsTheKernelOfTheColumns:
     def test_matrix_and_slopes(self, columns, rng):
         X, (of_few, alone) = rng.normal(size=(7, 3)), pair(columns, rng)
-        np.testing.assert_allclose(of_few(X), alone(X[:, columns]), rtol=1e-9, atol=1e-9)
+        assert_allclose(of_few(X), alone(X[:, columns]), rtol=1e-9, atol=1e-9)
         found, expected = (
             of_few.block_derivative(0, 1, X, X),
             alone.block_derivative(0, 1, X[:, columns], X[:, columns]),
         )
-        np.testing.assert_allclose(found[columns], expected, rtol=1e-9, atol=1e-9)
+        assert_allclose(found[columns], expected, rtol=1e-9, atol=1e-9)
         others = np.setdiff1d(range(3), columns)
-        np.testing.assert_allclose(found[others], 0.0, atol=1e-9)
+        assert_allclose(found[others], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("given", [None, 0.7])
@@ -51,7 +53,24 @@ def test_initialize_fixes_the_others_in_their_units(given, data):
     assert given is None or (kernel.length_scale[..., 0] == given).all()
     assert kernel.n_dims == 4 + 4  # amplitudes and widths of the shared and the private latents
     K = kernel(X)
-    np.testing.assert_allclose(K, kernel(X * [1, 0, 0]), atol=1e-9 * K.max())
+    assert_allclose(K, kernel(X * [1, 0, 0]), atol=1e-9 * K.max())
+
+
+def test_functions_of_one_regressor_need_few_inducing_inputs(rng):
+    """However many are given; they hold all of its variance within the range of the given ones."""
+    Z = rng.uniform(-1, 1, (600, 3))
+    kernel, both = (
+        ConvolvedGaussian(0, regressors=columns, amplitude=[[1.0]], length_scale=0.5 + np.zeros(3))
+        for columns in ([1], [0, 1])
+    )
+    few, many, more = (inducing_features(kernel, Z[:n]) for n in (7, 300, 600))
+    assert few.size == 7
+    assert many.size == more.size < 100
+    assert inducing_features(both, Z).size == 600
+    X = rng.uniform(-0.9, 0.9, (20, 3))
+    Kfu = more.Kfu(0, X)
+    held = np.einsum("nk,nk->n", Kfu, np.linalg.solve(more.Kuu(), Kfu.T).T)
+    assert_allclose(held, kernel.diag(X), rtol=1e-4)
 
 
 @pytest.mark.parametrize(

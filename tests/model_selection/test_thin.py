@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_array_equal
 
 from skdgp.model_selection import thin_targets
 
@@ -38,11 +40,11 @@ def test_row_observed_in_one_output_only_counts_and_keeps_its_hole():
 
 
 def test_kept_rows_keep_their_values_and_the_original_is_untouched():
-    Y = np.random.default_rng(0).normal(size=(50, 6))
+    Y = default_rng(0).normal(size=(50, 6))
     before = Y.copy()
     thin = thin_targets(Y, 10)
-    np.testing.assert_array_equal(thin[observed(thin)], Y[observed(thin)])
-    np.testing.assert_array_equal(Y, before)
+    assert_array_equal(thin[observed(thin)], Y[observed(thin)])
+    assert_array_equal(Y, before)
 
 
 @pytest.mark.parametrize("n_samples", [0, -3, 2.5, "all", True])

@@ -1,10 +1,16 @@
 """Displays: what is drawn is what was given, wherever it is drawn, and nothing breaks on poor data."""
 
+import sys
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import norm
 
 from skdgp.plotting import TimeHistoryDisplay
@@ -14,7 +20,7 @@ COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 
 def outputs(n=200, n_outputs=6, seed=0):
     """Return time, measured, mean and std of outputs whose intervals are honest."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     time = np.arange(n) / 40.0
     mean = np.sin(time[:, None] * np.arange(1, n_outputs + 1))
     std = np.full((n, n_outputs), 0.2)
@@ -58,11 +64,9 @@ def labels(display):
 
 def line(display, key, label):
     """Return the line of a label in the panel of a key."""
-    cells = display.axes_.T.flat if display.by_column else display.axes_.flat
-    (found,) = [
-        one for one in list(cells)[display.keys.index(key)].lines if one.get_label() == label
-    ]
-    return found
+    cells = display.axes_.T if display.by_column else display.axes_
+    ax = cells.flat[display.keys.index(key)]
+    return {one.get_label(): one for one in ax.lines}[label]
 
 
 def band(ax):
@@ -92,15 +96,16 @@ class TestEveryDisplay:
 
     def test_a_long_record_is_drawn_with_few_points(self, make):
         def n_points(n):
-            axes = list(make(n, Figure()).axes_.flat)
-            areas = [path for ax in axes for one in ax.collections for path in one.get_paths()]
-            lines = sum(len(one.get_xdata()) for ax in axes for one in ax.lines)
-            return lines + sum(len(area.vertices) for area in areas)
+            figure = make(n, Figure()).figure_
+            count = sum(len(one.get_xdata()) for one in figure.findobj(Line2D))
+            for area in figure.findobj(PolyCollection):
+                count += sum(len(path.vertices) for path in area.get_paths())
+            return count
 
         assert 0 < n_points(60_000) < 4.1 * n_points(3000)
 
     def test_names_the_extra_when_matplotlib_is_absent(self, make, monkeypatch):
-        monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+        monkeypatch.setitem(sys.modules, "matplotlib", None)
         with pytest.raises(ImportError, match=r"pip install 'skdgp\[plot\]'"):
             make(10, None)
 
@@ -115,8 +120,8 @@ class TestCoefficients:
         drawn = {"measured": measured, "estimated": mean, "truth": 2 * mean}
         for k, key in enumerate(COEFFICIENTS):
             for label, values in drawn.items():
-                np.testing.assert_array_equal(line(display, key, label).get_ydata(), values[:, k])
-            np.testing.assert_array_equal(line(display, key, "truth").get_xdata(), time)
+                assert_array_equal(line(display, key, label).get_ydata(), values[:, k])
+            assert_array_equal(line(display, key, "truth").get_xdata(), time)
         corners = {tuple(row) for row in band(display.axes_[1, 0]).round(5)}
         half = norm.ppf(0.975) * std[:, 1]
         for edge in (mean[:, 1] - half, mean[:, 1] + half):
@@ -128,8 +133,8 @@ class TestCoefficients:
         ax = Figure().subplots()
         display.residuals().draw(ax, "Cm")
         shown, zero = ax.lines
-        np.testing.assert_allclose(shown.get_ydata(), (measured - mean)[:, 4])
-        np.testing.assert_array_equal(zero.get_ydata(), 0)
+        assert_allclose(shown.get_ydata(), (measured - mean)[:, 4])
+        assert_array_equal(zero.get_ydata(), 0)
         assert band(ax)[:, 1].min() == pytest.approx(-norm.ppf(0.975) * std.max())
         assert ax.get_ylabel() == "$C_m$ less estimate"
 
@@ -154,12 +159,10 @@ def test_a_replay_is_in_degrees_and_breaks_between_windows():
         time=time, window=np.arange(100) // 25
     )
     display = TimeHistoryDisplay.from_replay(replayed, flown, ax=Figure())
-    np.testing.assert_array_equal(
-        line(display, "v_east", "measured").get_ydata()[:25], measured[:25, 0]
-    )
+    assert_array_equal(line(display, "v_east", "measured").get_ydata()[:25], measured[:25, 0])
     shown = line(display, "p", "replayed").get_ydata()
     assert np.isnan(shown).sum() == 3
-    np.testing.assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
+    assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         TimeHistoryDisplay.from_replay(replayed, flown.iloc[1:])
 
@@ -168,6 +171,6 @@ def test_inputs():
     display = TimeHistoryDisplay.from_inputs(flight(), ax=Figure())
     assert [y for _, y in labels(display)] == ["throttle", "elevator [deg]", "rudder [deg]"]
     shown = line(display, "elevator", "measured").get_ydata()
-    np.testing.assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
+    assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
     with pytest.raises(ValueError, match="without inputs"):
         TimeHistoryDisplay.from_inputs(flight()[["time"]])

@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
 from scipy.stats import norm
 
 from skdgp import DependentGPRegressor, effects
@@ -14,9 +16,7 @@ from skdgp.plotting import EffectsDisplay
 
 @pytest.fixture(scope="module")
 def model():
-    X = pd.DataFrame(
-        np.random.default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"]
-    )
+    X = pd.DataFrame(default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"])
     Y = pd.DataFrame({"CZ": -4 * X["alpha"], "Cm": np.sin(5 * X["alpha"]) - X["throttle"]})
     return DependentGPRegressor(structure="additive", n_latent=0, optimizer=None).fit(X, Y)
 
@@ -29,8 +29,8 @@ def test_a_row_for_each_output_holds_effects_and_interactions(model):
     assert [ax.get_xlabel() for ax in display.axes_[0, :2]] == [r"$\alpha$ [deg]", "throttle"]
     _, line, _ = display.axes_[1, 0].lines
     curve = found.curves["alpha"]
-    np.testing.assert_allclose(line.get_xdata(), np.rad2deg(curve.at))
-    np.testing.assert_allclose(line.get_ydata(), curve.mean[:, 1])
+    assert_allclose(line.get_xdata(), np.rad2deg(curve.at))
+    assert_allclose(line.get_ydata(), curve.mean[:, 1])
     upper = display.axes_[1, 0].collections[0].get_paths()[0].vertices[:, 1].max()
     expected = (curve.mean + norm.ppf(0.975) * curve.std)[:, 1].max()
     assert upper == pytest.approx(expected, rel=1e-4)
@@ -46,7 +46,7 @@ def test_controls_in_parts_of_their_full_throw_are_shown_so(model):
     display = EffectsDisplay.from_model(parts, ax=Figure())
     ax = display.axes_[0, 0]
     assert ax.get_xlabel() == r"$\alpha$ [full throw]"
-    np.testing.assert_allclose(ax.lines[1].get_xdata(), display.curves["alpha"].at)
+    assert_allclose(ax.lines[1].get_xdata(), display.curves["alpha"].at)
 
 
 def test_joint_processes_alone_have_interactions(model):
@@ -58,9 +58,7 @@ def test_joint_processes_alone_have_interactions(model):
 
 
 def test_an_interaction_is_what_effects_do_not_add_up_to(model):
-    X = pd.DataFrame(
-        np.random.default_rng(1).uniform(-0.2, 0.2, (80, 3)), columns=["alpha", "q", "r"]
-    )
+    X = pd.DataFrame(default_rng(1).uniform(-0.2, 0.2, (80, 3)), columns=["alpha", "q", "r"])
     Y = pd.DataFrame({"CZ": X["r"] + 20 * X["alpha"] * X["q"], "Cm": np.sin(5 * X["r"])})
     joint = DependentGPRegressor(n_latent=0, max_iter=30, random_state=0).fit(X, Y)
     display = EffectsDisplay.from_model(joint, ax=False)
@@ -76,7 +74,7 @@ def test_an_interaction_is_what_effects_do_not_add_up_to(model):
     assert (strongest.std >= 0).all()
     display.draw(ax := Figure().subplots(), ("CZ", 0))
     _, low, high = ax.lines
-    np.testing.assert_allclose(low.get_ydata(), strongest.mean[:, 0])
+    assert_allclose(low.get_ydata(), strongest.mean[:, 0])
     assert high.get_label().startswith("$q$ = ")
     assert len(ax.collections) == 2
     assert set(EffectsDisplay.from_model(model, ax=False).interactions) == {"CZ", "Cm"}

@@ -2,7 +2,7 @@
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import norm
+from numpy.random import default_rng
 
 from skdgp.plotting import TimeHistoryDisplay
 
@@ -10,7 +10,7 @@ N_SLICES = 300  # of a long record, each drawn with its lowest and its highest s
 
 
 def noisy_record(n):
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     return np.arange(n) / 40.0, np.cumsum(rng.normal(size=n)) + rng.normal(size=n)
 
 

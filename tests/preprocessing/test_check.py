@@ -5,14 +5,13 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
-from skdgp._flight.faults import find_faults, without_faults
-from skdgp._flight.tables import FlightTable
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification._prepare import usable_flights
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import (
     FlightCheck,
@@ -24,40 +23,51 @@ from skdgp.preprocessing import (
 
 STEP = 0.025
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+# Mean, deviation of a slow wave, and noise
+LEVELS = {
+    "airspeed": (30, 2, 0.3), "alpha": (0.06, 0.03, 0.005), "beta": (0, 0.03, 0.005),
+    **dict.fromkeys("pqr", (0, 0.2, 0.002)), "ax": (0, 1, 0.05), "ay": (0, 1, 0.05), "az": (-9.8, 2, 0.05),
+    **dict.fromkeys(("v_north", "v_east", "v_down"), (10, 5, 0.1)),
+}  # fmt: skip
 
 
-def log(seconds=60.0, seed=0, name="sortie"):
-    """Return a flight of noisy sensors and a pilot's controls."""
-    rng = np.random.default_rng(seed)
-    time = STEP * np.arange(round(seconds / STEP))
-    levels = {"airspeed": (30, 2, 0.3), "alpha": (0.06, 0.03, 0.005), "beta": (0, 0.03, 0.005)}
-    levels |= {
-        **dict.fromkeys("pqr", (0, 0.2, 0.002)),
-        **dict.fromkeys(("ax", "ay"), (0, 1, 0.05)),
-        "az": (-9.8, 2, 0.05),
-    }
-    levels |= dict.fromkeys(("v_north", "v_east", "v_down"), (10, 5, 0.1))
+def log(seed=0, name="sortie"):
+    """Return a flight of a minute of noisy sensors and a pilot's controls."""
+    rng = default_rng(seed)
+    time = STEP * np.arange(2400)
     table = pd.DataFrame({"time": time, "flight": name})
-    for column, (mean, spread, noise) in levels.items():
+    for column, (mean, spread, noise) in LEVELS.items():
         wave = gaussian_filter1d(rng.normal(size=time.size), 20)
         table[column] = mean + spread * wave / wave.std() + rng.normal(0, noise, time.size)
     return table.assign(density=1.2, elevator=np.where(time % 10 < 1, 0.1, 0.0), throttle=0.6)
 
 
 def faults(table):
-    found = inspect_flight(table)
-    return list(zip(found.channel, found.kind, strict=True))
+    return inspect_flight(table)[["channel", "kind"]].values.tolist()
 
 
-def held(table, channel, first, last):
-    """Return the table with one channel's value repeated at rows first + 1 to last."""
-    table = table.copy()
-    table.loc[first:last, channel] = table.loc[first, channel]
+def spoilt(channel, rows, value, table=None):
+    """Return a flight with other values at some rows of a channel."""
+    table = log() if table is None else table.copy()
+    table.loc[rows, channel] = value
     return table
 
 
+def held(channel, first, last, table=None):
+    """Return a flight with one channel's value repeated at rows first + 1 to last."""
+    table = log() if table is None else table
+    return spoilt(channel, slice(first, last), table.loc[first, channel], table)
+
+
+def slower(table, *channels):
+    """Return a flight with channels sampled at 5 Hz and held."""
+    return table.assign(
+        **{name: table[name][::8].reindex(table.index).ffill() for name in channels}
+    )
+
+
 def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():
-    table = held(held(held(log(), "alpha", 400, 480), "alpha", 800, 950), "alpha", 1500, 1560)
+    table = held("alpha", 1500, 1560, held("alpha", 800, 950, held("alpha", 400, 480)))
     match = r"sortie: 3 times, the longest: alpha is stuck at .* \(20.025 to 23.75 s, 150 samples\)"
     with pytest.warns(FlightDataWarning, match=match):
         FlightCheck().fit_transform(table)
@@ -68,12 +78,10 @@ class TestCleanLogs:
         assert faults(log()) == []
 
     def test_a_sensor_slower_than_the_table_is_not_stuck(self):
-        table = log()
-        for channel in ("v_north", "v_east", "v_down"):
-            table[channel] = table[channel][::8].reindex(table.index).ffill()
+        table = slower(log(), "v_north", "v_east", "v_down")
         assert faults(table) == []
-        table["v_north"] = table["v_north"][::8].reindex(table.index)
-        assert faults(table) == []
+        assert faults(table.assign(v_north=table["v_north"][::8].reindex(table.index))) == []
+        assert faults(held("v_north", 800, 1000, table)) == [["v_north", "stuck"]]
 
     @pytest.mark.parametrize("quantum", [0.01, 0.1, 1.0])
     def test_a_coarse_sensor_is_not_stuck(self, quantum):
@@ -82,51 +90,43 @@ class TestCleanLogs:
 
     def test_a_channel_without_noise_is_not_stuck_at_its_extremes(self):
         table = log()
-        assert (
-            faults(table.assign(airspeed=(30 + np.sin(0.1 * table.time)).astype(np.float32))) == []
-        )
+        assert faults(table.assign(airspeed=np.float32(30 + np.sin(0.1 * table.time)))) == []
 
     def test_a_filtered_heading_on_a_grid_is_not_stuck_where_it_turns_back(self):
         table = log()
         turns = np.abs(np.cos(0.4 * table.time)) < 0.2
-        noise = np.convolve(
-            np.random.default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same"
-        )
+        noise = np.convolve(default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same")
         heading = 0.3 + 0.02 * np.sin(0.4 * table.time) + 0.002 * noise * ~turns
         assert faults(table.assign(psi=1e-4 * (heading / 1e-4).round())) == []
+
+    def test_a_coarse_resolution_in_steady_flight_is_not_stuck(self):
+        """Airspeed rounded to 0.01 m/s, slow and almost without noise, interpolated to another clock."""
+        time = np.arange(0, 60, 0.02)
+        slow = np.arange(0, 60, 0.05)
+        speed = 24.98 + 0.02 * np.sin(0.2 * slow) + 3 * np.exp(-slow / 4)
+        table = pd.DataFrame({"time": time, "airspeed": np.interp(time, slow, speed.round(2))})
+        assert faults(table) == []
+        assert faults(held("airspeed", 150, 249, table)) == [["airspeed", "stuck"]]
 
     def test_degrees_are_left_to_those_who_name_the_unit(self):
         assert faults(log().assign(alpha=np.rad2deg(log().alpha))) == []
 
-    def test_the_example_flights_have_none(self):
-        flights = load_example_flights()
+    def test_the_example_flights_have_none(self, first_minute):
+        flights = first_minute()
         assert faults(flights.train) == faults(flights.test) == []
 
+    @pytest.mark.shared
     def test_the_shared_flights_have_none(self, shared_data):
-        paths = sorted(
-            [
-                *(shared_data / "flights").glob("*.parquet"),
-                *(shared_data / "ampyx_ap2").glob("*.parquet"),
-            ]
-        )
+        paths = sorted(shared_data.glob("*/*.parquet"))
         assert len(paths) == 6
         for path in paths:
             assert faults(pd.read_parquet(path)) == [], path.name
 
 
-def spoilt(channel, rows, value):
-    def spoil(table):
-        table = table.copy()
-        table.loc[rows, channel] = value
-        return table
-
-    return spoil
-
-
 FAULTS = [
-    ("alpha", "stuck", lambda t: held(t, "alpha", 400, 480), range(401, 481)),
-    ("airspeed", "stuck", lambda t: held(t, "airspeed", 2000, 2399), range(2001, 2400)),
-    ("q", "stuck", lambda t: held(t, "q", 700, 716), range(701, 717)),
+    ("alpha", "stuck", held("alpha", 400, 480), range(401, 481)),
+    ("airspeed", "stuck", held("airspeed", 2000, 2399), range(2001, 2400)),
+    ("q", "stuck", held("q", 700, 716), range(701, 717)),
     ("alpha", "impossible", spoilt("alpha", [500, 501], -999.0), [500, 501]),
     ("throttle", "impossible", spoilt("throttle", [500], 1e30), [500]),
     ("q", "spike", spoilt("q", [900, 901], 7.0), [900, 901]),
@@ -135,60 +135,90 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(
-    ("channel", "kind", "spoil", "rows"), FAULTS, ids=[f"{c}-{k}" for c, k, *_ in FAULTS]
+    ("channel", "kind", "table", "rows"), FAULTS, ids=[f"{c}-{k}" for c, k, *_ in FAULTS]
 )
-class TestFaults:
-    def test_is_found_with_its_seconds_and_nothing_else(self, channel, kind, spoil, rows):
-        found = inspect_flight(spoil(log()))
-        assert found[["flight", "channel", "kind", "n_samples"]].values.tolist() == [
-            ["sortie", channel, kind, len(rows)]
-        ]
-        np.testing.assert_allclose(
-            found[["start", "end"]].to_numpy()[0], [STEP * rows[0], STEP * rows[-1]]
-        )
-
-    def test_is_taken_out_and_told_once(self, channel, kind, spoil, rows):
-        clean, table = log(), spoil(log())
-        with pytest.warns(
-            FlightDataWarning, match=f"flight sortie: {channel} .* to .* s, {len(rows)} samples"
-        ) as said:
-            FlightCheck().fit_transform(table)
-        assert len(said) == 1
-        out = without_faults(table, find_faults(FlightTable.of(table)))
-        gone = np.zeros(len(table), bool)
-        gone[list(rows)] = True
-        assert out[channel].isna().to_numpy().tolist() == gone.tolist()
-        pd.testing.assert_frame_equal(out[~gone], clean[~gone])
+def test_a_fault_is_found_with_its_seconds_told_once_and_taken_out(channel, kind, table, rows):
+    found = inspect_flight(table)
+    assert found[["flight", "channel", "kind", "n_samples"]].values.tolist() == [
+        ["sortie", channel, kind, len(rows)]
+    ]
+    assert_allclose(found[["start", "end"]], [[STEP * rows[0], STEP * rows[-1]]])
+    words = f"flight sortie: {channel} .* to .* s, {len(rows)} samples"
+    with pytest.warns(FlightDataWarning, match=words) as said:
+        out = FlightCheck().fit_transform(table)
+    assert len(said) == 1
+    clean, rows = log(), [*rows]
+    line = np.interp(clean.time, np.delete(clean.time, rows), np.delete(clean[channel], rows))
+    expected = np.nan if len(rows) > 10 else line[rows]  # short gaps are bridged
+    assert_frame_equal(out, spoilt(channel, rows, expected))
 
 
-def test_a_slow_sensor_that_sticks_is_found():
+@pytest.mark.parametrize(
+    ("channel", "possible", "impossible"),
+    [
+        ("airspeed", 995.0, 1005.0),
+        ("airspeed", -9.5, -10.5),
+        ("alpha", 3.18, 3.2),  # pi, with noise
+        ("beta", -1.61, -1.63),
+        ("p", 49.0, 51.0),
+        ("ax", 995.0, 1005.0),
+        ("psi", 995.0, 1005.0),
+        ("v_down", -1495.0, -1505.0),
+        ("north", 9.9e6, 1.01e7),
+        ("density", 2.95, 3.05),
+        ("density", 0.0011, 0.0009),
+        ("altitude", -995.0, -1005.0),
+        ("altitude", 9.9e4, 1.01e5),
+        ("throttle", 1.45, 1.55),
+        ("throttle", -0.09, -0.11),
+        ("propeller_speed", 9900.0, 10100.0),
+        ("elevator", 1.56, 1.58),
+    ],
+)
+def test_what_no_aircraft_has_is_impossible(channel, possible, impossible):
     table = log()
-    table["v_north"] = table["v_north"][::8].reindex(table.index).ffill()
-    assert faults(held(table, "v_north", 800, 1000)) == [("v_north", "stuck")]
+    table[channel] = table.get(channel, 0.0)
+    fault = [channel, "impossible"]
+    assert fault not in faults(spoilt(channel, [500], possible, table))
+    assert fault in faults(spoilt(channel, [500], impossible, table))
 
 
 def test_a_dead_sensor_among_living_ones():
-    assert faults(log().assign(ay=0.0)) == [("ay", "constant")]
+    assert faults(log().assign(ay=0.0)) == [["ay", "constant"]]
     assert faults(log().assign(ax=0.0, ay=0.0, az=-9.8)) == []  # a simulation may be so
+
+
+def test_dropouts_to_the_same_value_are_found_each_time():
+    table = log()
+    for start in (400, 900, 1500):
+        table.loc[start : start + 60, "airspeed"] = 25.0
+    assert faults(table) == [["airspeed", "stuck"]] * 3
 
 
 class TestBridging:
     def test_short_gaps_are_interpolated_and_long_ones_stay(self):
-        table = log()
-        table.loc[500:507, "alpha"] = np.nan  # 9 steps between the samples around: 0.225 s
-        table.loc[900:909, "alpha"] = np.nan  # 0.275 s
+        """9 steps between the samples around, 0.225 s, and 0.275 s."""
+        table = spoilt("alpha", [*range(500, 508), *range(900, 910)], np.nan)
         with pytest.warns(FlightDataWarning, match="alpha has no value 2 times"):
             out = FlightCheck().fit_transform(table)
         assert out.index[out.alpha.isna()].tolist() == list(range(900, 910))
         line = np.interp(table.time[500:508], table.time[[499, 508]], table.alpha[[499, 508]])
-        np.testing.assert_allclose(out.alpha[500:508], line)
+        assert_allclose(out.alpha[500:508], line)
 
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
-        table = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
-        table.loc[[2399, 2400], "alpha"] = np.nan
+        both = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
         with pytest.warns(FlightDataWarning):
-            out = FlightCheck().fit_transform(table)
+            out = FlightCheck().fit_transform(spoilt("alpha", [2399, 2400], np.nan, both))
         assert out.alpha.isna().sum() == 2
+
+    def test_single_lost_samples_leave_no_holes(self):
+        """3 % of the cells of each channel are missing, one sample at a time."""
+        table, rng = log(), default_rng(0)
+        for name in LEVELS:
+            lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)
+            table.loc[lost, name] = np.nan
+        with pytest.warns(FlightDataWarning, match="gaps up to 0.25 s are interpolated"):
+            assert FlightCheck().fit_transform(table).notna().all(axis=None)
 
 
 class TestClock:
@@ -200,11 +230,13 @@ class TestClock:
         with pytest.raises(FlightReadError, match="sort by time"):
             read_flight(tmp_path / "a.csv")
 
-    def test_a_jump_forward_is_listed_and_silent(self):
+    @pytest.mark.parametrize(("steps", "found"), [(2.4, []), (2.6, [["time", "gap"]])])
+    def test_a_jump_forward_is_listed_and_silent(self, steps, found):
+        """By more than 2.5 steps."""
         table = log()
-        table.loc[1000:, "time"] += 5.0
-        assert faults(table) == [("time", "gap")]
-        pd.testing.assert_frame_equal(FlightCheck().fit_transform(table), table)
+        table.loc[1000:, "time"] += (steps - 1) * STEP
+        assert faults(table) == found
+        assert_frame_equal(FlightCheck().fit_transform(table), table)
 
 
 class TestDownstream:
@@ -213,88 +245,38 @@ class TestDownstream:
     )
 
     def test_what_is_bridged_is_regressed_on(self):
-        table = spoilt("alpha", [700, 701], -999.0)(log())
         with pytest.warns(FlightDataWarning, match="alpha has impossible values, such as -999"):
-            assert self.steps.fit_transform(table).alpha.abs().max() < 0.2
+            out = self.steps.fit_transform(spoilt("alpha", [700, 701], -999.0))
+        assert out.alpha.abs().max() < 0.2
 
     def test_what_is_not_is_refused_with_a_remedy_that_works(self):
-        table = held(log(), "alpha", 700, 800)
-        with (
-            pytest.warns(FlightDataWarning),
-            pytest.raises(
-                ValueError, match=r"100 of 2400 rows .*'alpha': 100.*as FlightCheck gives it"
-            ),
-        ):
+        table = held("alpha", 700, 800)
+        words = r"100 of 2400 rows .*'alpha': 100.*as FlightCheck gives it"
+        with pytest.warns(FlightDataWarning), pytest.raises(ValueError, match=words):
             self.steps.fit_transform(table)
         with pytest.warns(FlightDataWarning):
             table = FlightCheck().fit_transform(table)
         assert len(self.steps.fit_transform(table[np.isfinite(table.alpha)])) == 2300
 
     def test_targets_are_not_observed_where_sensors_were_faulty(self):
-        table = log()
-        expected = aerodynamic_coefficients(table, GLIDER, thrust=None)
+        expected = aerodynamic_coefficients(log(), GLIDER, thrust=None)
+        stuck = held("q", 700, 800)
         with pytest.warns(
-            FlightDataWarning, match=r"q is stuck .* coefficients are not known there"
+            FlightDataWarning, match="q is stuck .* coefficients are not known there"
         ):
-            Y = aerodynamic_coefficients(held(table, "q", 700, 800), GLIDER, thrust=None)
+            Y = aerodynamic_coefficients(stuck, GLIDER, thrust=None)
         assert Y.index[Y.isna().any(axis=1)].tolist() == list(range(701, 801))
-        far = np.abs(np.arange(len(table)) - 750) > 400
-        np.testing.assert_allclose(Y[far], expected[far], atol=0.01 * expected.std().max())
-        assert (
-            aerodynamic_coefficients(held(table, "q", 700, 800), GLIDER, thrust=None, ignore=["q"])
-            .notna()
-            .all(axis=None)
-        )
+        far = np.abs(np.arange(len(Y)) - 750) > 400
+        assert_allclose(Y[far], expected[far], atol=0.01 * expected.std().max())
+        believed = aerodynamic_coefficients(stuck, GLIDER, thrust=None, ignore=["q"])
+        assert believed.notna().all(axis=None)
 
-    def test_identify_warns_of_them_and_leaves_their_rows_out(self):
-        flight = FlightTable.of(held(log(), "alpha", 700, 712))
-        with (
-            pytest.warns(FlightDataWarning, match="alpha is stuck"),
-            pytest.warns(UserWarning, match="12 of 2400 rows are left out"),
-        ):
-            flights = usable_flights({"sortie": flight}, ["alpha"], ["alpha"])
-        assert len(flights["sortie"]) == 2388
-
-    def test_single_lost_samples_leave_no_rows_out(self):
-        """3 % of the cells of each channel are missing, one sample at a time."""
-        table, rng = log(), np.random.default_rng(0)
-        sparse = table.copy()
-        for name in sparse.columns.difference(["time", "flight"]):
-            lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)
-            sparse.loc[lost, name] = np.nan
-        flights = {"sortie": FlightTable.of(sparse)}
-        with pytest.warns(FlightDataWarning, match="gaps up to 0.25 s are interpolated"):
-            found = usable_flights(flights, ["alpha", "q"], ["alpha", "q"])["sortie"]
-        assert len(found) == len(table)
-        assert found.notna().all(axis=None)
-
-    def test_a_coarse_resolution_in_steady_flight_is_not_stuck(self):
-        """Airspeed rounded to 0.01 m/s, slow and almost without noise, interpolated to another clock."""
-        time = np.arange(0, 60, 0.02)
-        slow = np.arange(0, 60, 0.05)
-        speed = 24.98 + 0.02 * np.sin(0.2 * slow) + 3 * np.exp(-slow / 4)
-        airspeed = np.interp(time, slow, np.round(speed, 2))
-        assert inspect_flight(pd.DataFrame({"time": time, "airspeed": airspeed})).empty
-        airspeed[150:250] = airspeed[150]
-        found = inspect_flight(pd.DataFrame({"time": time, "airspeed": airspeed}))
-        assert found.kind.tolist() == ["stuck"]
-
-    def test_dropouts_to_the_same_value_are_found_each_time(self):
-        table = log()
-        for start in (400, 900, 1500):
-            table.loc[start : start + 60, "airspeed"] = 25.0
-        assert faults(table) == [("airspeed", "stuck")] * 3
-
-
-class TestWhatCannotBeLearned:
     def test_regressors_that_never_moved_are_named(self):
+        """The elevator is still where there are targets."""
         table = log().assign(rudder=0.01)
-        targets = np.where(
-            table.time < 0.9, 1.0, np.nan
-        )  # the elevator is still where there are targets
-        with pytest.warns(
-            FlightDataWarning, match=r"\['elevator', 'rudder'\] never change.*cannot learn"
-        ):
+        targets = np.where(table.time < 0.9, 1.0, np.nan)
+        words = r"\['elevator', 'rudder'\] never change.*cannot learn"
+        with pytest.warns(FlightDataWarning, match=words):
             RegressorSelector(["alpha", "elevator", "rudder"]).fit(table, targets)
         with warnings.catch_warnings():
             warnings.simplefilter("error")

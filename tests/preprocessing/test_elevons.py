@@ -3,17 +3,20 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 
 from skdgp.preprocessing import ElevonSplitter
 
-RNG = np.random.default_rng(0)
+RNG = default_rng(0)
 ELEVONS = pd.DataFrame(RNG.uniform(-0.3, 0.3, (20, 2)), columns=["elevon_left", "elevon_right"])
 
 
 def test_parity_by_hand():
     out = ElevonSplitter().fit_transform(ELEVONS)
-    np.testing.assert_allclose(out.elevator, (ELEVONS.elevon_left + ELEVONS.elevon_right) / 2)
-    np.testing.assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
+    assert_allclose(out.elevator, (ELEVONS.elevon_left + ELEVONS.elevon_right) / 2)
+    assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
 
 
 def test_mirror_image_changes_the_sign_of_the_odd_control_only():
@@ -21,8 +24,8 @@ def test_mirror_image_changes_the_sign_of_the_odd_control_only():
         columns={"elevon_left": "elevon_right", "elevon_right": "elevon_left"}
     )
     out, image = ElevonSplitter().fit_transform(ELEVONS), ElevonSplitter().fit_transform(mirrored)
-    np.testing.assert_allclose(image.elevator, out.elevator)
-    np.testing.assert_allclose(image.aileron, -out.aileron)
+    assert_allclose(image.elevator, out.elevator)
+    assert_allclose(image.aileron, -out.aileron)
 
 
 def test_more_surfaces_than_controls():
@@ -33,7 +36,7 @@ def test_more_surfaces_than_controls():
     )
     table = pd.DataFrame(RNG.normal(size=(8, 4)), columns=surfaces).assign(airspeed=30.0)
     out = splitter.fit_transform(table)
-    np.testing.assert_allclose(
+    assert_allclose(
         out[["aileron", "elevator", "rudder"]],
         table[list(surfaces)].to_numpy() @ np.transpose(mixing),
     )
@@ -41,15 +44,15 @@ def test_more_surfaces_than_controls():
 
 def test_conventional_aircraft_passes_through():
     table = pd.DataFrame({"elevator": [0.1], "aileron": [0.2], "alpha": [0.05]})
-    pd.testing.assert_frame_equal(ElevonSplitter().fit_transform(table), table)
+    assert_frame_equal(ElevonSplitter().fit_transform(table), table)
     fitted = ElevonSplitter().fit(ELEVONS)
-    pd.testing.assert_frame_equal(fitted.transform(table), table)
+    assert_frame_equal(fitted.transform(table), table)
 
 
 def test_logged_controls_yield_to_the_surfaces():
     both = ELEVONS.assign(elevator=ELEVONS.mean(axis=1), aileron=7.0)
     out = ElevonSplitter().fit_transform(both)
-    np.testing.assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
+    assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
     assert list(out.columns) == list(both.columns)
 
 

@@ -1,8 +1,8 @@
 """Non-dimensional rates: the textbook's factors, and similarity."""
 
-import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.preprocessing import RateNondimensionalizer
 
@@ -38,7 +38,7 @@ def test_every_factor():
     out = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT)
     assert set(out.columns) - set(FLIGHT.columns) == set(HAND)
     for name, equation in HAND.items():
-        np.testing.assert_allclose(out[name], equation(FLIGHT), rtol=1e-14)
+        assert_allclose(out[name], equation(FLIGHT), rtol=1e-14)
 
 
 def test_geometrically_similar_aircraft_share_the_numbers():
@@ -51,7 +51,7 @@ def test_geometrically_similar_aircraft_share_the_numbers():
         scaled[raw] = FLIGHT[raw] * (s / k) ** power
     small = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT)
     large = RateNondimensionalizer(span=k * B, chord=k * C).fit_transform(scaled)
-    np.testing.assert_allclose(large[list(HAND)], small[list(HAND)], rtol=1e-12)
+    assert_allclose(large[list(HAND)], small[list(HAND)], rtol=1e-12)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0])

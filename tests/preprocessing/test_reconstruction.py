@@ -7,6 +7,9 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -22,74 +25,63 @@ from skdgp.preprocessing import (
 )
 
 GRAVITY = 9.80665
+FORCES = ["ax", "ay", "az"]
+RATES = ["p", "q", "r"]
+ATTITUDE = ["phi", "theta", "psi"]
+AIR = ["airspeed", "alpha", "beta"]
+VELOCITY = ["v_north", "v_east", "v_down"]
+WIND = ["wind_north", "wind_east", "wind_down"]
+# White noise of the sensors, standard deviation
 SHEET = {
-    **dict.fromkeys(["ax", "ay", "az"], 0.05),
-    **dict.fromkeys(["p", "q", "r"], 0.002),
-    **dict.fromkeys(["phi", "theta", "psi", "alpha", "beta"], 0.005),
-    **dict.fromkeys(["v_north", "v_east", "v_down"], 0.1),
+    **dict.fromkeys(FORCES, 0.05),
+    **dict.fromkeys(RATES, 0.002),
+    **dict.fromkeys([*ATTITUDE, "alpha", "beta"], 0.005),
+    **dict.fromkeys(VELOCITY, 0.1),
     "airspeed": 0.3,
 }
-"""White noise of the sensors, standard deviation."""
-AIR = ["airspeed", "alpha", "beta"]
-WIND = ["wind_north", "wind_east", "wind_down"]
+STEP = 0.0025  # of the true motion [s]
+MEAN_WIND = np.array([3.0, -2.0, 0.0])
 
 
-def flown(seconds=60.0, rate=25.0, *, noise=1.0, gusts=0.0, seed=0, turn=0.3, loop=0.0, lags=None):
+def motion(t, turn, loop):
+    """Return attitude and airspeed vector (n, 3), body axes, as functions of time."""
+    moving, rolling = turn != 0.0, loop == 0.0
+    psi = turn * t + 0.1 * moving * np.sin(0.9 * t)
+    theta = 0.15 * np.sin(0.7 * t)
+    phi = 0.4 * rolling * np.sin(0.5 * t)
+    attitude = Rotation.from_euler("ZYX", np.column_stack([psi, theta, phi]))
+    attitude *= Rotation.from_euler("Y", (loop * t)[:, None])
+    turned = [0.02 * np.sin(t), 0.05 * np.sin(0.8 * t), -0.08 - 0.04 * np.sin(2 * t)]
+    ahead = Rotation.from_rotvec(np.transpose(turned)).as_matrix()[:, :, 0] * [1, 1, -1]
+    return attitude, (25 + 3 * moving * np.sin(0.3 * t))[:, None] * ahead
+
+
+def flown(seconds=60.0, rate=25.0, *, gusts=0.0, seed=0, turn=0.3, loop=0.0):
     """A flight whose attitude and motion are given functions of time: all else follows, without the package.
 
     Heading turns at ``turn`` (0: straight at constant speed), or the nose is carried through the
-    vertical at ``loop`` [rad/s]; gusts are a random walk [m/s in one second]; ``lags`` holds how
-    long ago [s] sensors saw what they report.
+    vertical at ``loop`` [rad/s]; gusts are a random walk [m/s in one second].
     """
-    rng = np.random.default_rng(seed)
-    step = 0.0025
-    t = np.arange(-1.0, seconds + 1.0, step)
-    moving, rolling = turn != 0.0, loop == 0.0
-    wave = [
-        turn * t + 0.1 * moving * np.sin(0.9 * t),
-        0.15 * np.sin(0.7 * t),
-        0.4 * rolling * np.sin(0.5 * t),
-    ]
-    attitude = Rotation.from_euler("ZYX", np.transpose(wave)) * Rotation.from_euler(
-        "Y", (loop * t)[:, None]
-    )
-    beside = Rotation.from_rotvec(
-        np.transpose([0.02 * np.sin(t), 0.05 * np.sin(0.8 * t), -0.08 - 0.04 * np.sin(2 * t)])
-    )
-    ahead = beside.as_matrix()[:, :, 0] * [1, 1, -1]
-    mean_wind = np.array([3.0, -2.0, 0.0])
-    velocity = attitude.apply((25 + 3 * moving * np.sin(0.3 * t))[:, None] * ahead) + mean_wind
-    walk = gusts * np.sqrt(step) * np.cumsum(rng.standard_normal((len(t), 3)), axis=0)
-    wind = mean_wind + walk - walk.mean(axis=0)
+    rng = default_rng(seed)
+    t = np.arange(-1.0, seconds + 1.0, STEP)
+    attitude, through_air = motion(t, turn, loop)
+    velocity = attitude.apply(through_air) + MEAN_WIND
+    walk = gusts * np.sqrt(STEP) * np.cumsum(rng.standard_normal((len(t), 3)), axis=0)
+    wind = MEAN_WIND + walk - walk.mean(axis=0)
     turning = np.zeros((len(t), 3))
-    turning[1:-1] = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * step)
+    turning[1:-1] = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * STEP)
     air = np.column_stack(air_data(attitude.inv().apply(velocity - wind)))
-    euler = attitude.as_euler("ZYX")[:, ::-1]
+    angles = np.unwrap(attitude.as_euler("ZYX")[:, ::-1], axis=0)
     force = attitude.inv().apply(CubicSpline(t, velocity)(t, 1) - [0, 0, GRAVITY])
-    truth = np.column_stack([force, turning, np.unwrap(euler, axis=0), air, velocity, wind])
-    names = [
-        "ax",
-        "ay",
-        "az",
-        "p",
-        "q",
-        "r",
-        "phi",
-        "theta",
-        "psi",
-        *AIR,
-        "v_north",
-        "v_east",
-        "v_down",
-    ]
-    names += ["wind_north", "wind_east", "wind_down"]
+    truth = np.column_stack([force, turning, angles, air, velocity, wind])
     clock = np.arange(0, seconds, 1 / rate)
     table = pd.DataFrame({"time": clock, "flight": "one"})
-    for name, values in zip(names, truth.T, strict=True):
+    for name, values in zip(
+        [*FORCES, *RATES, *ATTITUDE, *AIR, *VELOCITY, *WIND], truth.T, strict=True
+    ):
         table[f"{name}_true"] = np.interp(clock, t, values)
         if name in SHEET:
-            seen = np.interp(clock - (lags or {}).get(name, 0.0), t, values)
-            table[name] = seen + noise * rng.normal(0, SHEET[name], len(clock))
+            table[name] = table[f"{name}_true"] + rng.normal(0, SHEET[name], len(clock))
     return table
 
 
@@ -104,90 +96,78 @@ def reconstructed(**options):
 def error(table, out, name):
     """Root mean square."""
     gap = out[name] - table[f"{name}_true"]
-    return float(
-        np.sqrt(np.mean(np.angle(np.exp(1j * gap)) ** 2 if name in ("phi", "psi") else gap**2))
-    )
+    if name in ("phi", "psi"):
+        gap = np.angle(np.exp(1j * gap))
+    return float(np.sqrt(np.mean(gap**2)))
+
+
+def assert_near(table, out, limits):
+    for name, limit in limits.items():
+        assert error(table, out, name) < limit, name
+
+
+def shares(share):
+    """Return limits of the errors of air data: a share of the noise of the vanes."""
+    return {name: share * SHEET[name] for name in AIR}
 
 
 class TestRecovery:
     def test_in_calm_air_the_vanes_noise_all_but_vanishes(self):
         table, reconstruction, out = reconstructed()
-        for name, share in {
-            "airspeed": 0.1,
-            "alpha": 0.15,
-            "beta": 0.15,
-            "phi": 0.2,
-            "theta": 0.2,
-            "psi": 0.2,
-        }.items():
-            assert error(table, out, name) < share * SHEET[name], name
-        for name in ("wind_north", "wind_east", "wind_down"):
-            assert error(table, out, name) < 0.05
-        for name, sheet in {
-            "airspeed": "airspeed",
-            "alpha": "alpha",
-            "v_down": "v_down",
-            "tilt": "theta",
-        }.items():
-            assert reconstruction.noise_std_[name] == pytest.approx(SHEET[sheet], rel=0.06)
+        assert_near(table, out, shares(0.15) | {"airspeed": 0.1 * SHEET["airspeed"]})
+        assert_near(table, out, dict.fromkeys(ATTITUDE, 0.2 * 0.005) | dict.fromkeys(WIND, 0.05))
+        sheet = {"airspeed": 0.3, "alpha": 0.005, "v_down": 0.1, "tilt": 0.005}
+        found = {name: reconstruction.noise_std_[name] for name in sheet}
+        assert found == pytest.approx(sheet, rel=0.06)
 
     @pytest.mark.parametrize("gusts", [0.1, 0.5])
     def test_gusts_are_followed(self, gusts):
         table, _, out = reconstructed(gusts=gusts)
-        for name in AIR:
-            assert error(table, out, name) < 0.65 * SHEET[name], name
+        assert_near(table, out, shares(0.65))
 
     def test_injected_errors_are_found_and_removed(self):
-        biases = (0.15, -0.1, 0.2, 0.01, -0.008, 0.012)
-        put = dict(zip(("ax", "ay", "az", "p", "q", "r"), biases, strict=True))
+        biases = dict(zip([*FORCES, *RATES], (0.15, -0.1, 0.2, 0.01, -0.008, 0.012), strict=True))
         table = flown()
-        for name, bias in put.items():
+        for name, bias in biases.items():
             table[name] += bias
         reconstruction = FlightPathReconstruction().fit(table)
         found = reconstruction.calibration_.set_index("constant")
-        for name, bias in put.items():
-            assert abs(found.estimate[f"{name}_bias"] - bias) < 4 * found["std"][f"{name}_bias"]
+        for name, bias in biases.items():
+            estimate, std = found.loc[f"{name}_bias", ["estimate", "std"]]
+            assert abs(estimate - bias) < 4 * std
         out = reconstruction.transform(table)
-        for name, limit in {"airspeed": 0.06, "alpha": 0.002, "ax": 0.06, "r": 0.0022}.items():
-            assert error(table, out, name) < limit, name
+        assert_near(table, out, {"airspeed": 0.06, "alpha": 0.002, "ax": 0.06, "r": 0.0022})
 
     def test_through_the_vertical(self):
         table = flown(40.0, loop=0.5, turn=0.0)
         assert np.abs(table.theta_true).max() > 1.5
         out = FlightPathReconstruction().fit_transform(table)
-        turned = [
-            Rotation.from_euler("ZYX", t[[f"{n}{s}" for n in ("psi", "theta", "phi")]])
-            for t, s in ((table, "_true"), (out, ""))
-        ]
-        assert (turned[0].inv() * turned[1]).magnitude().max() < 0.006
+        truth = Rotation.from_euler("ZYX", table[["psi_true", "theta_true", "phi_true"]])
+        found = Rotation.from_euler("ZYX", out[["psi", "theta", "phi"]])
+        assert (truth.inv() * found).magnitude().max() < 0.006
         assert error(table, out, "alpha") < 0.0015
 
     def test_without_vanes(self):
         table = flown(40.0)
         out = FlightPathReconstruction().fit_transform(table.drop(columns=["alpha", "beta"]))
-        assert error(table, out, "alpha") < 0.003
-        assert error(table, out, "beta") < 0.003
+        assert_near(table, out, {"alpha": 0.003, "beta": 0.003})
         assert {"alpha", "beta", "alpha_dot", "beta_dot"} <= set(out)
 
     def test_slow_and_silent_sensors(self):
         table = flown(40.0)
-        slow = table.copy()
-        row = np.arange(len(table))
-        slow.loc[row % 5 != 0, ["v_north", "v_east", "v_down"]] = np.nan  # GPS at 5 Hz
+        slow, row = table.copy(), np.arange(len(table))
+        slow.loc[row % 5 != 0, VELOCITY] = np.nan  # GPS at 5 Hz
         slow.loc[row % 3 != 0, ["alpha"]] = np.nan
-        slow.loc[(row > 700) & (row < 750), ["phi", "theta", "psi", "airspeed"]] = np.nan
+        slow.loc[(row > 700) & (row < 750), [*ATTITUDE, "airspeed"]] = np.nan
         slow.loc[row % 50 == 7, ["p", "ax"]] = np.nan
         out = FlightPathReconstruction().fit_transform(slow)
         assert out[[*AIR, "p", "ax", "psi", "wind_down"]].notna().all(axis=None)
-        for name in AIR:
-            assert error(table, out, name) < 0.3 * SHEET[name], name
+        assert_near(table, out, shares(0.3))
 
     def test_a_gap_is_not_bridged(self):
         table = flown(50.0)
         parts = table[(table.time < 20) | (table.time > 30)].reset_index(drop=True)
-        out = FlightPathReconstruction().fit_transform(parts)
-        for name in AIR:
-            assert error(parts, out, name) < 0.25 * SHEET[name], name
+        assert_near(parts, FlightPathReconstruction().fit_transform(parts), shares(0.25))
 
 
 class TestHonesty:
@@ -205,12 +185,12 @@ class TestHonesty:
             tracemalloc.stop()
         assert peaks[1] < peaks[0] / 2
         whole, parts = found
-        for name in ("airspeed", "alpha", "beta"):
+        for name in AIR:
             assert (parts[name] - whole[name]).std() < 0.1 * error(table, whole, name)
 
     def test_whether_paths_converged_travels_with_the_model(self):
         table = flown(20.0)
-        noise = np.random.default_rng(0).uniform(-3, 3, len(table))
+        noise = default_rng(0).uniform(-3, 3, len(table))
         both = pd.concat([table.assign(flight="a"), table.assign(flight="b", psi=noise)])
         with pytest.warns(UserWarning, match="did not converge: b"):
             reconstruction = FlightPathReconstruction().fit(both.reset_index(drop=True))
@@ -221,7 +201,7 @@ class TestHonesty:
         two = flown(20.0, seed=1, gusts=0.3).assign(flight="two")
         both = reconstruction.transform(pd.concat([one, two], ignore_index=True))
         apart = pd.concat([alone, reconstruction.transform(two)], ignore_index=True)
-        pd.testing.assert_frame_equal(both, apart)
+        assert_frame_equal(both, apart)
 
     def test_rates_of_change(self):
         table = flown(40.0)
@@ -236,7 +216,7 @@ class TestIncomplete:
         flight = flown(20).drop(columns="phi")
         reconstruction = FlightPathReconstruction(optional=True).fit(flight)
         assert reconstruction.missing_ == ["phi"]
-        pd.testing.assert_frame_equal(reconstruction.transform(flight), flight)
+        assert_frame_equal(reconstruction.transform(flight), flight)
 
     def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):
         second = flown(20).assign(flight="two", p=np.nan)
@@ -256,23 +236,19 @@ class TestIncomplete:
 
 
 def late(table, names, seconds):
-    return table.assign(
-        **{name: np.interp(table.time - seconds, table.time, table[name]) for name in names}
-    )
+    delayed = table.copy()
+    for name in names:
+        delayed[name] = np.interp(table.time - seconds, table.time, table[name])
+    return delayed
 
 
 def wandering(table, names, std, seconds=5.0):
     """The table with errors of exponential correlation."""
-    rng, memory = np.random.default_rng(5), np.exp(-np.median(np.diff(table.time)) / seconds)
-    errors = lfilter(
-        [std * np.sqrt(1 - memory**2)],
-        [1, -memory],
-        rng.standard_normal((len(table), len(names))),
-        axis=0,
-    )
-    return table.assign(
-        **{name: table[name] + error for name, error in zip(names, errors.T, strict=True)}
-    )
+    memory = np.exp(-np.median(np.diff(table.time)) / seconds)
+    white = std * np.sqrt(1 - memory**2) * default_rng(5).standard_normal((len(table), len(names)))
+    wandered = table.copy()
+    wandered[names] += lfilter([1], [1, -memory], white, axis=0)
+    return wandered
 
 
 class TestInconsistent:
@@ -280,31 +256,28 @@ class TestInconsistent:
 
     def test_it_is_used_after_correction_of_lags(self):
         table, _, best = reconstructed(gusts=0.3)
-        delayed = late(
-            late(table, ["phi", "theta", "psi"], 0.2), ["v_north", "v_east", "v_down"], 0.3
-        )
+        delayed = late(late(table, ATTITUDE, 0.2), VELOCITY, 0.3)
         steps = make_pipeline(LagCorrector(), FlightPathReconstruction(optional=True))
         out = steps.fit_transform(delayed)
         assert steps[-1].used_
-        for name in AIR:
-            assert error(table, out, name) < 1.1 * error(table, best, name), name
+        assert_near(table, out, {name: 1.1 * error(table, best, name) for name in AIR})
 
     def test_consistent_flights_are_reconstructed_as_without_the_check(self):
         table, unchecked, out = reconstructed(gusts=0.3)
         checked = FlightPathReconstruction(optional=True).fit(table)
         assert checked.used_
-        pd.testing.assert_frame_equal(checked.transform(table), out)
+        assert_frame_equal(checked.transform(table), out)
         assert list(checked.get_feature_names_out()) == list(unchecked.get_feature_names_out())
 
     @pytest.mark.parametrize(
         ("damage", "reason"),
         [
             (
-                lambda table: wandering(table, ("phi", "theta", "psi"), 0.05),
+                lambda table: wandering(table, ATTITUDE, 0.05),
                 "the attitude does not follow the gyros",
             ),
             (
-                lambda table: wandering(table, ("v_north", "v_east", "v_down"), 2.0),
+                lambda table: wandering(table, VELOCITY, 2.0),
                 "does not follow the accelerometers",
             ),
             (
@@ -319,12 +292,11 @@ class TestInconsistent:
         reconstruction = FlightPathReconstruction(optional=True).fit(table)
         assert not reconstruction.used_
         assert reason in reconstruction.reason_
-        pd.testing.assert_frame_equal(reconstruction.transform(table), table)
+        assert_frame_equal(reconstruction.transform(table), table)
         assert "gust" not in reconstruction.get_feature_names_out()
-        out, smooth = (
-            one.fit_transform(table) for one in (FlightPathReconstruction(), FlightSmoother())
-        )
-        assert error(table, out, "alpha") > error(table, smooth, "alpha")
+        path = FlightPathReconstruction().fit_transform(table)
+        smooth = FlightSmoother().fit_transform(table)
+        assert error(table, path, "alpha") > error(table, smooth, "alpha")
 
     def test_one_filtered_sensor_of_air_data_does_not_decide(self):
         table = flown(40.0, gusts=0.1)
@@ -338,19 +310,24 @@ class TestInconsistent:
         assert not FlightPathReconstruction(optional=True).fit(filtered).used_
 
     def test_without_a_vane_there_is_no_choice(self):
-        table = wandering(flown(20.0), ("phi", "theta", "psi"), 0.05).drop(columns="beta")
+        table = wandering(flown(20.0), ATTITUDE, 0.05).drop(columns="beta")
         reconstruction = FlightPathReconstruction(optional=True).fit(table)
         assert reconstruction.used_
         assert "although the attitude does not follow the gyros" in reconstruction.reason_
 
 
 def test_gusts_are_told():
+    """A piece of half a second has the gusts of the fit."""
     reconstruction = FlightPathReconstruction().fit(flown(40, gusts=0.4))
-    assert reconstruction.gust_std_ == pytest.approx(0.4, rel=0.3)
-    assert reconstruction.transform(flown(40, gusts=0.8, seed=1))["gust"].iloc[0] == pytest.approx(
-        0.8, rel=0.3
-    )
-    assert reconstruction.transform(flown(40, gusts=0.0, seed=1))["gust"].iloc[0] < 0.1
+    fit = reconstruction.gust_std_
+    assert fit == pytest.approx(0.4, rel=0.3)
+
+    def gust(table):
+        return reconstruction.transform(table)["gust"].iloc[0]
+
+    assert gust(flown(40, gusts=0.8, seed=1)) == pytest.approx(0.8, rel=0.3)
+    assert gust(flown(40, gusts=0.0, seed=1)) < 0.1
+    assert gust(flown(40, gusts=0.4, seed=1)[:13]) == pytest.approx(fit, rel=0.2)
 
 
 class TestBadInput:
@@ -383,33 +360,18 @@ class TestBadInput:
 
 @pytest.mark.shared
 def test_shared_calm_flight_after_a_gusty_one(shared_data):
+    """The noise is that of the sensors' data sheet."""
     train, test = (
         pd.read_parquet(shared_data / "flights" / f"c172p_{part}.parquet")[:2500]
         for part in ("train_latlon", "test_calm")
     )
-    chain = make_pipeline(FlightPathReconstruction(), FlightSmoother())
-    chain.fit(train)
-    noise = chain[0].noise_std_  # the sensors' data sheet
-    for name, sheet in {
-        "airspeed": 0.3,
-        "alpha": np.deg2rad(0.3),
-        "v_down": 0.1,
-        "tilt": np.deg2rad(0.3),
-    }.items():
-        assert noise[name] == pytest.approx(sheet, rel=0.05)
-    for table, limits in (train, (0.0019, 0.0019)), (test, (0.0006, 0.0006)):
-        out = chain.transform(table)
-        for name, limit in zip(["alpha", "beta"], limits, strict=True):
-            assert error(table, out, name) < limit, name
-
-
-def test_a_piece_of_a_second_has_the_gusts_of_the_fit():
-    reconstruction = FlightPathReconstruction().fit(flown(40, gusts=0.4))
-    piece = flown(40, gusts=0.4, seed=1)
-    piece = piece[piece["time"] < piece["time"].iloc[0] + 0.5]
-    assert reconstruction.transform(piece)["gust"].iloc[0] == pytest.approx(
-        reconstruction.gust_std_, rel=0.2
-    )
+    chain = make_pipeline(FlightPathReconstruction(), FlightSmoother()).fit(train)
+    angle = np.deg2rad(0.3)
+    sheet = {"airspeed": 0.3, "alpha": angle, "v_down": 0.1, "tilt": angle}
+    found = {name: chain[0].noise_std_[name] for name in sheet}
+    assert found == pytest.approx(sheet, rel=0.05)
+    assert_near(train, chain.transform(train), dict.fromkeys(["alpha", "beta"], 0.0019))
+    assert_near(test, chain.transform(test), dict.fromkeys(["alpha", "beta"], 0.0006))
 
 
 def test_heading_between_thinned_rows_does_not_cross_zero_at_pi():
@@ -420,4 +382,4 @@ def test_heading_between_thinned_rows_does_not_cross_zero_at_pi():
     thinned = air[[*AIR, *PATH_CHANNELS[:-1], *WIND]]
     thinned.iloc[1::2] = np.nan
     columns = air_columns(thinned, flights_of(table)[0].sensors)
-    np.testing.assert_allclose(np.cos(columns["psi"] - psi), 1.0, atol=1e-4)
+    assert_allclose(np.cos(columns["psi"] - psi), 1.0, atol=1e-4)

@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
+from pandas.testing import assert_frame_equal
 
 from skdgp.preprocessing import FlightSmoother, RateNondimensionalizer, RegressorSelector
 
@@ -25,9 +27,9 @@ PAPER = [
 ]
 QUASI_STEADY = [name for name in CLASSICAL if name not in ("alpha_dot", "beta_dot")]
 NUMBERS = [*dict.fromkeys(CLASSICAL + PAPER), "alpha_true"]
-EVERY = pd.DataFrame(
-    np.random.default_rng(0).normal(size=(6, len(NUMBERS))), columns=NUMBERS
-).assign(airspeed=30.0, flight="one")
+EVERY = pd.DataFrame(default_rng(0).normal(size=(6, len(NUMBERS))), columns=NUMBERS).assign(
+    airspeed=30.0, flight="one"
+)
 
 
 @pytest.mark.parametrize(
@@ -43,7 +45,7 @@ def test_named_sets(name, columns):
     selector = RegressorSelector(*name).fit(EVERY)
     assert selector.regressors_ == columns
     assert selector.absent_ == []
-    pd.testing.assert_frame_equal(selector.transform(EVERY), EVERY[columns])
+    assert_frame_equal(selector.transform(EVERY), EVERY[columns])
 
 
 def test_extra_columns_come_last_once():

@@ -4,22 +4,24 @@ import re
 from dataclasses import replace
 from datetime import datetime
 from html.parser import HTMLParser
+from urllib.parse import unquote
+from xml.etree import ElementTree
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from sklearn.exceptions import UndefinedMetricWarning
 
-from skdgp._compute.findings import Code, Finding
-from skdgp._display import page as page_module
-from skdgp._flight.channels import COEFFICIENTS
+from skdgp import DependentGPRegressor
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
-from skdgp.plotting._effects import Curve, Interaction
 from skdgp.report import (
+    Code,
     Evaluation,
     Extent,
+    Finding,
     FlightMechanics,
     ReportContent,
     Use,
@@ -27,7 +29,9 @@ from skdgp.report import (
     render_report,
 )
 
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 VOID = {"meta", "br", "hr", "img", "input", "link"}
+LOADED = ("src", "href", "data", "action")
 
 
 class Page(HTMLParser):
@@ -36,16 +40,18 @@ class Page(HTMLParser):
     def __init__(self, html):
         super().__init__(convert_charrefs=True)
         self.open, self.text, self.tags, self.loads, self.ids = [], [], [], [], []
+        self.pictures = {}  # SVG by label
         self.feed(html)
         self.close()
         assert self.open == [], f"never closed: {self.open}"
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
-        self.loads += [
-            value for name, value in attributes if name in ("src", "href", "data", "action")
-        ]
-        self.ids += [value for name, value in attributes if name == "id"]
+        values = dict(attributes)
+        self.loads += [values[name] for name in LOADED if name in values]
+        self.ids += [values["id"]] if "id" in values else []
+        if tag == "img":
+            self.pictures[values["alt"]] = unquote(values["src"].partition(",")[2])
         if tag not in VOID:
             self.open.append(tag)
 
@@ -67,13 +73,12 @@ class Page(HTMLParser):
 
 
 def table(n, seed=0):
-    rng = np.random.default_rng(seed)
     t = np.arange(n) / 40.0
     columns = {
         "time": t,
-        "throttle": 0.5 + 0 * t,
+        "throttle": 0.5,
         "elevator": 0.05 * np.sin(t),
-        "aileron": 0.01 * rng.normal(size=n),
+        "aileron": 0.01 * default_rng(seed).normal(size=n),
         "rudder": 0.1 * np.cos(t),
         "v_north": 40 * np.cos(t / 9),
         "v_east": 40 * np.sin(t / 9),
@@ -84,14 +89,15 @@ def table(n, seed=0):
     return pd.DataFrame(columns)
 
 
-def result(n=800, name="test", truth=True, seed=0, **changes):
-    rng = np.random.default_rng(seed)
-    flight = table(n, seed)
-    mean = 0.1 * np.sin(flight["time"].to_numpy()[:, None] * np.arange(1, 7)) + 0.01
+def result(n=800, **changes):
+    """Return an evaluation of a flight whose errors are twice their deviations."""
+    rng = default_rng(0)
+    flight = table(n)
+    mean = 0.1 * np.sin(np.outer(flight["time"], np.arange(1, 7))) + 0.01
     std = np.full((n, 6), 0.01)
     window = (flight["time"] // 2).astype(int)
     given = {
-        "name": name,
+        "name": "test",
         "time": flight["time"].to_numpy(),
         "measured": mean + 0.02 * rng.normal(size=(n, 6)),
         "mean": mean,
@@ -99,26 +105,20 @@ def result(n=800, name="test", truth=True, seed=0, **changes):
         "measured_std": 2 * std,
         "rows": np.arange(n),
         "regressors": mean,
-        "truth": mean + 0.01 * rng.normal(size=(n, 6)) if truth else None,
+        "truth": mean + 0.01 * rng.normal(size=(n, 6)),
         "table": flight,
         "replay": flight[["time", "v_east", "p", "r"]].assign(horizon=2.0, window=window),
     }
-    return Evaluation(**{**given, **changes})
+    return Evaluation(**given | changes)
 
 
+@pytest.fixture(scope="module")
 def effects():
-    """Return the effects of two regressors, and a joint term."""
-    at = np.linspace(-0.1, 0.1, 5)
-    curve = Curve(at, np.outer(at, np.arange(6)), np.full((5, 6), 0.01))
-    names = ["alpha", "beta"]
-    both = np.outer(at, [1.0, 2.0])
-    interaction = Interaction(("alpha", "beta"), at, at[[0, -1]], both, 0.1 + 0 * both, 0.1)
-    return EffectsDisplay(
-        curves=dict.fromkeys(names, curve),
-        importance=pd.DataFrame(0.1, index=[*names, "joint"], columns=COEFFICIENTS),
-        samples=pd.DataFrame(np.column_stack([at, at]), columns=names),
-        interactions={name: 2 * [interaction] for name in COEFFICIENTS},
-    )
+    """Return the effects of a model that joins three regressors."""
+    X = pd.DataFrame(default_rng(0).normal(size=(30, 3)), columns=["alpha", "beta", "elevator"])
+    Y = pd.DataFrame(np.sin(X @ np.ones((3, 6))).to_numpy(), columns=COEFFICIENTS)
+    model = DependentGPRegressor(structure="joint", n_latent=1, optimizer=None, random_state=0)
+    return EffectsDisplay.from_model(model.fit(X, Y), ax=False)
 
 
 def said(text):
@@ -141,10 +141,11 @@ def verdict(**changes):
         ),
         "findings": tuple(map(said, ("one!", "two!", "three!", "four!"))),
     }
-    return Verdict(**{**given, **changes})
+    return Verdict(**given | changes)
 
 
-def content(**changes):
+def render(**changes):
+    """Return the report of a flight, or of other content."""
     given = {
         "title": "Brumby, six flights",
         "verdict": verdict(),
@@ -155,18 +156,16 @@ def content(**changes):
         "subtitle": "brumby",
         "created": datetime(2026, 5, 4, 12, 30),
     }
-    return ReportContent(**{**given, **changes})
+    return render_report(ReportContent(**given | changes))
+
+
+def words_of(**changes):
+    return Page(render(**changes)).words
 
 
 @pytest.fixture(scope="module")
-def html():
-    return render_report(content(effects=effects()))
-
-
-@pytest.fixture
-def numbers_only(monkeypatch):
-    """Leave the pictures out, as where matplotlib is absent: what is tested is text."""
-    monkeypatch.setattr(page_module, "find_spec", lambda name: None)
+def html(effects):
+    return render(effects=effects)
 
 
 class TestPage:
@@ -178,36 +177,76 @@ class TestPage:
 
     def test_needs_nothing_else_and_runs_no_script(self, html):
         page = Page(html)
-        pictures = [load for load in page.loads if load.startswith("data:image/svg+xml,")]
-        links = [load for load in page.loads if load not in pictures]
+        links = [load for load in page.loads if not load.startswith("data:image/svg+xml,")]
         assert {load[1:] for load in links} <= set(page.ids)
         assert not {"link", "script", "iframe", "object"} & set(page.tags)
         assert "default-src 'none'; style-src 'unsafe-inline'; img-src data:" in html
         assert "://" not in re.sub(r'src="[^"]*"', "", html)
 
-    def test_contents_lead_to_every_section_and_the_verdict_comes_first(self, numbers_only):
-        html = render_report(content(mechanics=FlightMechanics(notes=(said("none"),))))
+    def test_contents_lead_to_every_section_and_the_verdict_comes_first(self, no_pictures):
+        html = render(mechanics=FlightMechanics(notes=(said("none"),)))
         contents = re.search(r'<nav class="contents">(.*?)</nav>', html)[1]
         titles = re.findall(r'<h2 id="s\d+">(.*?)</h2>', html)
         assert re.findall(r">([^<]+)</a>", contents) == titles
         assert titles[0] == "Verdict"
         assert titles[-2:] == ["What was done", "How to read"]
 
-    def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self):
+    def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self, html, effects):
         before, setting = plt.get_fignums(), plt.rcParams["svg.fonttype"]
-        given = content()
-        assert render_report(given) == render_report(given)
+        assert render(effects=effects) == html
         assert plt.get_fignums() == before
         assert plt.rcParams["svg.fonttype"] == setting
-
-    def test_twelve_minutes_stay_under_two_megabytes_by_the_liveliest_seconds(self):
-        html = render_report(content(test=[result(28_800, replay=None)], train={}))
-        assert len(html.encode()) < 2e6
-        assert "Coefficients of test, the 15" in html
 
     def test_every_colour_variable_is_defined(self, html):
         defined = re.findall(r"--([a-z]+):", html)
         assert set(re.findall(r"var\(--([a-z]+)\)", html)) <= set(defined)
+
+
+class TestPictures:
+    """SVG files of their own, small and true."""
+
+    def texts(self, picture):
+        """Return the words and numbers of a picture."""
+        root = ElementTree.fromstring(picture)
+        return ["".join(each.itertext()) for each in root.iter() if each.tag.endswith("text")]
+
+    def test_each_is_a_file_of_its_own(self, html):
+        pictures = Page(html).pictures
+        assert len(pictures) > 12
+        for picture in pictures.values():
+            left, top, width, height = map(
+                float, ElementTree.fromstring(picture).get("viewBox").split()
+            )
+            assert left == top == 0
+            assert 100 < height <= 2 * width < 2000
+
+    def test_lines_keep_their_shape(self):
+        """In the picture a line is an affine function of time and values, to a fiftieth of an inch."""
+        time = np.arange(400) / 10.0
+        wave = np.sin(1.3 * time)[:, None]
+        bands = {"mean": wave, "lower": wave - 0.2, "upper": wave + 0.2}
+        display = TimeHistoryDisplay(time=time, names=("phi",), **bands)
+        html = render(mechanics=FlightMechanics(simulated=display), train={})
+        assert html.count("phi against time") == html.count("the paper's figure 7") == 1
+        assert re.search(r"restarted from the measured state every 2\ss", html)
+        picture = Page(html).pictures["phi against time"]
+        lines = re.findall(r' d="M([^"MZz]*)"', picture)
+        x, y = np.fromstring(max(lines, key=len), sep=" ").reshape(-1, 2).T
+        seen = np.interp(np.interp(x, [x.min(), x.max()], [0, 39.9]), time, wave[:, 0])
+        slope, intercept = np.polyfit(seen, y, 1)
+        assert slope < 0
+        assert np.abs(y - slope * seen - intercept).max() < 0.02 * 72
+
+    def test_twelve_minutes_stay_under_two_megabytes_by_the_liveliest_seconds(self):
+        """The estimates move from 400 to 415 s alone; the axis of time shows these."""
+        n = 28_800
+        mean = 1e-6 * default_rng(0).normal(size=(n, 6))
+        mean[16_000:16_600] += np.sin(np.arange(600))[:, None]
+        html = render(test=[result(n, replay=None, mean=mean)], train={})
+        assert len(html.encode()) < 2e6
+        assert "Coefficients of test, the 15" in html
+        texts = self.texts(Page(html).pictures["CX against time"])
+        assert texts[: texts.index("time [s]")] == [str(second) for second in range(400, 416, 2)]
 
 
 class TestWords:
@@ -219,8 +258,8 @@ class TestWords:
             assert piece in words
         assert "Kernel" not in words
 
-    def test_the_verdict_stands_first_with_air_and_thresholds(self, numbers_only):
-        words = Page(render_report(content(air="gusts 1.0 m/s rms"))).words
+    def test_the_verdict_stands_first_with_air_and_thresholds(self, no_pictures):
+        words = words_of(air="gusts 1.0 m/s rms")
         words = words[words.index("from 6.0 minutes") :]
         first = words[: words.index("What was done")]
         for piece in (
@@ -236,20 +275,20 @@ class TestWords:
         assert sorted(order, key=first.index) == order
 
     def test_many_flights_are_a_table_and_only_the_worst_has_figures(self):
-        few = [result(100, name=name, replay=None) for name in "ab"]
-        noise = np.random.default_rng(0).normal(size=(100, 6))
-        bad = replace(few[0], name="c", mean=few[0].mean + 10 * noise)
-        many = [*few, bad, replace(few[0], name="d")]
-        html = render_report(content(test=many))
+        good = result(100, replay=None)
+        bad = replace(good, mean=good.mean + 10 * default_rng(0).normal(size=(100, 6)))
+        flights = {"a": good, "b": good, "c": bad, "d": good}
+        tested = [replace(flight, name=name) for name, flight in flights.items()]
+        html = render(test=tested, train={})
         assert "Coefficients of c" in html
         assert "Coefficients of a" not in html
         error = normalized_rmse(bad.measured, bad.mean, multioutput="raw_values").mean()
-        table_ = re.search(r"<table[^>]*><caption>Test flights.*?</table>", html, re.DOTALL)[0]
-        assert len(re.findall('<th scope="row">', table_)) == 4
-        assert f"<td>{error:.3f}</td>" in table_
+        rows = re.search(r"<table[^>]*><caption>Test flights.*?</table>", html, re.DOTALL)[0]
+        assert rows.count('<th scope="row">') == 4
+        assert f"<td>{error:.3f}</td>" in rows
 
     def test_derivatives_have_standard_deviations_and_what_nobody_knows_has_no_row(
-        self, numbers_only
+        self, no_pictures
     ):
         rows = {
             "Cm": (0.0, 0.1, "Cm", ""),
@@ -259,20 +298,19 @@ class TestWords:
             "Cl_aileron": (0.3, 0.1, "Cl", "aileron"),
         }
         columns = ["value", "std", "coefficient", "regressor"]
-        table_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
-        half = 1.96 * table_["std"]
-        table_ = table_.assign(lower=table_["value"] - half, upper=table_["value"] + half)
-        linear = table_[["value"]]
+        values = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+        half = 1.96 * values["std"]
+        values = values.assign(lower=values["value"] - half, upper=values["value"] + half)
         modes = pd.DataFrame(
             {"frequency": [7.0, 0.4, 5.0, 10.0], "damping": 0.5, "time_constant": 1.0},
             index=["short period", "phugoid", "Dutch roll", "roll"],
         ).assign(eigenvalue=1j)
-        found = FlightMechanics(derivatives=table_, least_squares=linear, modes=modes)
+        found = FlightMechanics(derivatives=values, least_squares=values[["value"]], modes=modes)
         flown = {
             "a": pd.DataFrame({"time": [5.0, 105.0]}),
             "b": pd.DataFrame({"time": [0.0, 20.0]}),
         }
-        words = Page(render_report(content(mechanics=found, train=flown))).words
+        words = words_of(mechanics=found, train=flown)
         assert "C m α −0.200 ± 0.050 −0.2" in words
         assert "C m q ▼ −1.00 ± 0.70 −1" in words
         assert "C l aileron 0.30 ± 0.10" in words
@@ -283,7 +321,7 @@ class TestWords:
         assert "three times as many seconds again (360 s)" in first.replace("\u2009", " ")
         assert "C m throttle ± " not in words  # beyond what a band means
 
-    def test_modes_and_how_long_a_simulation_follows(self, numbers_only):
+    def test_modes_and_how_long_a_simulation_follows(self, no_pictures):
         columns = ["frequency", "frequency_std", "damping", "damping_std", "time_constant"]
         rows = [[7.0, 0.1, 0.5, 0.02, 0.25], [0.01, 0.01, 1.0, 0.5, 90.0]]
         modes = pd.DataFrame(rows, index=["short period", "spiral"], columns=columns).assign(
@@ -291,28 +329,15 @@ class TestWords:
         )
         numbers = {"spread": 0.1, "limit": 0.05, "error": 0.08, "horizon": 9.8}
         simulation = pd.DataFrame({**numbers, "lasts": [3.2, 9.8]}, index=["theta", "p"])
-        found = FlightMechanics(modes=modes, simulation=simulation)
-        words = Page(render_report(content(mechanics=found))).words
+        words = words_of(mechanics=FlightMechanics(modes=modes, simulation=simulation))
         assert "short period 7.00 ± 0.10 0.500 ± 0.020 0.25" in words
         assert "spiral 0.010 ± 0.010 – ▼ 90" in words  # it may diverge
         assert "theta deg 5.73 2.86 4.58 3.2" in words
         assert "p deg/s 5.73 2.86 4.58 all 9.8" in words
         gusty = simulation.assign(gusts=0.7, lasts_without_gusts=[5.1, 9.8])
-        words = Page(render_report(content(mechanics=FlightMechanics(simulation=gusty)))).words
+        words = words_of(mechanics=FlightMechanics(simulation=gusty))
         assert "theta deg 5.73 2.86 4.58 3.2 5.1" in words
         assert "gusts of 0.7" in words
-
-    def test_one_judgement_of_simulation_and_one_figure_of_the_paper(self):
-        time = np.arange(50) / 10.0
-        wave = np.sin(time)[:, None]
-        display = TimeHistoryDisplay(
-            time=time, names=("phi",), mean=wave, lower=wave - 0.2, upper=wave + 0.2
-        )
-        found = FlightMechanics(simulated=display)
-        html = render_report(content(mechanics=found))
-        assert html.count("phi against time") == 1
-        assert html.count("the paper's figure 7") == 1
-        assert "restarted from the measured state every 2 s" in html
 
     def test_tables_hold_every_score(self, html):
         flight = result()
@@ -324,76 +349,61 @@ class TestWords:
         for held in interval_coverage(*moments, multioutput="raw_values"):
             assert f"{100 * held:.1f}" in words
 
-    def test_bands_are_judged_against_measured_values_alone(self, numbers_only):
-        # The standard deviations of the function do not know of gusts: none of these bands holds
-        # the truth.
-        flight = result(std=np.full((800, 6), 1e-9), measured_std=np.full((800, 6), 0.02))
-        words = Page(render_report(content(test=[flight]))).words
+    def test_bands_are_judged_against_measured_values_alone(self, no_pictures):
+        """The standard deviations of the function do not know of gusts: none of these bands holds the truth."""
+        words = words_of(test=[result(std=np.full((800, 6), 1e-9))])
         assert "▼" not in words.replace("▼ covers", "")
         assert "no band promises" in words
-        measured = Page(render_report(content(test=[result(truth=False)]))).words
-        assert "no band promises" not in measured
+        assert "no band promises" not in words_of(test=[result(truth=None)])
 
-    def test_effects_with_the_two_strongest_interactions_of_each_coefficient(self, html):
+    def test_effects_with_the_two_strongest_interactions_of_each_coefficient(self, html, effects):
         assert html.count('alt="Cm by alpha"') == html.count('alt="Cm by beta"') == 1
-        assert html.count("by alpha, at two beta") == 2 * 6
-        straight = replace(effects(), interactions={})
-        html = render_report(content(effects=straight))
+        joint = re.findall(r'alt="(\w+) by \w+, at two \w+"', html)
+        assert sorted(joint) == sorted(2 * COEFFICIENTS)
+        plain = {"test": [result(100, replay=None)], "train": {}}
+        html = render(effects=replace(effects, interactions={}), **plain)
         assert html.count(" by beta") == 6
-        assert "at two beta" not in html
+        assert "at two " not in html
 
-    def test_marks_dishonest_bands(self, numbers_only):
-        flight = result()
-        too_sure, too_wide = (
-            Page(
-                render_report(
-                    content(test=[replace(flight, measured_std=k * flight.std, truth=None)])
-                )
-            )
-            for k in (0.1, 100)
-        )
-        assert "▼" in too_sure.words
-        assert "▲ 100.0" in too_wide.words
+    @pytest.mark.parametrize(("factor", "mark"), [(0.1, "▼"), (100, "▲ 100.0")])
+    def test_marks_dishonest_bands(self, no_pictures, factor, mark):
+        flight = result(truth=None)
+        assert mark in words_of(test=[replace(flight, measured_std=factor * flight.std)])
 
     def test_escapes_what_comes_from_outside(self):
         evil = '<script>alert("&")</script>'
-        given = content(
-            title=evil, train={evil: table(100)}, test=[result(100, name=evil)],
+        html = render(
+            title=evil, train={evil: table(100)}, test=[result(100, name=evil, replay=None)],
             subtitle=evil, facts={evil: evil}, assumed=[evil], command=evil, air=evil,
             verdict=verdict(findings=(said(evil),)),
         )  # fmt: skip
-        page = Page(render_report(given))
+        page = Page(html)
         assert "script" not in page.tags
         assert evil in page.words
 
     def test_dollars_are_no_templates_and_no_mathematics(self):
-        page = render_report(
-            content(title="$title $$ ${body} $x^", test=[result(100, name="$x^{")])
-        )
-        assert "$title $$ ${body} $x^" in Page(page).words
+        title = "$title $$ ${body} $x^"
+        assert title in words_of(title=title, test=[result(100, name="$x^{")], train={})
 
-    def test_says_when_nothing_went_wrong(self, numbers_only):
-        page = Page(render_report(content(verdict=verdict(findings=()))))
-        assert "No warning arose" in page.words
+    def test_says_when_nothing_went_wrong(self, no_pictures):
+        assert "No warning arose" in words_of(verdict=verdict(findings=()))
 
 
 class TestPoorContent:
     def test_an_output_never_observed(self):
-        flight = result(400, truth=False, replay=None)
+        flight = result(400, truth=None, replay=None)
         flight.measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
-            html = render_report(content(test=[flight]))
-        assert "–" in Page(html).words
+            words = words_of(test=[flight])
+        assert "–" in words
 
     def test_no_replay(self):
-        bare = result(200, replay=None)
-        given = content(test=[bare], train={"a": table(200)})
-        words = Page(render_report(given)).words
+        words = words_of(test=[result(200, replay=None)], train={"a": table(200)})
         assert "figure 7" not in words
         assert "Inputs of a (train)" in words
 
-    def test_without_matplotlib_the_numbers_remain(self, numbers_only):
-        page = Page(render_report(content()))
+    def test_without_matplotlib_the_numbers_remain(self, no_pictures):
+        page = Page(render())
         assert "img" not in page.tags
         assert 'pip install "skdgp[plot]"' in page.words
         assert page.tags.count("table") == 3  # of uses, against measured and truth

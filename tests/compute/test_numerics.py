@@ -1,0 +1,193 @@
+"""Factorisations against NumPy, differences against derivatives that are known, and tiles on threads."""
+
+import signal
+import threading
+import time
+from contextvars import ContextVar
+
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from threadpoolctl import threadpool_limits
+
+from skdgp._compute.differences import central_difference
+from skdgp._compute.linalg import (
+    JITTER_LAST,
+    JitterWarning,
+    cholesky_inverse,
+    cholesky_solve,
+    jittered_cholesky,
+    log_determinant,
+    triangular_solve,
+)
+from skdgp._compute.parallel import SMALL, few_threads, n_threads, one_blas_thread, thread_map
+
+ROOT = default_rng(0).normal(size=(7, 7))
+K = ROOT @ ROOT.T + np.eye(7)
+
+
+def cholesky(matrix):
+    """Return the Cholesky factor of a matrix of which the lower triangle is read alone."""
+    return jittered_cholesky(lambda: np.array(matrix, order="F"))
+
+
+class TestCholesky:
+    @pytest.mark.parametrize("above", [0.0, np.nan])
+    def test_reads_the_lower_triangle_alone(self, above):
+        matrix = K + np.triu(np.full_like(K, above), 1)
+        assert_allclose(np.tril(cholesky(matrix)), np.linalg.cholesky(K), rtol=1e-12)
+
+    def test_of_a_singular_matrix_raises_the_diagonal_and_says_so(self):
+        x = default_rng(1).normal(size=(6, 3))
+        singular = 1e4 * x @ x.T
+        words = r"6 values was not positive definite.*; (\S+) of its diagonal"
+        with pytest.warns(JitterWarning, match=words) as caught:
+            L = np.tril(cholesky(singular))
+        assert len(caught) == 1
+        jitter = float(str(caught[0].message).split("; ")[1].split()[0])
+        assert 0 < jitter <= JITTER_LAST
+        mean = np.diag(singular).mean()
+        assert_allclose(L @ L.T, singular + jitter * mean * np.eye(6), atol=1e-9 * mean)
+
+    @pytest.mark.parametrize(
+        ("matrix", "words"),
+        [
+            ([[1.0, 2.0], [2.0, 1.0]], r"2 values is not .* even with 0\.0001.*Raise the noise"),
+            (np.diag([1.0, np.nan]), "finite"),
+            (np.diag([1.0, np.inf]), "finite"),
+        ],
+    )
+    def test_of_what_has_none_is_refused_with_the_remedy(self, matrix, words):
+        with pytest.raises(np.linalg.LinAlgError, match=words):
+            cholesky(matrix)
+
+    def test_works_in_place(self):
+        made = []
+
+        def assemble():
+            made.append(np.array(K, order="F"))
+            return made[-1]
+
+        L = jittered_cholesky(assemble)
+        assert len(made) == 1
+        assert np.shares_memory(L, made[0])
+
+    def test_solve_inverse_and_determinant(self):
+        L = cholesky(K)
+        b = np.arange(7.0)
+        assert_allclose(cholesky_solve(L, b), np.linalg.solve(K, b), rtol=1e-10)
+        assert log_determinant(L) == pytest.approx(np.linalg.slogdet(K)[1])
+        B = default_rng(2).normal(size=(7, 3))
+        expected = np.linalg.solve(np.tril(L), B)
+        assert_allclose(triangular_solve(L, np.array(B, order="F")), expected, rtol=1e-10)
+        inverse = np.tril(cholesky_inverse(L))
+        assert_allclose(inverse, np.tril(np.linalg.inv(K)), rtol=1e-9, atol=1e-12)
+
+
+class TestCentralDifferences:
+    def test_are_exact_for_polynomials_of_fourth_degree(self):
+        def function(z):
+            x, y = np.moveaxis(z, -1, 0)
+            return np.stack([x**4 * y, x - 3.0 * y**3, x * y], axis=-1)
+
+        x, y = z = np.array([1.3, -0.7])
+        exact = [[4 * x**3 * y, x**4], [1.0, -9.0 * y**2], [y, x]]
+        assert_allclose(central_difference(function, z, np.array([0.5, 0.2])), exact, rtol=1e-9)
+
+    def test_are_of_fourth_order_in_the_step(self):
+        z = np.linspace(-1.0, 1.0, 6).reshape(2, 3)
+        exact = np.exp(z)[..., None] * np.eye(3)
+        coarse = central_difference(np.exp, z, np.full(3, 0.02)) - exact
+        fine = central_difference(np.exp, z, np.full(3, 0.01)) - exact
+        order = np.log2(abs(coarse).max() / abs(fine).max())
+        assert order == pytest.approx(4.0, abs=0.05)
+
+
+word = ContextVar("word", default="unset")
+
+
+@pytest.fixture(params=[1, 2, 4])
+def threads(request):
+    """Return a number of threads, which BLAS has again after the test."""
+    with threadpool_limits(request.param, user_api="blas"):
+        if n_threads() != request.param:
+            pytest.skip(f"this BLAS does not run on {request.param} threads")
+        yield request.param
+        assert n_threads() == request.param
+
+
+class TestThreads:
+    def test_are_one_until_the_last_holder_leaves(self, threads):
+        with one_blas_thread():
+            with one_blas_thread():
+                assert n_threads() == 1
+            assert n_threads() == 1
+        assert n_threads() == threads
+
+    @pytest.mark.parametrize(("size", "rows"), [(SMALL - 1, SMALL - 1), (SMALL, 1), (1, SMALL)])
+    def test_are_one_for_small_matrices(self, threads, size, rows):
+        class Model:
+            @few_threads
+            def predict(self, X, more):
+                return n_threads(), more
+
+        model = Model()
+        model.size = size
+        expected = 1 if max(size, rows) < SMALL else threads
+        assert model.predict([0.0] * rows, more=2) == (expected, 2)
+
+    def test_results_stand_in_the_order_of_the_tasks(self, threads):
+        def slow_first(task):
+            time.sleep(0.002 * (8 - task))
+            return task**2
+
+        assert thread_map(slow_first, iter(range(8))) == [task**2 for task in range(8)]
+        assert thread_map(slow_first, []) == []
+
+    def test_are_as_many_as_blas_may_use_which_has_one_meanwhile(self, threads):
+        together = threading.Barrier(threads, timeout=10)
+
+        def task(_):
+            together.wait()
+            return threading.get_ident(), n_threads()
+
+        identities, n_inside = zip(*thread_map(task, range(threads)), strict=True)
+        assert len(set(identities)) == threads
+        assert set(n_inside) == {1}
+
+    def test_nested_maps_do_not_multiply_them(self, threads):
+        def inner(_):
+            return len(set(thread_map(lambda _: threading.get_ident(), range(4))))
+
+        assert thread_map(inner, range(4)) == [1, 1, 1, 1]
+
+    def test_errors_come_through(self, threads):
+        def fail(task):
+            if task == 3:
+                raise ArithmeticError("three")
+
+        with pytest.raises(ArithmeticError, match="three"):
+            thread_map(fail, range(6))
+
+    def test_context_goes_along(self, threads):
+        token = word.set("set")
+        try:
+            assert thread_map(lambda _: word.get(), range(3)) == ["set"] * 3
+        finally:
+            word.reset(token)
+
+    def test_ctrl_c_ends_the_map(self, threads):
+        main = threading.main_thread().ident
+        timer = threading.Timer(0.15, signal.pthread_kill, (main, signal.SIGINT))
+        timer.start()
+        started = []
+
+        def task(number):
+            started.append(number)
+            time.sleep(0.1)
+
+        with pytest.raises(KeyboardInterrupt):
+            thread_map(task, range(40))
+        timer.join()
+        assert len(started) < 40

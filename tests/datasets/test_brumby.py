@@ -1,5 +1,7 @@
 """The true aerodynamics of the example flights: symmetric, stable, damped, and not linear."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.random import default_rng
@@ -7,10 +9,26 @@ from numpy.testing import assert_allclose
 
 from skdgp.datasets import load_example_flights
 
-DATA = load_example_flights(duration=1.0)
-REGRESSORS = DATA.regressor_names
+REGRESSORS = [
+    *("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot"),
+    *("elevator", "aileron", "rudder"),
+]
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
+
+
+@cache
+def data():
+    return load_example_flights(duration=1.0)
+
+
+def aerodynamics(regressors):
+    """Return the six coefficients at regressors (..., 10)."""
+    return data().aerodynamics(regressors)
+
+
+def test_regressors_have_these_names():
+    assert data().regressor_names == REGRESSORS
 
 
 @pytest.fixture
@@ -25,16 +43,14 @@ def envelope():
 def derivative(points, of, by):
     """Return a derivative at regressors (..., 10) by a complex step, which is exact to rounding."""
     step = 1e-30j * (np.array(REGRESSORS) == by)
-    return DATA.aerodynamics(points + step)[..., COEFFICIENTS.index(of)].imag / 1e-30
+    return aerodynamics(points + step)[..., COEFFICIENTS.index(of)].imag / 1e-30
 
 
 def test_mirrored_flight_has_mirrored_coefficients(envelope):
     """Left and right of the aircraft are equal: CX CZ Cm stay, CY Cl Cn change sign."""
     mirrored = np.isin(REGRESSORS, ["beta", "p", "r", "beta_dot", "aileron", "rudder"])
-    expected = DATA.aerodynamics(envelope) * [1, -1, 1, -1, 1, -1]
-    assert_allclose(
-        DATA.aerodynamics(np.where(mirrored, -envelope, envelope)), expected, atol=1e-15
-    )
+    expected = aerodynamics(envelope) * [1, -1, 1, -1, 1, -1]
+    assert_allclose(aerodynamics(np.where(mirrored, -envelope, envelope)), expected, atol=1e-15)
 
 
 @pytest.mark.parametrize(

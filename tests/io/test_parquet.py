@@ -23,99 +23,73 @@ def read(tmp_path):
     """Write columns, read them."""
 
     def of(table=None, **columns):
-        arrays = {**{name: TABLE[name] for name in TABLE.column_names}, **columns}
-        pq.write_table(pa.table(arrays) if table is None else table, tmp_path / "log.parquet")
+        if table is None:
+            table = pa.table({"time": TIME, "alpha": ALPHA} | columns)
+        pq.write_table(table, tmp_path / "log.parquet")
         return read_flight(tmp_path / "log.parquet")
 
     return of
 
 
-NUMBERS = {
-    "float16": pa.array(np.array(ALPHA, np.float16)),
-    "float32": pa.array(ALPHA, pa.float32()),
-    "decimal": pa.array([Decimal(str(value)) for value in ALPHA]),
-    "wide decimal": pa.array([Decimal(str(value)) for value in ALPHA], pa.decimal256(50, 4)),
-    "text": pa.array([str(value) for value in ALPHA]),
-    "dictionary of numbers": pa.array(ALPHA).dictionary_encode(),
-    "dictionary of texts": pa.array([str(value) for value in ALPHA]).dictionary_encode(),
+TEXTS = [str(value) for value in ALPHA]
+DECIMALS = [Decimal(text) for text in TEXTS]
+STAMPS = [NOON + second for second in SECONDS]
+FAR = [10**15 + int(1000 * second) for second in TIME]
+READ = {
+    "float16": ("alpha", pa.array(np.array(ALPHA, np.float16))),
+    "float32": ("alpha", pa.array(ALPHA, pa.float32())),
+    "decimal": ("alpha", pa.array(DECIMALS)),
+    "wide decimal": ("alpha", pa.array(DECIMALS, pa.decimal256(50, 4))),
+    "text": ("alpha", pa.array(TEXTS)),
+    "dictionary of numbers": ("alpha", pa.array(ALPHA).dictionary_encode()),
+    "dictionary of texts": ("alpha", pa.array(TEXTS).dictionary_encode()),
+    "timestamp": ("time", pa.array(STAMPS, pa.timestamp("us"))),
+    "time zone": ("time", pa.array(STAMPS, pa.timestamp("ns", "Europe/Berlin"))),
+    "far away": ("time", pa.array(FAR, pa.timestamp("ms"))),
+    "duration": ("time", pa.array(SECONDS)),
+    "decimal seconds": ("time", pa.array([Decimal(str(second)) for second in TIME])),
+    "dictionary of flights": ("flight", pa.array(["a", "a", "b"]).dictionary_encode()),
+    "large string": ("flight", pa.array(["a", "a", "b"], pa.large_string())),
+    "blanks": ("flight", pa.array([" a", "a ", "b"])),
 }
+EXPECTED = {"alpha": ALPHA, "time": TIME, "flight": ["a", "a", "b"]}
 
 
-@pytest.mark.parametrize("values", NUMBERS.values(), ids=NUMBERS)
-def test_numbers(read, values):
-    assert read(alpha=values).alpha.tolist() == ALPHA
+@pytest.mark.parametrize(("name", "values"), READ.values(), ids=READ)
+def test_types_that_are_read(read, name, values):
+    assert read(**{name: values})[name].tolist() == EXPECTED[name]
 
 
-TIMES = {
-    "timestamp": pa.array([NOON + second for second in SECONDS], pa.timestamp("us")),
-    "time zone": pa.array(
-        [NOON + second for second in SECONDS], pa.timestamp("ns", "Europe/Berlin")
-    ),
-    "far away": pa.array([10**15 + int(1000 * second) for second in TIME], pa.timestamp("ms")),
-    "duration": pa.array(SECONDS),
-    "decimal": pa.array([Decimal(str(second)) for second in TIME]),
+NO_NUMBER = r"in column 'alpha' at row 0 \(3 rows are not numbers\)"
+NESTED = r"types {'my_sensor': .*one value in each row"
+MAP = pa.map_(pa.string(), pa.int64())
+REFUSED = {
+    "timestamp": ("alpha", pa.array([NOON] * 3), NO_NUMBER),
+    "duration": ("alpha", pa.array(SECONDS), NO_NUMBER),
+    "date": ("alpha", pa.array([NOON.date()] * 3), NO_NUMBER),
+    "time of day": ("alpha", pa.array([NOON.time()] * 3), NO_NUMBER),
+    "text": ("alpha", pa.array(["high"] * 3), NO_NUMBER),
+    "list": ("my_sensor", pa.array([[1.0, 2.0]] * 3), NESTED),
+    "struct": ("my_sensor", pa.array([{"lat": 47.0}] * 3), NESTED),
+    "map": ("my_sensor", pa.array([[("a", 1)]] * 3, MAP), NESTED),
+    "bytes": ("my_sensor", pa.array([b"\xff\xfe"] * 3), NESTED),
 }
+if hasattr(pa, "uuid"):  # from 18 on
+    extension = pa.array([b"0123456789abcdef"] * 3, pa.uuid())
+    REFUSED["extension"] = ("my_sensor", extension, NESTED)
 
 
-@pytest.mark.parametrize("values", TIMES.values(), ids=TIMES)
-def test_times(read, values):
-    assert read(time=values).time.tolist() == TIME
-
-
-FLIGHTS = {
-    "dictionary": pa.array(["a", "a", "b"]).dictionary_encode(),
-    "large string": pa.array(["a", "a", "b"], pa.large_string()),
-    "blanks": pa.array([" a", "a ", "b"]),
-}
-
-
-@pytest.mark.parametrize("values", FLIGHTS.values(), ids=FLIGHTS)
-def test_flights(read, values):
-    assert read(flight=values).flight.tolist() == ["a", "a", "b"]
-
-
-NO_NUMBERS = {
-    "timestamp": pa.array([NOON] * 3),
-    "duration": pa.array(SECONDS),
-    "date": pa.array([NOON.date()] * 3),
-    "time of day": pa.array([NOON.time()] * 3),
-    "text": pa.array(["high"] * 3),
-}
-
-
-@pytest.mark.parametrize("values", NO_NUMBERS.values(), ids=NO_NUMBERS)
-def test_what_is_no_number(read, values):
-    with pytest.raises(
-        FlightReadError, match=r"in column 'alpha' at row 0 \(3 rows are not numbers\)"
-    ):
-        read(alpha=values)
-
-
-NESTED = {
-    "list": pa.array([[1.0, 2.0]] * 3),
-    "struct": pa.array([{"lat": 47.0}] * 3),
-    "map": pa.array([[("a", 1)]] * 3, pa.map_(pa.string(), pa.int64())),
-    "bytes": pa.array([b"\xff\xfe"] * 3),
-    **(
-        {"extension": pa.array([b"0123456789abcdef"] * 3, pa.uuid())} if hasattr(pa, "uuid") else {}
-    ),  # from 18 on
-}
-
-
-@pytest.mark.parametrize("values", NESTED.values(), ids=NESTED)
-def test_nested_columns(read, values):
-    with pytest.raises(FlightReadError, match=r"types {'my_sensor': .*one value in each row"):
-        read(my_sensor=values)
+@pytest.mark.parametrize(("name", "values", "message"), REFUSED.values(), ids=REFUSED)
+def test_types_that_are_refused(read, name, values, message):
+    with pytest.raises(FlightReadError, match=message):
+        read(**{name: values})
 
 
 @pytest.mark.parametrize("name", ["alpha", " alpha"])
 def test_a_name_twice(read, name):
+    columns = [TABLE["time"], TABLE["alpha"], TABLE["alpha"]]
     with pytest.raises(FlightReadError, match=r"columns \['alpha'\] repeated"):
-        read(
-            pa.Table.from_arrays(
-                [TABLE["time"], TABLE["alpha"], TABLE["alpha"]], names=["time", "alpha", name]
-            )
-        )
+        read(pa.Table.from_arrays(columns, names=["time", "alpha", name]))
 
 
 @pytest.mark.parametrize("table", [pa.table({}), TABLE.slice(0, 0)])

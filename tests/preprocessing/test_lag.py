@@ -163,6 +163,15 @@ class TestTransform:
             assert np.isnan(LagCorrector(lags).fit_transform(latlon)[name].iloc[-1])
         assert np.isfinite(LagCorrector({"alpha": 0.1}).fit_transform(latlon)["alpha"].iloc[-1])
 
+    @pytest.mark.parametrize("lag", [0.0675, -0.0675])
+    def test_a_line_is_shifted_exactly(self, lag):
+        time = np.arange(0, 20, STEP)
+        table = pd.DataFrame({"time": time, "alpha": 0.01 * time - 0.1})
+        out = LagCorrector({"alpha": lag}).fit_transform(table)
+        inside = (time + lag >= time[0]) & (time + lag <= time[-1])
+        expected = 0.01 * (time + lag) - 0.1
+        assert_allclose(out.alpha[inside], expected[inside], atol=1e-12)
+
     def test_white_noise_stays_white(self, latlon):
         """The power at high frequencies, where the vane measures noise alone."""
 

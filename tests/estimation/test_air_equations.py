@@ -1,0 +1,341 @@
+"""The equations of the filter-error method against their definitions: linearization, filter, smoother, covariance."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
+
+from skdgp.dynamics import Aircraft, euler_to_matrix
+from skdgp.estimation import AirSettings
+from skdgp.estimation._air_covariance import (
+    add_model_error,
+    add_scale_error,
+    correlated_scatter,
+    inflate_for_misfit,
+    misfit_of,
+    mix_with_prior,
+    sandwich,
+    widen,
+    without_estimate,
+)
+from skdgp.estimation._air_linearization import N_STATES, Layout, linearized
+from skdgp.estimation._air_model import Inputs
+from skdgp.estimation._air_parameters import DERIVATIVES, OWN, SHARED, TERMS, derivatives_of
+from skdgp.estimation._air_records import Record, servo_output
+from skdgp.estimation._kalman import (
+    Linearization,
+    Noise,
+    filtered,
+    innovation_slopes,
+    innovations,
+    smoothed,
+)
+
+SURFACES = ["elevator", "aileron", "rudder"]
+AIRCRAFT = Aircraft(
+    mass=1.9,
+    inertia=[[0.09, 0.002, -0.015], [0.002, 0.11, 0.001], [-0.015, 0.001, 0.17]],
+    wing_area=0.32,
+    span=1.27,
+    chord=0.25,
+)
+
+
+@cache
+def flight_of_sines(n=30):
+    """A record at states where nothing vanishes, parameters by name, and states of the filter."""
+    rng = default_rng(2)
+    t = 0.02 * np.arange(n)[:, None]
+    wave = lambda k: np.sin(2 * t + rng.uniform(0, 6, k))  # noqa: E731
+    attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + np.array([0.1, 0.2, 1.0])).T), 1, 2)
+    inputs = Inputs(0.1 * wave(3), wave(6) + 2, np.full(n, 1.2))
+    measured = np.column_stack([3 * wave(3), 0.5 * wave(3), 17 + wave(1), 0.1 * wave(2)])
+    record = Record(
+        0,
+        np.arange(n),
+        t[:, 0],
+        0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
+        attitude,
+        measured,
+        inputs,
+    )
+    derivatives = derivatives_of(TERMS, SURFACES)
+    value = {name: DERIVATIVES.get(name, (0.01, 0))[0] for name in derivatives}
+    value |= {
+        name: mean + 0.3 * min(std, 5.0) for name, (mean, std) in (dict(SHARED) | OWN).items()
+    }
+    value |= {"servo_lag": 0.03}
+    states = 0.2 * wave(N_STATES)
+    return record, Layout.of(list(derivatives), SURFACES), value, states
+
+
+DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
+
+
+def moved(name, move):
+    record, layout, value, states = flight_of_sines()
+    value = value | {name: value[name] + move}
+    return linearized(record, layout, AIRCRAFT, value, states, DECAY)
+
+
+@pytest.mark.parametrize("name", flight_of_sines()[1].names)
+def test_slopes_by_parameters_are_those_of_the_predictions(name):
+    here, step = moved(name, 0.0), 1e-5
+    later, before = moved(name, step), moved(name, -step)
+    j = flight_of_sines()[1].names.index(name)
+    pairs = (
+        ("predicted", here.transition_slopes),
+        ("innovation", -here.innovation_slopes),
+        ("residual", -here.residual_slopes),
+    )
+    for field, slopes in pairs:
+        numeric = (getattr(later, field) - getattr(before, field)) / (2 * step)
+        if field == "residual":  # the state that it starts from moves as well
+            numeric += (here.residual_states @ here.transition_slopes)[..., j]
+        scale = np.abs(numeric).max() + 1e-3
+        # terms within a step are taken as the mean of its ends, which is least true of rates
+        atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
+        assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
+
+
+def test_slopes_by_states_are_those_of_the_predictions():
+    record, layout, value, states = flight_of_sines()
+    here = linearized(record, layout, AIRCRAFT, value, states, DECAY)
+    for i in range(N_STATES):
+        shift = np.zeros(N_STATES)
+        shift[i] = 1e-5
+        later, before = (
+            linearized(record, layout, AIRCRAFT, value, states + sign * shift, DECAY)
+            for sign in (1, -1)
+        )
+        for field, slopes in (
+            ("predicted", here.transition),
+            ("innovation", -here.innovation_states),
+            ("residual", -here.residual_states @ here.transition),
+        ):
+            numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
+            assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
+
+
+def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
+    record, layout, value, calm = flight_of_sines(200)
+    record.inputs.surfaces[:] *= 5
+    gusty = calm.copy()
+    gusty[:, :3] += default_rng(0).standard_normal((200, 3))
+    still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
+    at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
+    slopes, instruments = [], []
+    for flown, states in ((record, calm), (record, gusty), (still, gusty)):
+        linear = linearized(flown, layout, AIRCRAFT, value, states, DECAY)
+        for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
+            offset, slope = linear.innovation_slopes[:, 2, columns].T
+            out.append(
+                slope - offset * (offset @ slope) / (offset @ offset)
+            )  # without the pressure
+    assert np.corrcoef(slopes)[0, 1] < 0.7
+    assert np.corrcoef(instruments)[0, 1] > 0.95
+    assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
+
+
+def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
+    record, *_ = flight_of_sines(2000)
+    pushes, later = default_rng(0).standard_normal((2, 1999))
+    answer = np.convolve(np.append(0, pushes), 0.9 ** np.arange(50))[:2000]
+    record.inputs.surfaces[:, 0] = answer
+    record.inputs.surfaces[:, 1] = np.append(later[3:], np.zeros(4))
+    answers = record.with_answers(np.column_stack([pushes, later]), AirSettings()).answers
+    assert np.std(answer - answers[:, 0]) < 0.15 * np.std(answer)
+    assert np.std(answers[:, 1]) < 0.2 * np.std(later)
+
+
+def test_lag_of_a_ramp_is_the_lag():
+    ramp = np.arange(200.0)[:, None]
+    assert_allclose(servo_output(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
+    assert_allclose(servo_output(ramp, 0.0, 0.02), ramp, atol=0.01)
+
+
+def test_slope_by_a_lag_of_zero_is_that_above_it():
+    record, layout, value, states = flight_of_sines()
+    at_zero, above = (
+        linearized(record, layout, AIRCRAFT, value | {"servo_lag": lag}, states, DECAY)
+        for lag in (0.0, 1e-3)
+    )
+    j = layout.place("servo_lag")[0]
+    expected = above.innovation_slopes[..., j]
+    assert np.abs(expected).max() > 0.1
+    assert_allclose(at_zero.innovation_slopes[..., j], expected, atol=0.1 * np.abs(expected).max())
+
+
+def linear_system(rng, n=7, N=3, m=2):
+    """A filter that is linear, with predictions of a sample by way of the predicted state alone."""
+    Phi = 0.5 * rng.standard_normal((n - 1, N, N))
+    H = rng.standard_normal((n - 1, m, N))
+    y = rng.standard_normal((n - 1, m))
+    zero = np.zeros((n - 1, 0, 0))
+    linear = Linearization(
+        states=np.zeros((n, N)),
+        predicted=np.zeros((n - 1, N)),
+        transition=Phi,
+        transition_slopes=zero,
+        innovation=y,
+        innovation_states=H @ Phi,
+        innovation_noise=H,
+        innovation_slopes=zero,
+        residual=y,
+        residual_states=H,
+        residual_slopes=zero,
+        step=rng.uniform(0.1, 0.2, n - 1),
+        surface_noise=np.zeros((n - 1, N, N)),
+        weight=np.ones((n - 1, m)),
+        response=zero,
+    )
+    noises = Noise(
+        rate=rng.uniform(1, 2, (1, N)),
+        decay=np.zeros((1, N)),
+        surface=np.zeros(1),
+        sensor=rng.uniform(1, 2, (1, m)),
+        start=rng.uniform(1, 2, (1, N)),
+    )
+    return linear, noises
+
+
+def joint_distribution(linear, noises):
+    """Return cov(x), H and cov(y) of all states x = M (x_0, w_1, ...) and readings y = H x + v.
+
+    The noise of a step is by Simpson's rule.
+    """
+    (n, N), m = linear.states.shape, linear.innovation.shape[1]
+    M = np.zeros((n, N, n * N))
+    M[0, :, :N] = np.eye(N)
+    Q = [np.diag(noises.start[0])]
+    for k in range(1, n):
+        Phi = linear.transition[k - 1]
+        M[k] = Phi @ M[k - 1]
+        M[k, :, k * N : (k + 1) * N] += np.eye(N)
+        half = 0.5 * (np.eye(N) + Phi)
+        rate = np.diag(noises.rate[0] * linear.step[k - 1])
+        Q.append((rate + 4 * half @ rate @ half.T + Phi @ rate @ Phi.T) / 6)
+    M = M.reshape(n * N, n * N)
+    X = M @ block_diag(*Q) @ M.T
+    H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.residual_states)])
+    return X, H, H @ X @ H.T + np.diag(np.tile(noises.sensor[0], n - 1))
+
+
+def test_linear_filter_has_the_innovations_of_the_joint_distribution():
+    linear, noises = linear_system(default_rng(0))
+    run = filtered(linear, noises)
+    _, _, S = joint_distribution(linear, noises)
+    m, y = linear.innovation.shape[1], linear.innovation.ravel()
+    for k in range(len(linear.innovation)):
+        past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
+        gain = S[now, past] @ np.linalg.inv(S[past, past])
+        covariance = S[now, now] - gain @ S[past, now]
+        assert_allclose(run.innovations.values[k], y[now] - gain @ y[past], atol=1e-10)
+        assert_allclose(run.innovations.covariance[k], covariance, atol=1e-10)
+
+
+def test_linear_smoother_has_the_conditional_distribution():
+    linear, noises = linear_system(default_rng(0))
+    states, covariance = smoothed(linear, filtered(linear, noises))
+    X, H, S = joint_distribution(linear, noises)
+    gain = X @ H.T @ np.linalg.inv(S)
+    assert_allclose(states.ravel(), gain @ linear.innovation.ravel(), atol=1e-10)
+    P = X - gain @ H @ X
+    N = states.shape[1]
+    for k, found in enumerate(covariance):
+        at = slice(k * N, (k + 1) * N)
+        assert_allclose(found, P[at, at], atol=1e-10)
+
+
+def test_sets_of_noises_are_filtered_as_one_by_one():
+    linear, noises = linear_system(default_rng(1))
+    sets = Noise(*(np.concatenate([part, 2 * part]) for part in noises))
+    together = innovations(linear, sets)
+    for k in range(2):
+        alone = filtered(linear, Noise(*(part[k : k + 1] for part in sets))).innovations
+        assert_allclose(together.values[:, k], alone.values)
+        assert_allclose(together.covariance[:, k], alone.covariance)
+
+
+def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
+    linear, noises = linear_system(default_rng(3))
+    (n, N), m = linear.states.shape, linear.innovation.shape[1]
+    slopes = default_rng(4).standard_normal((n - 1, N, 1))
+    linear = linear._replace(
+        transition_slopes=slopes,
+        innovation_slopes=linear.residual_states @ slopes,
+        residual_slopes=np.zeros((n - 1, m, 1)),
+    )
+    run = filtered(linear, noises)
+    push = 1e-6 * linear.residual_states @ slopes
+    moved = linear._replace(
+        predicted=linear.predicted + 1e-6 * slopes[..., 0],
+        innovation=linear.innovation - push[..., 0],
+        residual=linear.residual - push[..., 0],
+    )
+    change = (filtered(moved, noises).innovations.values - run.innovations.values) / 1e-6
+    assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
+
+
+ROOT = default_rng(0).standard_normal((3, 3))
+COVARIANCE = ROOT @ ROOT.T
+PRIOR_STD = np.array([1.0, 2.0, 3.0])
+
+
+def test_sandwich_of_a_regression_is_the_covariance_of_its_coefficients():
+    """Least squares with weights that are wrong: (X^T W X)^-1 X^T W S W X (X^T W X)^-1."""
+    rng = default_rng(1)
+    X = rng.standard_normal((20, 3))
+    weights, variances = rng.uniform(1, 2, (2, 20))
+    coefficients = np.linalg.solve(X.T @ (weights[:, None] * X), X.T * weights)  # by y
+    scatter = X.T @ ((weights**2 * variances)[:, None] * X)
+    expected = coefficients @ np.diag(variances) @ coefficients.T
+    assert_allclose(sandwich(X.T @ (weights[:, None] * X), scatter), expected)
+
+
+def test_scatter_of_blocks_counts_neighbours_half():
+    blocks = default_rng(2).standard_normal((5, 2))
+    expected = sum(np.outer(b, b) for b in blocks)
+    for before, after in pairwise(blocks):
+        expected = expected + 0.5 * (np.outer(before, after) + np.outer(after, before))
+    assert_allclose(correlated_scatter(blocks), expected)
+
+
+def test_widened_variances_are_the_larger_ones_and_correlations_stay():
+    other = np.diag(np.diag(COVARIANCE) * [4.0, 0.25, 1.0])
+    wide = widen(COVARIANCE, other)
+    assert_allclose(np.diag(wide) / np.diag(COVARIANCE), [4.0, 1.0, 1.0])
+    assert_allclose(wide[0, 1:], 2.0 * COVARIANCE[0, 1:])
+
+
+def test_misfit_is_at_least_one():
+    assert misfit_of(np.array([0.1, -0.2, 0.3]), PRIOR_STD) == 1.0
+    assert misfit_of(2.5 * PRIOR_STD, PRIOR_STD) == pytest.approx(2.5)
+    assert_allclose(inflate_for_misfit(COVARIANCE, 2.5), 6.25 * COVARIANCE)
+
+
+def test_errors_of_the_model_are_independent_and_those_of_an_angle_are_common():
+    derivatives = np.array([2.0, -3.0])
+    error = np.zeros((3, 3))
+    error[:2, :2] = np.diag([0.04, 0.09])
+    assert_allclose(add_model_error(COVARIANCE, derivatives, 0.1) - COVARIANCE, error)
+    error[:2, :2] = [[0.04, -0.06], [-0.06, 0.09]]
+    assert_allclose(add_scale_error(COVARIANCE, derivatives, 0.1) - COVARIANCE, error)
+
+
+def test_parameters_without_evidence_have_the_variance_of_their_prior():
+    mixed = mix_with_prior(COVARIANCE, PRIOR_STD, np.array([0.0, 1.0, 0.6]))
+    assert_allclose(mixed[0, :2], [COVARIANCE[0, 0], 0.0])
+    assert_allclose(mixed[1], [0.0, 4.0, 0.0])
+    assert_allclose(mixed[2, 2], 0.64 * COVARIANCE[2, 2] + 0.36 * 9.0)
+
+
+def test_without_an_estimate_the_distance_from_the_prior_counts():
+    offset = np.array([0.5, 0.0, -1.0])
+    expected = np.diag([1.25, 4.0, 10.0])
+    expected[0, 2] = expected[2, 0] = -0.5
+    assert_allclose(without_estimate(offset, PRIOR_STD), expected)

@@ -8,6 +8,7 @@ from scipy import signal
 
 from skdgp._compute.wording import reason_of
 from skdgp._flight.physics import Regression, estimated_slope, find_contradictions
+from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import euler_to_matrix
 from skdgp.io import inspect_log, read_flight
 
@@ -15,10 +16,6 @@ ELEVONS = ["elevon_left", "elevon_right"]
 FORCES = ["ax", "ay", "az"]
 DEGREES = 180 / np.pi
 GRAVITY = 9.80665
-
-
-def find_contradictions(table):
-    return physics.find_contradictions(FlightTable.of(table))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +32,7 @@ def flight(flights):
 
 def contradictions(table):
     """Return findings."""
-    return [each.finding for each in find_contradictions(table)]
+    return [each.finding for each in find_contradictions(FlightTable.of(table))]
 
 
 def channels_of(findings):

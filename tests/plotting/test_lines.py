@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.random import default_rng
+from scipy.stats import norm
 
 from skdgp.plotting import TimeHistoryDisplay
 

@@ -39,7 +39,7 @@ class TileSettings:
     #: Beside the diagonal
     side: int = 768
     #: On the diagonal, where both triangles are computed
-    diagonal: int = 384
+    diagonal: int = 128
 
 
 TILES = TileSettings()

@@ -118,8 +118,8 @@ class TestCommand:
         table = tmp_path / "table.csv"
         table.write_text("time,alpha\n0,0\n0.1,0\n")
         flights = named_flights([whole, table], servos=SERVOS)
-        assert set(SERVOS) <= set(flights["whole"].columns)
-        assert set(flights["table"].columns) == {"time", "flight", "alpha"}
+        assert set(SERVOS) <= set(flights["whole"].table.columns)
+        assert set(flights["table"].table.columns) == {"time", "flight", "alpha"}
         words = "Got logs of autopilots without servos beside tables"
         with pytest.raises(ValueError, match=words):
             identify([whole, table], Aircraft.estimate(3.0, 1.8))
@@ -132,7 +132,7 @@ class TestCommand:
     def test_identify_is_told_what_of_a_log_is_a_flight(self, command, whole, tmp_path, capsys):
         for airborne in (True, False):
             flight = named_flights([whole], airborne=airborne)["whole"]
-            assert len(flight) == len(read_flight(whole, airborne=airborne)) > 0
+            assert len(flight.table) == len(read_flight(whole, airborne=airborne)) > 0
         (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
         files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
         assert command(["identify", str(whole), *files, "--airborne", "300"]) == 1

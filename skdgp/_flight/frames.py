@@ -74,7 +74,7 @@ def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
 def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
     """Return the rotation matrices (..., 3, 3) that take body vectors to NED, of quaternions (..., 4).
 
-    1 + s (q0 [e] + [e] [e]), with the vector part e and s = 2 / |q|^2 (Rodrigues).
+    1 + s (q0 [e] + [e] [e]), with the vector part e and s = 2 / (q . q) (Rodrigues).
     """
     quaternion = np.asarray(quaternion, dtype=float)
     s = 2.0 / np.sum(quaternion**2, axis=-1)[..., None, None]

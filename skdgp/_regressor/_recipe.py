@@ -134,6 +134,8 @@ class Recipe:
         if self.time_series or not self._averages or n_latent == 0:
             return [kernel]
         independent = ConvolvedGaussian(0)
+        if Z.shape[1] == 1:
+            return [independent, kernel]
         tied = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
         return [independent, tied, kernel]
 

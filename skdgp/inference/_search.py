@@ -32,7 +32,6 @@ from skdgp.inference._starts import coarse, from_coarse, narrowed, single_output
 from skdgp.inference._structures import (
     has_shared_latents,
     n_mattering,
-    structure_weights,
     with_shifts,
 )
 from skdgp.kernels import MultiOutputKernel
@@ -49,6 +48,10 @@ class SearchSettings:
     #: Most values, and iterations, of a trial of several structures
     structure_values: int = 600
     structure_iterations: int = 50
+    #: Largest price of hyperparameters, over the number of values
+    most_price: float = 0.5
+    #: Distance from the best score up to which a structure is searched again on all values [nats]
+    trial_margin: float = 30.0
     #: Values of each output, between these
     output_values: int = 300
     #: Most values of an output alone
@@ -284,8 +287,9 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
                     break
     if few is joint:
         return found
-    weights = structure_weights([each.score(joint.n_values / few.n_values) for each in found])
-    return [joint.compared(structures[k]) for k in np.flatnonzero(weights)]
+    scores = np.array([each.score(joint.n_values / few.n_values) for each in found])
+    promising = scores > scores.max() - joint.options.settings.trial_margin
+    return [joint.compared(structures[k]) for k in np.flatnonzero(promising)]
 
 
 class _JointSearch(NamedTuple):
@@ -326,7 +330,10 @@ class _JointSearch(NamedTuple):
     def compared(self, structure: _Structure) -> Hyperparameters:
         """Return the hyperparameters of a structure, with its price."""
         learned = self.learned(structure.kernel)
-        return learned._replace(price=n_mattering(learned.kernel, self.X) + structure.price)
+        price = min(
+            n_mattering(learned.kernel, self.X), self.options.settings.most_price * self.n_values
+        )
+        return learned._replace(price=price + structure.price)
 
     def learned(self, kernel: MultiOutputKernel) -> Hyperparameters:
         """Return the hyperparameters of a kernel."""

@@ -213,46 +213,42 @@ class Recipe:
 
     def _searched(self, kernels, X, Z, data, known, random_state):
         """Return the fits of one search, and their weights."""
+        rng = check_random_state(random_state.randint(2**31 - 1))
         options = {
             "optimizer": self.optimizer,
             "max_iter": self.most_iterations(Z),
             "input_noise": self.learns_input_noise(known),
-            "random_state": check_random_state(random_state.randint(2**31 - 1)),
+            "random_state": rng,
             "settings": self.settings.search,
         }
-        exact = self.inference_of(data.n_values) == "exact"
-        centres = None
-        if not exact:
-            rng = options["random_state"]
+        is_exact = self.inference_of(data.n_values) == "exact"
+        sparse = {}
+        if not is_exact:
             centres = inducing_inputs(kernels[-1], X, Z, self.n_inducing, rng)
-        shifts = len(kernels) > 1
-        requested = SearchOptions(shifts=shifts, **options)
-        found = search(kernels, X, Z, requested, exact=exact, known=known)
-        weights = structure_weights([learned.score() for learned in found])
-        order = np.argsort(-weights, kind="stable")
-        fits = []
-        options |= {"known": known, "data": data}
-        if not exact:
-            options |= {
+            sparse = {
                 "n_inducing": self.n_inducing,
                 "centres": centres,
                 "ordered": self.time_series,
             }
-        for k in order[: np.count_nonzero(weights)]:
+        requested = SearchOptions(shifts=len(kernels) > 1, **options)
+        found = search(kernels, X, Z, requested, exact=is_exact, known=known)
+        weights = structure_weights([learned.score() for learned in found])
+        likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
+        options |= {"known": known, "data": data} | sparse
+        fits = []
+        for k in likeliest:
             fits.append(self._fitted(found[k], X, Z, known, random_state, options))
-        return fits, weights[order[: len(fits)]]
+        return fits, weights[likeliest]
 
     def _fitted(self, learned, X, Z, known, random_state, options):
         """Return the fit at hyperparameters that a search has found."""
-        if "centres" not in options:
-            fit = fit_exact(learned.kernel, X, Z, learned=learned, **options)
-        else:
-            fit = fit_sparse(learned.kernel, X, Z, learned=learned, **options)
-            if self._is_neglectful(fit):
-                rows = stratified(np.arange(len(X)), self._exact_rows(X, Z), random_state)
-                X, Z, known = X[rows], Z[rows], known.of_rows(rows)
-                data = fit.learned.noisy(Data.from_table(X, Z, known.loading))
-                fit = as_exact(fit.learned, X, Z, data, known)
+        fit_one = fit_sparse if "centres" in options else fit_exact
+        fit = fit_one(learned.kernel, X, Z, learned=learned, **options)
+        if fit_one is fit_sparse and self._is_neglectful(fit):
+            rows = stratified(np.arange(len(X)), self._exact_rows(X, Z), random_state)
+            X, Z, known = X[rows], Z[rows], known.of_rows(rows)
+            data = fit.learned.noisy(Data.from_table(X, Z, known.loading))
+            fit = as_exact(fit.learned, X, Z, data, known)
         if not self._averages or fit.learned.interrupted:
             return fit
         return average(fit, X, Z, None if self.time_series else random_state, known)

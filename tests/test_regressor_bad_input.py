@@ -14,6 +14,7 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, FewRowsWarning
+from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -247,6 +248,16 @@ class TestQuestions:
 
 
 class TestMemory:
+    @pytest.mark.filterwarnings("ignore:3 inducing inputs leave")
+    def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
+        monkeypatch.setattr(linalg, "_physical_memory", lambda: 6e4)
+        with pytest.raises(ValueError, match="Exact inference on 60 values"):
+            quick(inference="exact").fit(X, Y)
+        quick(inference="sparse", n_inducing=3).fit(X, Y)
+        message = r"Sparse inference with \d+ values needs.*Lower n_inducing"
+        with pytest.raises(ValueError, match=message):
+            quick(inference="sparse", n_inducing=25).fit(X, Y)
+
     def test_too_few_inducing_inputs_are_said_to_cost_accuracy(self):
         """A fast sine is not told by four inducing inputs; by forty it is, and nothing is said."""
         rng = default_rng(0)

@@ -127,9 +127,10 @@ def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:
 
 
 class BlockFactor(NamedTuple):
-    """Cholesky factor of a symmetric matrix that is block-diagonal after a permutation.
+    """Cholesky factor of a symmetric matrix (N, N) that is block-diagonal after a permutation.
 
-    ``rows`` are the places of the rows of each block, ``factors`` the lower triangles.
+    ``rows`` (n_b,) are the places of the rows of each block among the N, in order, ``factors``
+    (n_b, n_b) the Cholesky factors of the blocks in their lower triangles.
     """
 
     rows: Sequence[Indices]
@@ -146,7 +147,7 @@ class BlockFactor(NamedTuple):
         return sum(map(log_determinant, self.factors))
 
     def solve(self, B: Array, *, transposed: bool = False) -> Array:
-        """Return L^-1 B, or L^-T B, for a vector or a matrix B, which may be overwritten."""
+        """Return L^-1 B, or L^-T B; a matrix ``B`` (N, k) in Fortran order may be overwritten."""
         if len(self.factors) == 1:
             return triangular_solve(self.factors[0], B, transposed=transposed)
         solution = np.empty_like(B, order="F")

@@ -63,9 +63,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     ----------
     kernel : MultiOutputKernel, scikit-learn kernel or None
         Covariance of the processes, with values and bounds in the units of the outputs. Missing
-        values are estimated from the data. None: ``ConvolvedGaussian(n_latent)``, for a time series
-        with ``parameter_bounds={"length_scale": "spacing"}``. A kernel of scikit-learn is wrapped in
-        ``Coregionalized``.
+        values are estimated from the data. None: for a time series ``ConvolvedGaussian(n_latent)``
+        with ``parameter_bounds={"length_scale": "spacing"}``. For other data and
+        ``structure="average"``, this kernel without these bounds, independent outputs, and length
+        scales that the outputs share are compared, each also with shifts where separate fits of
+        the outputs show them; their mixture has Akaike weights (docs/theory.md, structures). A
+        kernel of scikit-learn is wrapped in ``Coregionalized``.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. Not
         together with ``kernel``, which has its own. None: two, or without ``time`` and with missing

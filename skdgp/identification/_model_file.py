@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import copyreg
 import json
 import os
 import pickle
-import warnings
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,7 +13,8 @@ from typing import Any, BinaryIO
 import numpy as np
 import pandas as pd
 from pandas.api.types import is_bool_dtype, is_numeric_dtype
-from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
+from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
@@ -83,15 +84,24 @@ def _dump(path: Path, model: Bunch) -> None:
 
 
 class _Pickler(pickle.Pickler):
-    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them."""
+    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them.
+
+    Estimators of scikit-learn are written without its version, which the file has once for all.
+    """
 
     def reducer_override(self, value: Any) -> Any:
-        """Return how to make a table again."""
+        """Return how to make a table or an estimator again."""
         if isinstance(value, pd.DataFrame):
             columns = [_array(column) for _, column in value.items()]
             return _table, (columns, value.columns, value.index, value.attrs)
         if isinstance(value, pd.Index):
             return _index, (_array(value), value.name)
+        kind = type(value)
+        if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
+            state = value.__getstate__()
+            state.pop("_sklearn_version", None)
+            new = copyreg.__newobj__  # type: ignore[attr-defined]
+            return new, (kind,), state, None, None, _set_state
         return NotImplemented
 
 
@@ -119,6 +129,10 @@ def _table(columns: list[Array], names: pd.Index, rows: pd.Index, attrs: dict) -
     return table
 
 
+def _set_state(estimator: BaseEstimator, state: dict) -> None:
+    vars(estimator).update(state)
+
+
 def load_model(path: str | os.PathLike) -> Bunch:
     """Return a model that :func:`save_model` or ``skdgp identify`` wrote.
 
@@ -143,9 +157,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
             report(Finding(Code.OTHER_VERSIONS, numbers=numbers), stacklevel=2)
         file.seek(0)
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", InconsistentVersionWarning)  # said above
-                model = pickle.load(file)
+            model = pickle.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
                 f"Got {path}, written with {_differences(made_by, installed)}, which cannot be read "

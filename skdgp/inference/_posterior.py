@@ -206,14 +206,14 @@ class ExactPosterior(SinglePosterior):
     def factor(self) -> BlockFactor:
         """Cholesky factor of Kff + noise, a block for each group of dependent outputs.
 
-        A loaded posterior computes it again. The result has the same bits for the same number of BLAS threads.
+        A loaded posterior computes it again. The result has the same bits for the same number of
+        BLAS threads.
         """
         places = consecutive(self.data.y)
         rows, factors = [], []
         for outputs in coupled_outputs(self.kernel, self.data):
-            rows.append(
-                np.concatenate([np.arange(places[i].start, places[i].stop) for i in outputs])
-            )
+            of_outputs = [np.arange(places[i].start, places[i].stop) for i in outputs]
+            rows.append(np.concatenate(of_outputs))
             part = self.data.of_outputs(outputs)
             with threads_for(part.n_values):
                 assemble = partial(covariance, self.kernel, self.noise, part)
@@ -230,7 +230,7 @@ class ExactPosterior(SinglePosterior):
     def alpha(self) -> np.ndarray:
         """K^-1 y of the stacked values, (N,)."""
         with threads_for(self.size):
-            return self.factor.solve(self._white.copy(), transposed=True)
+            return self.factor.solve(self._white, transposed=True)
 
     def __getstate__(self):
         # A saved model holds the samples, not the factor: the file is about a hundred times smaller.

@@ -259,7 +259,10 @@ def search(
     )
     if len(kernels) == 1:
         return [joint.learned(kernel)]
-    return _compared(joint, kernels, shift)
+    found = _compared(joint, kernels, shift)
+    if stop.is_set():  # even where it ended the search of another structure
+        found = [each._replace(interrupted=True) for each in found]
+    return found
 
 
 class _Structure(NamedTuple):
@@ -285,7 +288,7 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
                 found.append(few.compared(structures[-1]))
                 if found[-1].score() < without.score():
                     break
-    if few is joint:
+    if few is joint or joint.stop.is_set():
         return found
     scores = np.array([each.score(joint.n_values / few.n_values) for each in found])
     promising = scores > scores.max() - joint.options.settings.trial_margin

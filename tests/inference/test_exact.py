@@ -160,6 +160,16 @@ def large():
     return kernel.initialize(X, Y, 0), np.full(3, 0.3), Data.from_table(X, Y)
 
 
+def test_the_number_of_threads_does_not_change_the_likelihood(large):
+    results = []
+    for threads in (1, 2):
+        with threadpool_limits(threads, user_api="blas"):
+            results.append(log_likelihood(*large, eval_gradient=True, tiles=TileSettings(200, 100)))
+    (value, gradient), (again, again_gradient) = results
+    assert again == pytest.approx(value, rel=1e-12)
+    assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
+
+
 class TestMemory:
     def test_of_one_evaluation_is_below_three_matrices(self, large):
         matrix = 8 * large[2].n_values ** 2

@@ -18,7 +18,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import STANDARD_GRAVITY, cross
+from skdgp._flight.frames import STANDARD_GRAVITY, components, cross
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
 
@@ -72,8 +72,8 @@ def rigid_body_derivative(
     state = np.asarray(state, dtype=float)
     force = np.asarray(force, dtype=float)
     moment = np.asarray(moment, dtype=float)
-    u, v, w, q0, e1, e2, e3, p, q, r = _components(state)[3:]
-    fx, fy, fz = _components(force)
+    u, v, w, q0, e1, e2, e3, p, q, r = components(state)[3:]
+    fx, fy, fz = components(force)
     north, east, down = _rotation_rows(q0, e1, e2, e3)
     shape = np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1])
     derivative = np.empty((*shape, len(STATE_NAMES)))
@@ -106,11 +106,6 @@ def _rotation_rows(q0: Any, e1: Any, e2: Any, e3: Any) -> tuple[tuple, tuple, tu
     east = (y12 + x3, 1.0 - y11 - y33, y23 - x1)
     down = (y13 - x2, y23 + x1, 1.0 - y11 - y22)
     return north, east, down
-
-
-def _components(vectors: Array) -> Any:
-    """Return the components of vectors (..., n); of one vector as plain numbers, which are faster than arrays."""
-    return vectors.tolist() if vectors.ndim == 1 else np.moveaxis(vectors, -1, 0)
 
 
 def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:

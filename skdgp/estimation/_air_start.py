@@ -92,7 +92,8 @@ class SteadyRegression:
         model = self.layout.model(self.aircraft, value)
         force = record.measured[:, FORCE]
         coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
-        return model.terms(air, record.rates, record.inputs.surfaces), coefficients
+        state = np.concatenate([air, record.rates], axis=1)
+        return model.terms(state, record.inputs.surfaces), coefficients
 
     def derivatives(self, records: list[Record], x: Vector) -> Vector:
         """Return parameters with derivatives by least squares, but slopes by alpha and beta as in x.

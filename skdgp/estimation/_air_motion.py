@@ -40,7 +40,7 @@ from skdgp.estimation._air_covariance import (
     widen,
     without_estimate,
 )
-from skdgp.estimation._air_fit import AirFit, FittedRecord, Sums
+from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import BIASES, Layout
 from skdgp.estimation._air_parameters import (
     GUST_AXES,
@@ -53,6 +53,7 @@ from skdgp.estimation._air_parameters import (
     TERMS,
     Gusts,
     Parameters,
+    Sums,
     coefficient_of,
     derivatives_of,
 )
@@ -157,18 +158,18 @@ class AirMotion:
         last axis times independent standard normal numbers.
         """
         alpha = float(np.nanmean(self.air["alpha"]))
-        names = list(self.derivatives.index)
-        value = self.derivatives["value"].to_numpy()
-        columns = np.column_stack([value, eigen_root(self.covariance.to_numpy())])
+        errors = eigen_root(self.covariance.to_numpy())
+        columns = np.column_stack([self.derivatives["value"], errors])
+        table = pd.DataFrame(columns, index=self.derivatives.index)
         out = np.full((len(coefficients), len(regressors), columns.shape[1]), np.nan)
-        for i, coefficient in enumerate(coefficients):
-            for j, regressor in enumerate(map(str, regressors)):
-                name = f"{coefficient}_{regressor.removesuffix(HAT)}"
-                if name in names and regressor not in RATES:
-                    out[i, j] = columns[names.index(name)]
-                curvature = f"{coefficient}_alpha2"
-                if regressor == "alpha" and curvature in names:
-                    out[i, j] += 2 * alpha * columns[names.index(curvature)]
+        for j, regressor in enumerate(map(str, regressors)):
+            if regressor in RATES:  # of derivatives by non-dimensional ones
+                continue
+            term = regressor.removesuffix(HAT)
+            out[:, j] = table.reindex([f"{name}_{term}" for name in coefficients])
+            if regressor == "alpha":
+                curvature = table.reindex([f"{name}_alpha2" for name in coefficients])
+                out[:, j] += 2 * alpha * curvature.fillna(0.0)
         return out[..., 0], np.nan_to_num(out[..., 1:])
 
     def gust_change(self, flight: int) -> float:
@@ -347,7 +348,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     misfit = _misfit(fit) if learned else 1.0
     covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
     if converged:
-        covariance = _covariance(sums)
+        covariance = _covariance(sums, fit, fitted)
     if learned:
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = _with_model_errors(covariance, fit)
@@ -375,11 +376,11 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     )
 
 
-def _covariance(sums: Sums) -> Matrix:
+def _covariance(sums: Sums, fit: AirFit, fitted: list[FittedRecord]) -> Matrix:
     """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
     covariance = sandwich(sums.information, sums.scatter)
-    by_blocks = sandwich(sums.information, correlated_scatter(np.concatenate(sums.blocks)))
-    return widen(covariance, by_blocks)
+    scatter = correlated_scatter(fit.block_scores(fitted))
+    return widen(covariance, sandwich(sums.information, scatter))
 
 
 def _misfit(fit: AirFit) -> float:

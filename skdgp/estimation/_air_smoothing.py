@@ -44,7 +44,7 @@ def smoothed_air(
 
 def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Matrix, Matrix]:
     """Return air data, rates and wind (n, 9), and their standard deviations."""
-    record, linear, run = item
+    record, linear, run, _ = item
     states, P = smoothed(linear, run)
     value = fit.parameters.values(fit.x, record.flight)
     velocity, by_state = air_velocity(record, value, states)
@@ -66,10 +66,10 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
 
 def _parameter_slopes(fit: AirFit, item: FittedRecord, G: Array, by_air: Array) -> Array:
     """Return d (air data, rates, wind) / d parameters (n, 9, p), as of the filtered states."""
-    record, linear, run = item
+    record = item.record
     wind = fit.layout.place(*WINDS)
     arm = fit.layout.place(*ARM)
-    slopes = G @ state_slopes(linear, run)
+    slopes = G @ state_slopes(item.linear, item.run)
     slopes[:, OF_AIR_DATA, wind] -= by_air @ record.attitude
     slopes[:, OF_AIR_DATA, arm] -= by_air @ cross_matrix(record.rates)
     slopes[:, OF_WIND, wind] += np.eye(3)

@@ -237,7 +237,7 @@ class _Expansion:
         )
 
     def readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
-        """Return readings (n - 1, 9), d readings / d variables, and d readings / d z at given variables."""
+        """Return readings (n - 1, m), d readings / d variables, and d readings / d z at given variables."""
         errors = SensorErrors.of(self.value)
         truth, slopes = differentiated(lambda s: self.model.sensors(s, self.later), end)
         values = errors.readings(truth)
@@ -246,9 +246,10 @@ class _Expansion:
         by_parameters = direct[..., N_STATES:]
         by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
         (scale,) = layout.place("airspeed_scale")
-        by_parameters[:, AIRSPEED, scale] = values[:, AIRSPEED] / errors.scale[AIRSPEED]
+        by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
         by_parameters[:, FORCE, layout.place(*ARM)] = self.model.arm_slopes(end, self.later)
-        return values, errors.scale[:, None] * slopes, direct
+        use = self.record.sampled
+        return values[:, use], errors.scale[use, None] * slopes[:, use], direct[:, use]
 
     def response(self, by_start: Array, settings: AirSettings) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
@@ -322,26 +323,33 @@ def linearized(
     known, by_end, known_slopes = expansion.readings(known_end)
     known_slopes += by_end @ expansion.end_slopes(known_end, response)
 
-    measured = record.measured[1:]
+    measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
-    use = record.sampled
+    transition, transition_slopes = _split(transition)
+    innovation_states, innovation_slopes = _split(past_slopes)
+    residual_states, residual_slopes = _split(known_slopes)
     return Linearization(
         states=states,
         predicted=predicted,
-        transition=transition[..., :N_STATES].copy(),
-        transition_slopes=transition[..., N_STATES:],
-        innovation=np.where(is_sampled, measured - past, 0.0)[:, use],
-        innovation_states=past_slopes[:, use, :N_STATES],
-        innovation_noise=noise_slopes[:, use],
-        innovation_slopes=past_slopes[:, use, N_STATES:],
-        residual=np.where(is_sampled, measured - known, 0.0)[:, use],
-        residual_states=known_slopes[:, use, :N_STATES],
-        residual_slopes=known_slopes[:, use, N_STATES:],
+        transition=transition,
+        transition_slopes=transition_slopes,
+        innovation=np.where(is_sampled, measured - past, 0.0),
+        innovation_states=innovation_states,
+        innovation_noise=noise_slopes,
+        innovation_slopes=innovation_slopes,
+        residual=np.where(is_sampled, measured - known, 0.0),
+        residual_states=residual_states,
+        residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
-        weight=np.where(is_sampled, 1.0, NOT_SAMPLED)[:, use],
+        weight=np.where(is_sampled, 1.0, NOT_SAMPLED),
         response=_means(response),
     )
+
+
+def _split(slopes: Array) -> tuple[Array, Array]:
+    """Return derivatives by the states, and by parameters and instruments."""
+    return slopes[..., :N_STATES].copy(), slopes[..., N_STATES:]
 
 
 def _variables(air: Matrix, rates: Matrix) -> Matrix:

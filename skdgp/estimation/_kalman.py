@@ -50,15 +50,16 @@ class Linearization(NamedTuple):
     weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
     response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
 
-    def middle(self, n_samples: int) -> Linearization:
-        """Return the linearization of at most ``n_samples`` steps in the middle."""
-        n = len(self.step)
-        first = max(n - n_samples, 0) // 2
-        parts = []
-        for values in self:
-            extra = len(values) - n  # there is a state more than steps
-            parts.append(values[first : first + n_samples + extra])
-        return Linearization(*parts)
+    def part(self, first: int, last: int) -> Linearization:
+        """Return the steps ``first`` to ``last`` - 1, with the state after them."""
+        states, *arrays = self
+        parts = [values[first:last] for values in arrays]
+        return Linearization(states[first : last + 1], *parts)
+
+    def middle(self, n_steps: int) -> Linearization:
+        """Return the linearization of at most ``n_steps`` steps in the middle."""
+        first = max(len(self.step) - n_steps, 0) // 2
+        return self.part(first, first + n_steps)
 
 
 class Noise(NamedTuple):
@@ -143,67 +144,60 @@ def innovations(linear: Linearization, noise: Noise) -> Innovations:
 
 def _chunks(linear: Linearization, noise: Noise) -> Iterator[_Chunk]:
     """Filter the record, and yield its chunks."""
-    N = linear.states.shape[1]
-    x = np.zeros((len(noise.start), N, 1))
-    P = noise.start[:, :, None] * np.eye(N)
+    x = np.zeros((*noise.start.shape, 1))
+    P = noise.start[:, :, None] * np.eye(noise.start.shape[1])
     for first in range(0, len(linear.step), CHUNK):
-        rows = slice(first, first + CHUNK)
-        chunk = _filtered_chunk(linear, noise, rows, x, P)
+        chunk = _filtered_chunk(linear.part(first, first + CHUNK), noise, x, P)
         yield chunk
         x, P = chunk.x[-1], chunk.P[-1]
 
 
-def _filtered_chunk(linear: Linearization, noise: Noise, rows: slice, x: Array, P: Array) -> _Chunk:
+def _filtered_chunk(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Chunk:
     """Return some steps of the filter, from deviation and covariance of the sample before."""
-    model = _step_model(linear, noise, rows)
-    n, n_sets, N, _ = model.Phi.shape
-    xs = np.empty((n + 1, n_sets, N, 1))
-    Ps = np.empty((n + 1, n_sets, N, N))
-    P_predicted = np.empty((n, n_sets, N, N))
-    gain = np.empty((n, n_sets, N, model.H.shape[1]))
+    model = _step_model(linear, noise)
+    n, m, N = model.H.shape
+    xs = np.empty((n + 1, *x.shape))
+    Ps = np.empty((n + 1, *P.shape))
+    P_predicted = np.empty((n, *P.shape))
+    gain = np.empty((n, len(P), N, m))
     xs[0], Ps[0] = x, P
     for k in range(n):
-        x, P, P_predicted[k], gain[k] = model.step(x, P, k)
-        xs[k + 1], Ps[k + 1] = x, P
-    past = _innovations(linear, noise, rows, model.R, xs[:-1], Ps[:-1])
+        xs[k + 1], Ps[k + 1], P_predicted[k], gain[k] = model.step(xs[k], Ps[k], k)
+    past = _innovations(linear, noise, model.R, xs[:-1], Ps[:-1])
     return _Chunk(*past, xs[1:], Ps[1:], P_predicted, gain)
 
 
-def _step_model(linear: Linearization, noise: Noise, rows: slice) -> _StepModel:
-    """Return the matrices of some steps."""
-    step = linear.step[rows, None, None]
-    Phi = np.repeat(linear.transition[rows, None], len(noise.rate), axis=1)
+def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
+    """Return the matrices of the steps."""
+    step = linear.step[:, None, None]
+    Phi = np.repeat(linear.transition[:, None], len(noise.rate), axis=1)
     decaying = np.flatnonzero(noise.decay[0] > 0)
     Phi[:, :, decaying, decaying] = np.exp(-step * noise.decay[:, decaying])
     Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.rate * step)
-    Q += noise.surface[:, None, None] * linear.surface_noise[rows, None]
-    sensor = noise.sensor * linear.weight[rows, None]
-    shift = linear.predicted[rows] - linear.states[1:][rows]
+    Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
+    sensor = noise.sensor * linear.weight[:, None]
+    shift = linear.predicted - linear.states[1:]
     return _StepModel(
         Phi=Phi,
         Q=Q,
         c=shift[:, :, None],
-        H=linear.residual_states[rows],
+        H=linear.residual_states,
         R=sensor[..., None] * np.eye(sensor.shape[-1]),
-        y=linear.residual[rows, :, None],
+        y=linear.residual[:, :, None],
     )
 
 
-def _innovations(
-    linear: Linearization, noise: Noise, rows: slice, R: Array, x: Array, P: Array
-) -> Innovations:
+def _innovations(linear: Linearization, noise: Noise, R: Array, x: Array, P: Array) -> Innovations:
     """Return the errors of predictions from the filtered sample before, and their covariances.
 
     The noise of the step reaches the sensors through its end as well.
     """
-    D = linear.innovation_states[rows, None]
-    L = linear.innovation_noise[rows, None]
-    e = linear.innovation[rows, None, :, None] - D @ x
-    S = D @ P @ D.mT
-    S += _step_noise(L, D, noise.rate * linear.step[rows, None, None])
-    surface = L @ linear.surface_noise[rows, None] @ L.mT
-    S += noise.surface[:, None, None] * surface
-    S += R
+    D = linear.innovation_states[:, None]
+    L = linear.innovation_noise[:, None]
+    e = linear.innovation[:, None, :, None] - D @ x
+    S = D @ P @ D.mT + R
+    S += _step_noise(L, D, noise.rate * linear.step[:, None, None])
+    S += noise.surface[:, None, None] * (L @ linear.surface_noise[:, None] @ L.mT)
     return Innovations(e[..., 0], S)
 
 
@@ -244,14 +238,9 @@ def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     P_predicted = run.predicted_covariance
     PPhi = run.covariance[:-1] @ linear.transition.mT
     C = np.linalg.solve(P_predicted, PPhi.mT).mT  # gain of the smoother
-
-    def step(x: Vector, P: Matrix, k: int) -> tuple[Vector, Matrix]:
-        """Return smoothed state and covariance of sample k, given the ones of sample k + 1."""
-        x = run.states[k] + C[k] @ (x - predicted[k])
-        P = run.covariance[k] + C[k] @ (P - P_predicted[k]) @ C[k].T
-        return x, P
-
-    states, covariance = run.states.copy(), run.covariance.copy()
+    x = run.states.copy()
+    P = run.covariance.copy()
     for k in reversed(range(len(C))):
-        states[k], covariance[k] = step(states[k + 1], covariance[k + 1], k)
-    return states, covariance
+        x[k] += C[k] @ (x[k + 1] - predicted[k])
+        P[k] += C[k] @ (P[k + 1] - P_predicted[k]) @ C[k].T
+    return x, P

@@ -118,7 +118,11 @@ class Layout(NamedTuple):
         return slopes
 
     def variable_slopes(
-        self, attitude: Array, rates: Matrix, air_by_state: Array, coefficient_slopes: Array
+        self,
+        attitude: Array,
+        rates: Matrix,
+        air_by_state: Array,
+        coefficient_slopes: Array | float = 0.0,
     ) -> Array:
         """Return d variables of the model / d states, parameters and instruments, (n, 12, N + p)."""
         slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + self.n_slopes))

@@ -21,8 +21,6 @@ from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._air_model import Inputs
 from skdgp.estimation._path import estimate_path
 from skdgp.estimation._sensors import (
-    DIFFERENCE_GAIN,
-    DIFFERENCES,
     GUSTS,
     INERTIAL_BIASES,
     LAGS,
@@ -31,6 +29,7 @@ from skdgp.estimation._sensors import (
     FlightSensors,
     NamedFlight,
     flights_of,
+    third_differences,
 )
 from skdgp.estimation._settings import AirSettings
 
@@ -194,9 +193,9 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
 
     Gusts shake one axis more than another; all have the same sensor.
     """
-    differences = [np.diff(record.measured[:, sensors], DIFFERENCES, axis=0) for record in records]
-    squares = np.mean(np.concatenate(differences) ** 2, axis=0)
-    return float(max(np.sqrt(np.nanmin(squares) / DIFFERENCE_GAIN), least))
+    noises = [third_differences(record.measured[:, sensors]) for record in records]
+    variances = np.mean(np.concatenate(noises) ** 2, axis=0)
+    return float(max(np.sqrt(np.nanmin(variances)), least))
 
 
 def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:

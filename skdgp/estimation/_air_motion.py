@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import eigen_root
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import (
     ELEVONS,
     EULER,
@@ -30,34 +30,29 @@ from skdgp._flight.checks import check_columns, check_radians, check_table
 from skdgp._flight.tables import has_values
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.estimation._air_covariance import (
-    add_model_error,
-    add_scale_error,
-    correlated_scatter,
+    error_fractions,
+    estimate_covariance,
     inflate_for_misfit,
-    misfit_of,
+    misfit_of_sensors,
     mix_with_prior,
-    sandwich,
-    widen,
+    with_model_errors,
     without_estimate,
 )
-from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import BIASES, Layout
+from skdgp.estimation._air_fit import AirFit
+from skdgp.estimation._air_linearization import Layout
 from skdgp.estimation._air_parameters import (
     GUST_AXES,
     OWN,
     OWN_NOISES,
-    SENSOR_CONSTANTS,
     SHARED,
     SHARED_NOISES,
-    STATE_TERMS,
     TERMS,
     Gusts,
     Parameters,
-    Sums,
     coefficient_of,
     derivatives_of,
 )
-from skdgp.estimation._air_records import TINY, Record, quietest_noise, records_of, shortened
+from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import FORCE, PATH_CHANNELS, RATE, Prior
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
@@ -290,9 +285,7 @@ def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
 
 def _moves(table: pd.DataFrame, surface: str) -> bool:
     """Return whether the table has a surface that moves."""
-    if not has_values(table, surface):
-        return False
-    return np.nanmax(table[surface]) > np.nanmin(table[surface])
+    return has_values(table, surface) and bool(table[surface].max() > table[surface].min())
 
 
 def _has_drag(derivatives: Iterable[str]) -> bool:
@@ -309,7 +302,8 @@ def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
 
 def _as_prior(estimates: pd.DataFrame) -> Prior:
     """Return value and standard deviation of estimates by name."""
-    return {str(name): (row["value"], row["std"]) for name, row in estimates.iterrows()}
+    pairs = zip(estimates["value"], estimates["std"], strict=True)
+    return dict(zip(estimates.index, pairs, strict=True))
 
 
 def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
@@ -331,32 +325,31 @@ def _noises(
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
+    accelerometer = quietest_noise(records, FORCE, settings.least_noise)
+    gyro = quietest_noise(records, RATE, settings.least_noise)
+    medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
     shared = dict(SHARED_NOISES)
-    for names, columns in ((("ax", "ay", "az"), FORCE), (("gyro",), RATE)):
-        median = quietest_noise(records, columns, settings.least_noise)
-        for name in names:
-            shared[name] = (median, SHARED_NOISES[name][1])
+    for name, median in medians.items():
+        shared[name] = (median, SHARED_NOISES[name][1])
     return Parameters.of(shared, OWN_NOISES, n_flights)
 
 
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
     sums, fitted = fit.run()
-    learned = converged and not fit.is_known
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    misfit = _misfit(fit) if learned else 1.0
+    misfit = 1.0
     covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
     if converged:
-        covariance = _covariance(sums, fit, fitted)
-    if learned:
+        covariance = estimate_covariance(fit, sums, fitted)
+    if converged and not fit.is_known:
+        misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
-        covariance = _with_model_errors(covariance, fit)
+        covariance = with_model_errors(covariance, fit)
     air = smoothed_air(fit, fitted, covariance, n_rows)
-    if learned:
-        fraction = np.zeros(len(prior_std))
-        fraction[:nd] = _error_fractions(fit, fitted)
-        covariance = mix_with_prior(covariance, prior_std, fraction)
+    if converged and not fit.is_known:
+        covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
     names = fit.parameters.names
     std = np.sqrt(np.diag(covariance))
     if not fit.is_known:
@@ -365,7 +358,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     estimates = pd.DataFrame(columns, index=names)
     return AirMotion(
         derivatives=estimates[:nd],
-        covariance=pd.DataFrame(covariance[:nd, :nd], index=names[:nd], columns=names[:nd]),
+        covariance=pd.DataFrame(covariance, index=names, columns=names).iloc[:nd, :nd],
         constants=estimates[nd:],
         noise=fit.noise_search.values,
         air=air,
@@ -374,59 +367,3 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
     )
-
-
-def _covariance(sums: Sums, fit: AirFit, fitted: list[FittedRecord]) -> Matrix:
-    """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
-    covariance = sandwich(sums.information, sums.scatter)
-    scatter = correlated_scatter(fit.block_scores(fitted))
-    return widen(covariance, sandwich(sums.information, scatter))
-
-
-def _misfit(fit: AirFit) -> float:
-    """Return the misfit of the sensors' constants."""
-    is_of_sensor = [name.split()[0] in SENSOR_CONSTANTS for name in fit.parameters.names]
-    offset = fit.x - fit.parameters.mean
-    return misfit_of(offset[is_of_sensor], fit.parameters.std[is_of_sensor])
-
-
-def _with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
-    """Return the covariance with errors of a linear model, and of the scale of angles without a vane."""
-    settings = fit.settings
-    derivatives = fit.x[: fit.layout.n_derivatives]
-    covariance = add_model_error(covariance, derivatives, settings.model_error)
-    for vane in VANES:
-        place = BIASES[f"{vane}_bias"]
-        if not any(record.sampled[place] for record in fit.records):
-            slopes = fit.layout.is_by(vane) * derivatives
-            covariance = add_scale_error(covariance, slopes, settings.angle_error)
-    return covariance
-
-
-def _error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
-    """Return the fraction (p,) of errors of path and sensors in the variance of each derivative's term.
-
-    One where surfaces do not move the term: an error then looks like motion.
-    """
-    motion = []
-    for item in fitted:
-        # in the motion without the answers to gusts that the last innovations show
-        response = fit.linearized(item.record, item.linear.states).response
-        motion.append(response - response.mean(axis=0))
-    variance = np.concatenate(motion).var(axis=0)
-    velocity = np.concatenate([item.record.velocity for item in fitted])
-    speed = np.linalg.norm(velocity, axis=1).mean()
-    error = _term_errors(fit, speed, len(variance))
-    fraction = error**2 / np.maximum(error**2 + variance, TINY)
-    fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
-    return fraction[fit.layout.columns]
-
-
-def _term_errors(fit: AirFit, speed: float, n_terms: int) -> Vector:
-    """Return the errors of the terms (n_terms,) of the coefficients by path, rates and surfaces."""
-    settings = fit.settings
-    angle = settings.velocity_error / speed
-    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
-    error = np.full(n_terms, settings.surface_error)
-    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
-    return error

@@ -63,7 +63,7 @@ class AirFit:
         self.noise_search = NoiseSearch(noises, settings)
         self.settings = settings
         self.is_known = parameters.n_held > 0
-        self.regression = SteadyRegression(aircraft, layout, parameters)
+        self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
         self.winds = []
         for flight in range(len(parameters.places)):
@@ -147,7 +147,7 @@ class AirFit:
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
         """Add mean lift and airspeed of a record in steady wind."""
-        lift = mean_lift(record, self.x, self.regression, self.settings)
+        lift = mean_lift(record, self.x, self.regression)
         variance = self.winds[record.flight].variance
         airspeed = pitot_equation(record, self.x, self.parameters, variance)
         for equation in (lift, airspeed):

@@ -48,11 +48,15 @@ class Inputs(NamedTuple):
 
     def part(self, rows: slice) -> Inputs:
         """Return the inputs of some samples."""
-        return Inputs(*(values[rows] for values in self))
+        return Inputs(self.surfaces[rows], self.thrust[rows], self.density[rows])
 
     def between(self, fraction: float) -> Inputs:
         """Return the inputs of each step, interpolated between its samples."""
-        return Inputs(*((1 - fraction) * v[:-1] + fraction * v[1:] for v in self))
+
+        def mean(values: Array) -> Array:
+            return (1 - fraction) * values[:-1] + fraction * values[1:]
+
+        return Inputs(mean(self.surfaces), mean(self.thrust), mean(self.density))
 
 
 class AirMotionModel:

@@ -125,21 +125,27 @@ class _Chunk(NamedTuple):
 
 def filtered(linear: Linearization, noise: Noise) -> Pass:
     """Return the filter's pass at one set of noises."""
-    chunks = list(_chunks(linear, noise))
-    e, S, x, P, P_predicted, gain = (
-        np.concatenate(parts)[:, 0] for parts in zip(*chunks, strict=True)
-    )
+    chunks = zip(*_chunks(linear, noise), strict=True)
+    run = _Chunk(*(np.concatenate(parts)[:, 0] for parts in chunks))
     states = linear.states.copy()
-    states[1:] += x[..., 0]
-    start = np.diag(noise.start[0])
-    P = np.concatenate([start[None], P])
-    return Pass(Innovations(e, S), states, P, P_predicted, gain)
+    states[1:] += run.x[..., 0]
+    return Pass(
+        innovations=Innovations(run.innovation, run.innovation_covariance),
+        states=states,
+        covariance=np.concatenate([[np.diag(noise.start[0])], run.P]),
+        predicted_covariance=run.P_predicted,
+        gain=run.gain,
+    )
 
 
 def innovations(linear: Linearization, noise: Noise) -> Innovations:
     """Return the innovations at all sets of noises."""
-    parts = [chunk[:2] for chunk in _chunks(linear, noise)]
-    return Innovations(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+    values = []
+    covariance = []
+    for chunk in _chunks(linear, noise):
+        values.append(chunk.innovation)
+        covariance.append(chunk.innovation_covariance)
+    return Innovations(np.concatenate(values), np.concatenate(covariance))
 
 
 def _chunks(linear: Linearization, noise: Noise) -> Iterator[_Chunk]:

@@ -114,15 +114,21 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
         response = fit.linearized(item.record, item.linear.states).response
         motion.append(response - response.mean(axis=0))
     variance = np.concatenate(motion).var(axis=0)
-    settings = fit.settings
-    velocity = np.concatenate([item.record.velocity for item in fitted])
-    speed = np.linalg.norm(velocity, axis=1).mean()
-    angle = settings.velocity_error / speed
-    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
-    error = np.full(len(variance), settings.surface_error)
-    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
+    error = _term_errors(fit, fitted, len(variance))
     fraction = error**2 / np.maximum(error**2 + variance, TINY)
     fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
     of_parameters = np.zeros(len(fit.x))
     of_parameters[: fit.layout.n_derivatives] = fraction[fit.layout.columns]
     return of_parameters
+
+
+def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vector:
+    """Return the errors (n_terms,) of the terms of the coefficients by path, rates and surfaces."""
+    settings = fit.settings
+    velocity = np.concatenate([item.record.velocity for item in fitted])
+    speed = np.linalg.norm(velocity, axis=1).mean()
+    angle = settings.velocity_error / speed
+    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
+    error = np.full(n_terms, settings.surface_error)
+    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
+    return error

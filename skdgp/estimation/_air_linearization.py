@@ -38,15 +38,13 @@ from skdgp.estimation._air_model import (
 from skdgp.estimation._air_parameters import (
     ARM,
     OWN,
-    PATH_ERRORS,
     SHARED,
     STATE_TERMS,
     WINDS,
-    Gusts,
     stacked,
 )
 from skdgp.estimation._air_records import Record, servo_output, servo_slopes
-from skdgp.estimation._kalman import Linearization, Noise
+from skdgp.estimation._kalman import Linearization
 from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE, SensorErrors
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
@@ -140,27 +138,6 @@ class Layout(NamedTuple):
         names = self.names[: self.n_derivatives]
         derivatives[self.rows, self.columns] = [value[name] for name in names]
         return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
-
-
-def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
-    """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
-    gusts = Gusts.of(value)
-    path_std = stacked(value, *PATH_ERRORS)
-    path_time = np.full_like(path_std, settings.path_time)
-    drive = stacked(value, "drive_p", "drive_q", "drive_r")
-    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std], axis=-1)
-    time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time], axis=-1)
-    start_rates = np.full_like(drive, settings.start_rate_variance)
-    inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
-    air = stacked(value, "airspeed", "vane", "vane")
-    sensors = np.concatenate([inertial, air], axis=-1)
-    return Noise(
-        rate=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
-        decay=np.concatenate([1 / time, np.zeros_like(drive)], axis=-1),
-        surface=value["surface"] ** 2,
-        sensor=sensors[..., sampled] ** 2,
-        start=np.concatenate([std**2, start_rates], axis=-1),
-    )
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -264,14 +241,11 @@ class _Expansion:
         surfaces = self._commanded()
         delay = settings.response_delay
         late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
-        change = late - late.mean(axis=0)
         A = by_start[:, :, :6]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
         A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
-        push = _product(by_start[:, :, ERRORS] @ self.model.by_surfaces, _means(change))
-        motion = np.zeros((len(surfaces), N_VARIABLES))
-        for k in range(len(A)):
-            motion[k + 1, :6] = A[k] @ motion[k, :6] + push[k]
+        B = by_start[:, :, ERRORS] @ self.model.by_surfaces
+        motion = _motion(A, _product(B, _means(late - late.mean(axis=0))))
         motion[:, AIR] += self.start[:, AIR].mean(axis=0)
         return self.model.terms(motion, late)
 
@@ -354,6 +328,14 @@ def linearized(
 def _split(slopes: Array) -> tuple[Array, Array]:
     """Return derivatives by the states, and by parameters and instruments."""
     return slopes[..., :N_STATES].copy(), slopes[..., N_STATES:]
+
+
+def _motion(A: Array, push: Matrix) -> Matrix:
+    """Return x (n, k) of x_{k+1} = A_k x_k + push_k from zero."""
+    x = np.zeros((len(A) + 1, push.shape[1]))
+    for k in range(len(A)):
+        x[k + 1] = A[k] @ x[k] + push[k]
+    return x
 
 
 def _variables(air: Matrix, rates: Matrix) -> Matrix:

@@ -246,22 +246,14 @@ def estimate_air_motion(
     table = _with_elevator_and_aileron(table)
     if known is None:
         surfaces = [name for name in SURFACES if _moves(table, name)]
-        fewest = settings.fewest_samples
         derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
     else:
-        surfaces, fewest = known.surfaces, 2
+        surfaces = known.surfaces
         derivatives = _as_prior(known.derivatives)
-    has_thrust = thrust is not None and _has_thrust(table, aircraft) and _has_drag(derivatives)
-    loads = propulsive_loads(table, aircraft, thrust if has_thrust else None)
-    records = records_of(table, surfaces, np.concatenate(loads, axis=1), fewest, settings)
-    if not records:
-        raise ValueError(
-            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
-        )
-    if known is None:
-        records = shortened(records, settings)
-    if not has_thrust:
-        records = [record.with_axial_force(aircraft.mass) for record in records]
+    if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
+        thrust = None
+    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
+    if thrust is None:
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
     layout = Layout.of(list(derivatives), surfaces)
     n_flights = 1 + max(record.flight for record in records)
@@ -273,6 +265,29 @@ def estimate_air_motion(
             converged = fit.search(n_before)
             return _air_motion(fit, converged, surfaces, len(table))
     raise ValueError(DIVERGED)
+
+
+def _records(
+    table: pd.DataFrame,
+    surfaces: list[str],
+    aircraft: Aircraft,
+    thrust: str | None,
+    is_known: bool,
+    settings: AirSettings,
+) -> list[Record]:
+    """Return the records of the flights; without thrust with the measured axial force in its place."""
+    fewest = 2 if is_known else settings.fewest_samples
+    loads = np.hstack(propulsive_loads(table, aircraft, thrust))
+    records = records_of(table, surfaces, loads, fewest, settings)
+    if not records:
+        raise ValueError(
+            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
+        )
+    if not is_known:
+        records = shortened(records, settings)
+    if thrust is None:
+        records = [record.with_axial_force(aircraft.mass) for record in records]
+    return records
 
 
 def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:

@@ -12,11 +12,13 @@ With innovations :math:`e_k` of covariance :math:`S_k = L_k L_k^T`, :math:`u = L
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.estimation._air_linearization import air_noise
-from skdgp.estimation._air_parameters import Parameters, Sums
+from skdgp._compute.typing import Array, Mask, Matrix, Vector
+from skdgp.estimation._air_parameters import PATH_ERRORS, Gusts, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Innovations, Linearization, Noise, innovations
 from skdgp.estimation._settings import AirSettings
@@ -73,6 +75,27 @@ class NoiseSearch:
         self.limits[free] = limits
         self.last[free] = step
         return step
+
+
+def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
+    """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
+    gusts = Gusts.of(value)
+    path_std = stacked(value, *PATH_ERRORS)
+    path_time = np.full_like(path_std, settings.path_time)
+    drive = stacked(value, "drive_p", "drive_q", "drive_r")
+    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std], axis=-1)
+    time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time], axis=-1)
+    start_rates = np.full_like(drive, settings.start_rate_variance)
+    inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
+    air = stacked(value, "airspeed", "vane", "vane")
+    sensors = np.concatenate([inertial, air], axis=-1)
+    return Noise(
+        rate=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
+        decay=np.concatenate([1 / time, np.zeros_like(drive)], axis=-1),
+        surface=value["surface"] ** 2,
+        sensor=sensors[..., sampled] ** 2,
+        start=np.concatenate([std**2, start_rates], axis=-1),
+    )
 
 
 def _likelihood_slopes(run: Innovations, difference: float) -> tuple[Vector, Matrix]:

@@ -16,7 +16,7 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, SPECIFIC_FOR
 from skdgp._flight.channels import RATES as RATE_CHANNELS
 from skdgp._flight.frames import air_data, air_data_slopes
 from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import FAST, N_STATES, SLOW, TURN, air_velocity
+from skdgp.estimation._air_linearization import FAST, N_STATES, SLOW, TURN, Layout, air_velocity
 from skdgp.estimation._air_model import AIR, RATES
 from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
@@ -52,23 +52,26 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     air, air_by_state = air_velocity(record, value, states)
     wind = states[:, SLOW] + states[:, FAST] + stacked(value, *WINDS)
     estimates = np.column_stack([*air_data(air), states[:, TURN], wind])
+    slopes = _slopes(fit.layout, record, air, air_by_state)
+    G = slopes[..., :N_STATES]
+    places = fit.parameters.places[record.flight]
+    s = slopes[..., N_STATES:] + G @ state_slopes(item.linear, item.run)
+    C = covariance[np.ix_(places, places)]
+    variance = _variances(G, P) + _variances(s[..., : len(places)], C)
+    return estimates, np.sqrt(variance)
 
-    # derivatives by the states, and by the parameters at given states
-    layout = fit.layout
-    slopes = np.zeros((*estimates.shape, N_STATES + layout.n_slopes))
+
+def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
+    """Return derivatives (n, 9, N + p) by the states, and by the parameters at given states."""
     variables = layout.variable_slopes(record.attitude, record.rates, air_by_state)
+    slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
     slopes[:, OF_AIR_DATA] = air_data_slopes(air) @ variables[:, AIR]
     slopes[:, OF_RATES] = variables[:, RATES]
-    G = slopes[..., :N_STATES]
+    slopes[:, OF_WIND, SLOW] = np.eye(3)
+    slopes[:, OF_WIND, FAST] = np.eye(3)
     by_parameters = slopes[..., N_STATES:]
-    G[:, OF_WIND, SLOW] = np.eye(3)
-    G[:, OF_WIND, FAST] = np.eye(3)
     by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
-
-    places = fit.parameters.places[record.flight]
-    s = (by_parameters + G @ state_slopes(item.linear, item.run))[..., : len(places)]
-    variance = _variances(G, P) + _variances(s, covariance[np.ix_(places, places)])
-    return estimates, np.sqrt(variance)
+    return slopes
 
 
 def _variances(slopes: Array, covariance: Array) -> Matrix:

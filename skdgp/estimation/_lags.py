@@ -137,10 +137,7 @@ class _Segment:
         rate_hz = _rate_of(clock)
         low, high = _band_at(rate_hz, settings)
         channels = _on_clock(time, table, clock)
-        speed = np.ones(len(clock))
-        if "airspeed" in channels:
-            speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
-            speed = np.maximum(speed, 0.1 * np.median(speed))
+        speed = self._steady_speed(channels, rate_hz, settings)
         for name in RATES:
             rate = CubicSpline(clock, _low_pass(channels[name], 2 * high, rate_hz))
             channels[f"{name}_dot"] = rate(clock, 1) / speed**2
@@ -153,6 +150,16 @@ class _Segment:
             self.splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
         step = 1 / min(rate_hz, settings.oversampling * high)
         self.time = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
+
+    @staticmethod
+    def _steady_speed(
+        channels: dict[str, Vector], rate_hz: float, settings: LagSettings
+    ) -> Vector | float:
+        """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
+        if "airspeed" not in channels:
+            return 1.0
+        speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
+        return np.maximum(speed, 0.1 * np.median(speed))
 
     @property
     def seconds(self) -> float:

@@ -91,8 +91,7 @@ class SteadyRegression:
         air, _ = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
-        elapsed = np.append(0.0, np.cumsum(record.step))
-        spin = np.gradient(smooth, elapsed, axis=0)
+        spin = np.gradient(smooth, record.time, axis=0)
         model = self.layout.model(self.aircraft, value)
         force = record.measured[:, FORCE]
         coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
@@ -104,14 +103,9 @@ class SteadyRegression:
 
         In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
         """
-        terms = []
-        coefficients = []
-        for record in records:
-            of_record = self(record, x)
-            terms.append(of_record[0])
-            coefficients.append(of_record[1])
-        X = np.concatenate(terms)[:, self.layout.columns]  # of each derivative
-        C = np.concatenate(coefficients)
+        equations = [self(record, x) for record in records]
+        X, C = map(np.concatenate, zip(*equations, strict=True))
+        X = X[:, self.layout.columns]  # of each derivative
         x = x.copy()
         by_air = self.layout.is_by("alpha", "beta")
         for row in range(6):

@@ -242,8 +242,8 @@ def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     change = run.states - linear.states
     predicted = linear.predicted + (linear.transition @ change[:-1, :, None])[..., 0]
     P_predicted = run.predicted_covariance
-    PPhi = run.covariance[:-1] @ linear.transition.mT
-    C = np.linalg.solve(P_predicted, PPhi.mT).mT  # gain of the smoother
+    PhiP = linear.transition @ run.covariance[:-1]
+    C = np.linalg.solve(P_predicted, PhiP).mT  # gain of the smoother
     x = run.states.copy()
     P = run.covariance.copy()
     for k in reversed(range(len(C))):

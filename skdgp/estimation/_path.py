@@ -113,16 +113,20 @@ def estimate_path(
             stride /= 2
         last = move
         path = path.moved(stride * posterior.states, stride * posterior.constants)
-        components = search.noise(equations, posterior, noise, learn, number)
-        changes = [np.log(std / noise[name]) for name, std in components.items()]
-        noise = noise | components
-        is_steady = np.abs(changes).max(initial=0.0) < settings.tolerance
+        before = noise
+        noise = dict(before)
+        pace = min(1.0, 10 / (number + 1))
+        for name, sums in search.residual_sums(equations, posterior).items():
+            if name in learn:
+                noise[name] = _variance_component(name, noise[name], sums, pace, settings)
+        changes = [abs(np.log(noise[name] / before[name])) for name in learn]
+        is_steady = all(change < settings.tolerance for change in changes)
         converged = number > 0 and is_steady and _is_small(posterior, settings.tolerance)
         if converged:
             break
     if not search.has_alpha:
         noise = noise | {"gust_vertical": noise["gust_horizontal"]}
-    return PathEstimate(path, noise, posterior.covariance, bool(converged))
+    return PathEstimate(path, noise, posterior.covariance, converged)
 
 
 class _Search:
@@ -173,30 +177,20 @@ class _Search:
         constant_std = np.array(list(PATH_CONSTANTS.values()))
         return GaussianPrior(precision, offset, constant_std**-2, path.constants)
 
-    def noise(
-        self,
-        equations: Equations,
-        posterior: Posterior,
-        noise: Mapping[str, float],
-        learn: Collection[str],
-        number: int,
-    ) -> dict[str, float]:
-        """Return the new standard deviation of each channel in ``learn`` that was sampled, after step ``number``."""
+    def residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, ResidualSums]:
+        """Return sums over the residuals of each channel that was sampled."""
         change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
         squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
         draws = equations.changes(posterior.state_draws, posterior.constant_draws)
-        trace = np.square(draws).mean(axis=-1).sum(axis=0)  # of J P J^T
-        count = np.any(equations.d_state != 0, axis=2).sum(axis=0)
-        pace = min(1.0, 10 / (number + 1))
-        channels = np.array(self.channels)
-        new = {}
-        for name in learn:
-            rows = channels == name
-            n = count[rows].sum()
-            if n:
-                sums = ResidualSums(squares[rows].sum(), trace[rows].sum(), n)
-                new[name] = _variance_component(name, noise[name], sums, pace, self.settings)
-        return new
+        traces = np.square(draws).mean(axis=-1).sum(axis=0)
+        counts = np.any(equations.d_state != 0, axis=2).sum(axis=0)
+        sums = np.column_stack([squares, traces, counts])
+        by_channel = {}
+        for name in dict.fromkeys(self.channels):
+            total = sums[np.array(self.channels) == name].sum(axis=0)
+            if total[-1]:
+                by_channel[name] = ResidualSums(*total.tolist())
+        return by_channel
 
 
 class ResidualSums(NamedTuple):

@@ -210,14 +210,13 @@ def _innovations(linear: Linearization, noise: Noise, R: Array, x: Array, P: Arr
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     """Return the covariance (..., k, k) that a step's white noise of ``variance`` (..., N) makes.
 
-    By Simpson's rule, from the derivatives (..., k, N) by noise ``late`` and ``early`` in the step.
+    The mean of G V G^T by Simpson's rule, for derivatives G (..., k, N) that change linearly from
+    ``early`` to ``late`` in the step: (L V (2 L + E)^T + E V (2 E + L)^T) / 6.
     """
-    middle = 0.5 * (late + early)
-
-    def square(G: Array) -> Array:
-        return (G * variance[..., None, :]) @ G.mT
-
-    return (square(late) + 4 * square(middle) + square(early)) / 6
+    V = variance[..., None, :]
+    by_late = (late * V) @ (2 * late + early).mT
+    by_early = (early * V) @ (2 * early + late).mT
+    return (by_late + by_early) / 6
 
 
 def innovation_slopes(linear: Linearization, run: Pass) -> Array:

@@ -15,21 +15,21 @@ MOST_FAULTS = 8  # lines on faults in one warning
 MOST_NAMES = 3  # names in a list that is shortened
 SHORT = "short"  # format spec of such a list
 
-FAULTS: dict[Code, str] = {
-    Code.GAP: "jumps forward {times}, by {longest:.3g} s at most",
-    Code.MISSING: "has no value {times}, for {longest:.2g} s at most",
-    Code.STUCK: "is stuck at {value:.4g}",
-    Code.IMPOSSIBLE: "has impossible values, such as {value:.4g}",
-    Code.SPIKE: "leaps from its neighbours and back {times}",
-    Code.CONSTANT: "never changes, while {moving} {move}",
+FAULTS = {
+    "gap": "jumps forward {times}, by {longest:.3g} s at most",
+    "missing": "has no value {times}, for {longest:.2g} s at most",
+    "stuck": "is stuck at {value:.4g}",
+    "impossible": "has impossible values, such as {value:.4g}",
+    "spike": "leaps from its neighbours and back {times}",
+    "constant": "never changes, while {moving} {move}",
 }
-REMEDIES: dict[Code, str] = {
-    Code.GAP: "nothing is filtered across it",
-    Code.MISSING: "leave out these rows where the gap is too long to interpolate",
-    Code.STUCK: "not measured; if it was, name the column in ignore",
-    Code.IMPOSSIBLE: "not measured; write missing values as empty cells",
-    Code.SPIKE: "not measured",
-    Code.CONSTANT: "a dead sensor, or none: drop the column unless the flight was simulated so",
+REMEDIES = {
+    "gap": "nothing is filtered across it",
+    "missing": "leave out these rows where the gap is too long to interpolate",
+    "stuck": "not measured; if it was, name the column in ignore",
+    "impossible": "not measured; write missing values as empty cells",
+    "spike": "not measured",
+    "constant": "a dead sensor, or none: drop the column unless the flight was simulated so",
 }
 DEGREES = 57.29578  # in a radian
 # Text of a sensor that contradicts the others, unit, and number of these in the SI unit
@@ -120,60 +120,65 @@ def grouped_faults(faults: Iterable[Finding]) -> list[str]:
 class _Formatter(Formatter):
     """Formats templates: items of a list are joined by its format spec, values of a mapping take it.
 
-    ``SHORT`` joins the first items by a comma, and counts the others.
+    ``SHORT`` joins the first items by a comma, and counts the others. A finding is its text.
     """
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Return a value as text."""
+        if isinstance(value, Finding):
+            return text_of(value)
         if isinstance(value, Mapping):
-            return ", ".join(
-                f"{name} {self.format_field(item, format_spec)}" for name, item in value.items()
-            )
+            parts = [f"{name} {self.format_field(value[name], format_spec)}" for name in value]
+            return ", ".join(parts)
         if isinstance(value, float):
             return format(value, format_spec).replace("%", " %")
         if not isinstance(value, list):
             return format(value, format_spec)
-        return shortened(value) if format_spec == SHORT else (format_spec or ", ").join(value)
+        if format_spec == SHORT:
+            return shortened(value)
+        return (format_spec or ", ").join(value)
 
 
-def _filled(text: Text, finding: Finding) -> str:
+def _filled(text: Text, finding: Finding, **values: Any) -> str:
+    """Return a template with flight, channel and numbers of a finding, and further values."""
     if not isinstance(text, str):
         return text(finding)
-    names = {"flight": finding.flight, "channel": finding.channel, **finding.numbers}
+    names = {"flight": finding.flight, "channel": finding.channel, **finding.numbers, **values}
     return _Formatter().vformat(text, (), names)
 
 
 def _fault(fault: Finding) -> str:
     """Return the channel, the fault, its place and its consequence; times count from ``origin``."""
-    numbers = dict(fault.numbers)
+    numbers = fault.numbers
+    kind = fault.code.value
     times = numbers.get("times", 1)
     moving = numbers.get("moving", ())
-    numbers["times"] = "once" if times == 1 else f"{times} times"
-    numbers["moving"] = " and ".join(moving)
-    numbers["move"] = "moves" if len(moving) == 1 else "move"
-    is_empty = fault.code is Code.MISSING and "longest" not in numbers
-    description = "has no value" if is_empty else FAULTS[fault.code].format(**numbers)
-    begin = numbers["start"] - numbers["origin"]
-    end = numbers["end"] - numbers["origin"]
-    place = f"{begin:.6g} to {end:.6g} s, {numbers['samples']} samples"
-    return f"{fault.channel} {description} ({place}): {REMEDIES[fault.code]}"
+    description = FAULTS[kind]
+    if fault.code is Code.MISSING and "longest" not in numbers:
+        description = "has no value"
+    place = "({begin:.6g} to {last:.6g} s, {samples} samples)"
+    return _filled(
+        f"{{channel}} {description} {place}: {REMEDIES[kind]}",
+        fault,
+        times="once" if times == 1 else f"{times} times",
+        moving=" and ".join(moving),
+        move="moves" if len(moving) == 1 else "move",
+        begin=numbers["start"] - numbers["origin"],
+        last=numbers["end"] - numbers["origin"],
+    )
 
 
 def _faults(finding: Finding) -> str:
+    """Return the first faults, and what was done about them."""
     lines = grouped_faults(finding.numbers["faults"])
     n_hidden = len(lines) - MOST_FAULTS
     shown = "; ".join(lines[:MOST_FAULTS])
-    hidden = f"; and {n_hidden} more, see skdgp.preprocessing.inspect_flight"
-    return f"Faults in the log: {shown}{hidden if n_hidden > 0 else ''}."
-
-
-def _faults_bridged(finding: Finding) -> str:
-    gap = finding.numbers["longest_bridge"]
-    return f"{_faults(finding)} Faulty values are NaN, gaps up to {gap:g} s are interpolated."
-
-
-def _faults_excluded(finding: Finding) -> str:
-    return f"{_faults(finding)} The coefficients are not known there (NaN)."
+    if n_hidden > 0:
+        shown += f"; and {n_hidden} more, see skdgp.preprocessing.inspect_flight"
+    treatment = "The coefficients are not known there (NaN)."
+    if finding.code is Code.FAULTS_BRIDGED:
+        treatment = "Faulty values are NaN, gaps up to {longest_bridge:g} s are interpolated."
+    return _filled("Faults in the log: {shown}. " + treatment, finding, shown=shown)
 
 
 def _contradiction(finding: Finding) -> str:
@@ -199,114 +204,101 @@ def _contradiction_sentence(finding: Finding) -> str:
 
 
 def _large_surfaces(finding: Finding) -> str:
-    surfaces = ", ".join(
-        f"{name} {top:.2f} rad ({DEGREES * top:.0f} deg)"
-        for name, top in finding.numbers["largest"].items()
-    )
-    return (
-        f"Got surfaces up to {surfaces}, more than most servos reach: if these are commands from -1 "
+    surfaces = []
+    for name, top in finding.numbers["largest"].items():
+        surfaces.append(f"{name} {top:.2f} rad ({DEGREES * top:.0f} deg)")
+    text = (
+        "Got surfaces up to {surfaces}, more than most servos reach: if these are commands from -1 "
         "to 1, multiply each by its largest deflection [rad]."
     )
+    return _filled(text, finding, surfaces=surfaces)
 
 
 def _gusts_unknown(finding: Finding) -> str:
-    text = f"Gusts are not known: {text_of(finding.numbers['cause'])}"
+    text = "Gusts are not known: {cause}"
     if finding.numbers.get("angles_lack_gusts"):
         text += " alpha and beta lack them."
     if finding.numbers.get("general_bands"):
         text += " Bands of derivatives are those of small aircraft in general."
-    return text
+    return _filled(text, finding)
 
 
 def _paths(finding: Finding) -> str:
-    is_reconstructed = finding.code is Code.PATHS_RECONSTRUCTED
-    kind = (
-        "reconstructed from all sensors" if is_reconstructed else "not reconstructed, only smoothed"
-    )
+    kind = "not reconstructed, only smoothed"
+    if finding.code is Code.PATHS_RECONSTRUCTED:
+        kind = "reconstructed from all sensors"
     return f"{kind}: {_paths_reason(finding)}"
 
 
 def _paths_reason(finding: Finding) -> str:
     """Return why flight paths are reconstructed, or only smoothed."""
-    numbers = finding.numbers
-    if numbers["missing"]:
-        return f"the flights lack {', '.join(numbers['missing'])}"
-    if numbers["air"]:
-        return f"alpha and beta by the motion that gusts cause: {numbers['air']}"
-    if not numbers["contradictions"]:
-        return "no sensor contradicts the others"
+    if finding.numbers["missing"]:
+        return _filled("the flights lack {missing}", finding)
+    if finding.numbers["air"]:
+        return _filled("alpha and beta by the motion that gusts cause: {air}", finding)
     parts = []
-    for contradiction in numbers["contradictions"]:
+    for contradiction in finding.numbers["contradictions"]:
         text, unit, factor = SENSORS[contradiction["sensor"]]
         residual = factor * contradiction["residual"]
         noise = factor * contradiction["noise"]
         parts.append(f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})")
-    reasons = "; ".join(parts)
-    return f"although {reasons}" if finding.code is Code.PATHS_RECONSTRUCTED else reasons
+    if not parts:
+        return "no sensor contradicts the others"
+    although = "although " if finding.code is Code.PATHS_RECONSTRUCTED else ""
+    return although + "; ".join(parts)
 
 
 def _sizes_estimated(finding: Finding) -> str:
-    sizes = ", ".join(
-        f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %"
-        for name, (value, unit, std) in finding.numbers["sizes"].items()
-    )
-    return f"Of the aircraft: {sizes}; their part in errors of derivatives is std_aircraft."
+    sizes = []
+    for name, (value, unit, std) in finding.numbers["sizes"].items():
+        sizes.append(f"{name.replace('_', ' ')} {value:.3g} {unit} ± {100 * std:.2g} %")
+    text = "Of the aircraft: {sizes}; their part in errors of derivatives is std_aircraft."
+    return _filled(text, finding, sizes=sizes)
 
 
 def _lags_corrected(finding: Finding) -> str:
     lags: Mapping[str, float] = finding.numbers["lags"]
-    parts = [
-        f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}" for name, lag in lags.items()
-    ]
-    text = f"Lags against the inertial unit, corrected: {', '.join(parts)}."
+    parts = []
+    for name, lag in lags.items():
+        parts.append(f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}")
+    text = "Lags against the inertial unit, corrected: {lags}."
     if lags.get("surfaces", 0) < 0:
         text += " Surfaces that are early are commands of slower servos."
-    return text
+    return _filled(text, finding, lags=parts)
 
 
 def _approximation_poor(finding: Finding) -> str:
-    numbers = finding.numbers
-    exact = numbers["exact"]
-    text = (
-        f"{numbers['inducing']} inducing inputs leave {numbers['neglected']:.2g} of the noise "
-        "variance unexplained: "
-    )
-    if exact is None:
-        return text + (
-            "predictions are less accurate than those of exact inference. Raise n_inducing."
+    text = "{inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained: "
+    if finding.numbers["exact"] is None:
+        text += "predictions are less accurate than those of exact inference. Raise n_inducing."
+    else:
+        text += (
+            "the model is learned from {exact} of the values instead. Raise n_inducing to learn "
+            "from all."
         )
-    return text + (
-        f"the model is learned from {exact} of the values instead. Raise n_inducing to learn from "
-        "all."
-    )
+    return _filled(text, finding)
 
 
 def _few_rows(finding: Finding) -> str:
-    numbers = finding.numbers
-    worth = ""
-    if numbers["lasting"] > 1:
-        worth = (
-            f", worth {numbers['independent']:.0f} independent ones as errors last "
-            f"{numbers['lasting']:.0f} rows,"
-        )
-    return (
-        f"Got {numbers['rows']} rows{worth} for {numbers['regressors']} regressors, "
-        f"{numbers['each']:.2g} for each, but expected at least {numbers['least']} for each: with "
-        "fewer, the model leans on the linear trend, and standard deviations may be too small. Give "
-        "more rows or minutes of manoeuvres, or name fewer regressors."
+    text = "Got {rows} rows"
+    if finding.numbers["lasting"] > 1:
+        text += ", worth {independent:.0f} independent ones as errors last {lasting:.0f} rows,"
+    text += (
+        " for {regressors} regressors, {each:.2g} for each, but expected at least {least} for each: "
+        "with fewer, the model leans on the linear trend, and standard deviations may be too small. "
+        "Give more rows or minutes of manoeuvres, or name fewer regressors."
     )
+    return _filled(text, finding)
 
 
 def _search_stopped(finding: Finding) -> str:
-    numbers = finding.numbers
-    scale = ""
-    if numbers["unscaled"]:
-        scale = f", or scale the regressors {numbers['unscaled']} (StandardScaler)"
-    return (
-        f"The fit stopped at max_iter={numbers['max_iter']} before it converged: in as many "
-        f"iterations again the log likelihood is expected to rise by {numbers['remaining']:,.0f} "
-        f"nats. Raise max_iter{scale}."
+    text = (
+        "The fit stopped at max_iter={max_iter} before it converged: in as many iterations again the "
+        "log likelihood is expected to rise by {remaining:,.0f} nats. Raise max_iter"
     )
+    if finding.numbers["unscaled"]:
+        text += ", or scale the regressors {unscaled!r} (StandardScaler)"
+    return _filled(text + ".", finding)
 
 
 def _errors_too_large(finding: Finding) -> str:
@@ -349,114 +341,119 @@ def shortened(names: Sequence[str]) -> str:
     return f"{text} and {n_hidden} more" if n_hidden > 0 else text
 
 
-TEXTS: dict[Code, Text] = {
-    Code.MESSAGE: "{text}",
+def _by_code(**texts: Text) -> dict[Code, Text]:
+    """Return texts by the codes of these names."""
+    return {Code(name): text for name, text in texts.items()}
+
+
+TEXTS = _by_code(
+    message="{text}",
     **dict.fromkeys(FAULTS, _fault),
-    Code.FAULTS_BRIDGED: _faults_bridged,
-    Code.FAULTS_EXCLUDED: _faults_excluded,
-    Code.CONTRADICTION: _contradiction_sentence,
-    Code.LARGE_SURFACES: _large_surfaces,
-    Code.LONE_ROWS: "Flight {flight!r}: {rows} rows that stand alone between gaps are left out.",
-    Code.NO_ELEVATOR: "Got flights without an elevator: its effect goes into the coefficients of "
+    faults_bridged=_faults,
+    faults_excluded=_faults,
+    contradiction=_contradiction_sentence,
+    large_surfaces=_large_surfaces,
+    lone_rows="Flight {flight!r}: {rows} rows that stand alone between gaps are left out.",
+    no_elevator="Got flights without an elevator: its effect goes into the coefficients of "
     "alpha and q, so Cm_q and Cm_alpha may be wrong, even in sign. Give the column elevator.",
-    Code.ROWS_LEFT_OUT: "Flight {flight!r}: {left_out} of {rows} rows are left out, because "
+    rows_left_out="Flight {flight!r}: {left_out} of {rows} rows are left out, because "
     "regressors are missing there (by rows: {missing}). Bring slow sensors to the clock of the "
     "others if these are many.",
-    Code.ENGINE_UNEXPLAINED: "Got thrust=None for flights with {names: and }: the coefficients "
+    engine_unexplained="Got thrust=None for flights with {names: and }: the coefficients "
     "include the thrust, and no regressor explains it. Name regressors with {names[0]!r} and "
     "'airspeed', or give the thrust.",
-    Code.FULL_THROWS: "Surfaces are in parts of their full throw, as no servo file gives angles: "
+    full_throws="Surfaces are in parts of their full throw, as no servo file gives angles: "
     "effects are of a full throw.",
-    Code.SIZES_ESTIMATED: _sizes_estimated,
-    Code.SIZES_SOURCES: "Estimated by: {sources}.",
-    Code.THRUST_IN_COEFFICIENTS: "Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
+    sizes_estimated=_sizes_estimated,
+    sizes_sources="Estimated by: {sources}.",
+    thrust_in_coefficients="Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
     "propeller and its speed give the thrust, so it is part of the coefficients, with throttle and "
     "airspeed as regressors: CX is thrust less drag, which the model does not tell apart.",
-    Code.ALREADY_LEARNED: "The model learned from a flight {flight!r}: if it is this one, its "
+    already_learned="The model learned from a flight {flight!r}: if it is this one, its "
     "errors say nothing about others.",
-    Code.HELD_OUT_FLIGHT: "No test flight was named: the last flight, {flight}, is held out of the "
+    held_out_flight="No test flight was named: the last flight, {flight}, is held out of the "
     "fit and tested on.",
-    Code.HELD_OUT_QUARTER: "No test flight was named: the last quarter of the only flight, "
+    held_out_quarter="No test flight was named: the last quarter of the only flight, "
     "{flight}, is held out of the fit and tested on.",
-    Code.OTHER_VERSIONS: "Got {path}, written with {differences}: its predictions may differ. "
+    other_versions="Got {path}, written with {differences}: its predictions may differ. "
     "Compare a few, fit it again, or install those versions.",
-    Code.TESTED_ON_TRAINING: "Flight {flight!r} is both learned from and tested on: its errors say "
+    tested_on_training="Flight {flight!r} is both learned from and tested on: its errors say "
     "nothing about other flights.",
-    Code.AIR_NOT_CONVERGED: "the estimate did not converge. Give longer flights with inputs of every "
+    air_not_converged="the estimate did not converge. Give longer flights with inputs of every "
     "surface, and look at the signs and units of their sensors.",
-    Code.AIR_NOT_ESTIMATED: "{error}",
-    Code.CONSTANT_REGRESSORS: "In the training flights {names!r} never change, so the model cannot "
+    air_not_estimated="{error}",
+    constant_regressors="In the training flights {names!r} never change, so the model cannot "
     "learn their effects. Fly manoeuvres that move them, or leave them out of the regressors.",
-    Code.GUSTS_UNKNOWN: _gusts_unknown,
-    Code.LAGS_CORRECTED: _lags_corrected,
-    Code.NO_AIRCRAFT: "no sensor measures alpha and beta, and no aircraft is given.",
-    Code.PATHS_NOT_CONVERGED: "The paths of these flights did not converge: {flights:short}. Their "
+    gusts_unknown=_gusts_unknown,
+    lags_corrected=_lags_corrected,
+    no_aircraft="no sensor measures alpha and beta, and no aircraft is given.",
+    paths_not_converged="The paths of these flights did not converge: {flights:short}. Their "
     "sensors contradict one another: look for wrong signs, units or clocks.",
-    Code.PATHS_RECONSTRUCTED: _paths,
-    Code.PATHS_SMOOTHED: _paths,
-    Code.SENSORS_MISSING: "Got flights without {names!r}, which those of the fit had: they are "
+    paths_reconstructed=_paths,
+    paths_smoothed=_paths,
+    sensors_missing="Got flights without {names!r}, which those of the fit had: they are "
     "smoothed channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
     "with those sensors.",
-    Code.TRUTH_AS_REGRESSORS: "Regressors {names!r} are noise-free truth of a simulation, which no "
+    truth_as_regressors="Regressors {names!r} are noise-free truth of a simulation, which no "
     "aircraft has: use them only to score, or to measure the effect of sensor noise.",
-    Code.APPROXIMATION_POOR: _approximation_poor,
-    Code.BOUNDS_REACHED: "Got hyperparameters that end at a bound of the kernel: {reached:short}. "
+    approximation_poor=_approximation_poor,
+    bounds_reached="Got hyperparameters that end at a bound of the kernel: {reached:short}. "
     "Widen the bounds, unless they are known to hold.",
-    Code.CONSTANT_INPUTS: "The regressors {names!r} are constant over the samples: their effect "
+    constant_inputs="The regressors {names!r} are constant over the samples: their effect "
     "cannot be learned, and predictions at other values are not reliable. Leave them out, or add "
     "samples in which they vary.",
-    Code.CONSTANT_OUTPUTS: "The outputs {names!r} are constant over the samples: nothing can be "
+    constant_outputs="The outputs {names!r} are constant over the samples: nothing can be "
     "learned about them, and their stated uncertainty is not reliable. Leave them out, or check "
     "the log.",
-    Code.FEW_ROWS: _few_rows,
-    Code.FIT_INTERRUPTED: "The fit was interrupted; the best hyperparameters so far are kept. Fit "
+    few_rows=_few_rows,
+    fit_interrupted="The fit was interrupted; the best hyperparameters so far are kept. Fit "
     "again to continue.",
-    Code.INDICES_DIFFER: "The indices of X and y differ; rows are matched by position. If rows of "
+    indices_differ="The indices of X and y differ; rows are matched by position. If rows of "
     "one were dropped or sorted, do the same to the other (y.loc[X.index]).",
-    Code.SAMPLES_REPEATED: "{repeated} of {samples} samples repeat another sample with the same "
+    samples_repeated="{repeated} of {samples} samples repeat another sample with the same "
     "regressors and targets. They count as independent, so the uncertainty is too small: drop "
     "repeated rows (was a log read twice?).",
-    Code.SEARCH_STOPPED: _search_stopped,
-    Code.FIT_NOT_CONVERGED: "The fit has not converged: raise max_iter.",
-    Code.BANDS_TOO_NARROW: "95 % bands are too narrow: they hold {coverages:.0%} of the measured "
+    search_stopped=_search_stopped,
+    fit_not_converged="The fit has not converged: raise max_iter.",
+    bands_too_narrow="95 % bands are too narrow: they hold {coverages:.0%} of the measured "
     "values.",
-    Code.CONSTANT_BETTER_IN_FLIGHTS: "In {worse} of {tested} test flights a constant predicts better "
+    constant_better_in_flights="In {worse} of {tested} test flights a constant predicts better "
     "(error above 1): {flights:short}.",
-    Code.LEAST_SQUARES_BETTER: "Least squares is better in {worse} of {coefficients} coefficients: "
+    least_squares_better="Least squares is better in {worse} of {coefficients} coefficients: "
     "{names: }.",
-    Code.NO_DERIVATIVES: "No derivatives: {error}",
-    Code.NO_TRIM: "No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
+    no_derivatives="No derivatives: {error}",
+    no_trim="No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
     "state, and there are no modes.",
-    Code.NOT_SIMULATED: "{error}",
-    Code.WRONG_SIGNS: "Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
+    not_simulated="{error}",
+    wrong_signs="Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
     "the signs of the log's surfaces and rates, and at gusts without vanes.",
-}  # fmt: skip
+)  # fmt: skip
 
-REASONS: dict[Code, Text] = {
-    Code.MESSAGE: "{text}",
-    Code.CONTRADICTION: _contradiction,
-    Code.HELD_OUT_FLIGHT: "the last flight, {flight}",
-    Code.HELD_OUT_QUARTER: "the last quarter of the only flight, {flight}",
-    Code.GUSTS_UNKNOWN: "gusts without vanes are not known",
-    Code.PATHS_NOT_CONVERGED: "a reconstruction did not converge",
-    Code.PATHS_RECONSTRUCTED: _paths_reason,
-    Code.PATHS_SMOOTHED: _paths_reason,
-    Code.WRONG_SIGNS: "wrong sign of {names}",
-    Code.CONSTANT_BETTER_IN_MOMENTS: "a constant predicts {names: } of the test flights better",
-    Code.ERRORS_SMALL: "errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",
-    Code.ERRORS_TOO_LARGE: _errors_too_large,
-    Code.CONTROLS_KNOWN: "controls and fast modes are known to {width:.0%} or better ({widest})",
-    Code.CONTROLS_MISSING: "the model has none of the controls elevator, aileron, rudder",
-    Code.CONTROLS_TOO_UNCERTAIN: _controls_too_uncertain,
-    Code.NO_BANDS: "the model has no bands of derivatives",
-    Code.NO_DERIVATIVES: "no derivatives",
-    Code.NO_TRIM: "no steady flight was found at {airspeed:.3g} m/s",
-    Code.TRIM_BEYOND: "the trim is outside the flown range in {names}",
-    Code.ACCELERATIONS_AS_REGRESSORS: "the regressors {names} are known only after a flight",
-    Code.FOLLOWS: "it follows the test flights for the {horizon:.2g} s that were simulated",
-    Code.FOLLOWS_SHORTLY: _follows_shortly,
-    Code.GUSTS_HIDE_ERRORS: "not testable in this air: it follows the test flights for "
+REASONS = _by_code(
+    message="{text}",
+    contradiction=_contradiction,
+    held_out_flight="the last flight, {flight}",
+    held_out_quarter="the last quarter of the only flight, {flight}",
+    gusts_unknown="gusts without vanes are not known",
+    paths_not_converged="a reconstruction did not converge",
+    paths_reconstructed=_paths_reason,
+    paths_smoothed=_paths_reason,
+    wrong_signs="wrong sign of {names}",
+    constant_better_in_moments="a constant predicts {names: } of the test flights better",
+    errors_small="errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",
+    errors_too_large=_errors_too_large,
+    controls_known="controls and fast modes are known to {width:.0%} or better ({widest})",
+    controls_missing="the model has none of the controls elevator, aileron, rudder",
+    controls_too_uncertain=_controls_too_uncertain,
+    no_bands="the model has no bands of derivatives",
+    no_derivatives="no derivatives",
+    no_trim="no steady flight was found at {airspeed:.3g} m/s",
+    trim_beyond="the trim is outside the flown range in {names}",
+    accelerations_as_regressors="the regressors {names} are known only after a flight",
+    follows="it follows the test flights for the {horizon:.2g} s that were simulated",
+    follows_shortly=_follows_shortly,
+    gusts_hide_errors="not testable in this air: it follows the test flights for "
     "{seconds:.2g} s, and gusts of {gusts:.2g} m/s, which are not estimated, explain the "
     "difference for {apart:.2g} s",
-    Code.NOT_SIMULATED: "{error}",
-}  # fmt: skip
+    not_simulated="{error}",
+)  # fmt: skip

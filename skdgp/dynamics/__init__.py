@@ -61,7 +61,13 @@ from skdgp.dynamics._rigid_body import (
     dynamic_pressure as dynamic_pressure,
 )
 from skdgp.dynamics._rigid_body import (
+    gyroscopic_moment as gyroscopic_moment,
+)
+from skdgp.dynamics._rigid_body import (
     propeller_speed_of as propeller_speed_of,
+)
+from skdgp.dynamics._rigid_body import (
+    rk4_step as rk4_step,
 )
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS

@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import VANES
+from skdgp.estimation._air_fit import AirFit, FittedRecord
+from skdgp.estimation._air_linearization import BIASES
+from skdgp.estimation._air_parameters import SENSOR_CONSTANTS, STATE_TERMS, Sums
+from skdgp.estimation._air_records import TINY
 
 
 def sandwich(information: Matrix, scatter: Matrix) -> Matrix:
@@ -69,3 +74,61 @@ def mix_with_prior(covariance: Matrix, prior_std: Vector, fraction: Vector) -> M
     """
     weight = np.sqrt(1 - fraction**2)
     return weight[:, None] * covariance * weight + np.diag((fraction * prior_std) ** 2)
+
+
+def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> Matrix:
+    """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
+    covariance = sandwich(sums.information, sums.scatter)
+    scatter = correlated_scatter(fit.block_scores(fitted))
+    return widen(covariance, sandwich(sums.information, scatter))
+
+
+def misfit_of_sensors(fit: AirFit) -> float:
+    """Return the misfit of the sensors' constants."""
+    is_of_sensor = [name.split()[0] in SENSOR_CONSTANTS for name in fit.parameters.names]
+    offset = fit.x - fit.parameters.mean
+    return misfit_of(offset[is_of_sensor], fit.parameters.std[is_of_sensor])
+
+
+def with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
+    """Return the covariance with errors of a linear model, and of the scale of angles without a vane."""
+    settings = fit.settings
+    derivatives = fit.x[: fit.layout.n_derivatives]
+    covariance = add_model_error(covariance, derivatives, settings.model_error)
+    for vane in VANES:
+        place = BIASES[f"{vane}_bias"]
+        if not any(record.sampled[place] for record in fit.records):
+            slopes = fit.layout.is_by(vane) * derivatives
+            covariance = add_scale_error(covariance, slopes, settings.angle_error)
+    return covariance
+
+
+def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
+    """Return the fraction (p,) of errors of path and sensors in the variance of each derivative's term.
+
+    One where surfaces do not move the term: an error then looks like motion. Zero of constants.
+    """
+    motion = []
+    for item in fitted:
+        # in the motion without the answers to gusts that the last innovations show
+        response = fit.linearized(item.record, item.linear.states).response
+        motion.append(response - response.mean(axis=0))
+    variance = np.concatenate(motion).var(axis=0)
+    error = _term_errors(fit, fitted, len(variance))
+    fraction = error**2 / np.maximum(error**2 + variance, TINY)
+    fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
+    of_parameters = np.zeros(len(fit.x))
+    of_parameters[: fit.layout.n_derivatives] = fraction[fit.layout.columns]
+    return of_parameters
+
+
+def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vector:
+    """Return the errors (n_terms,) of the terms of the coefficients by path, rates and surfaces."""
+    settings = fit.settings
+    velocity = np.concatenate([item.record.velocity for item in fitted])
+    speed = np.linalg.norm(velocity, axis=1).mean()
+    angle = settings.velocity_error / speed
+    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
+    error = np.full(n_terms, settings.surface_error)
+    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
+    return error

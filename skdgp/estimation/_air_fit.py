@@ -16,16 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import TURN, Layout, linearized
 from skdgp.estimation._air_noise import NoiseSearch, whitened
-from skdgp.estimation._air_parameters import PATH_ERRORS, WINDS, Parameters
+from skdgp.estimation._air_parameters import PATH_ERRORS, WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._air_start import (
-    LinearEquation,
     SteadyRegression,
-    SteadyWind,
     mean_lift,
     pitot_equation,
     steady_wind,
@@ -34,43 +32,13 @@ from skdgp.estimation._kalman import Linearization, Pass, filtered, innovation_s
 from skdgp.estimation._settings import AirSettings
 
 
-class Sums:
-    """Score, information and scatter of the parameters that the passes over all records sum."""
-
-    def __init__(self, x: Vector, parameters: Parameters) -> None:
-        precision = parameters.std**-2.0
-        self.information = np.diag(precision)
-        self.score = (x - parameters.mean) * precision
-        self.scatter = np.diag(precision)  # covariance of the score
-        self.blocks: list[Matrix] = []  # (b, p) scores summed over blocks
-
-    def add_equation(self, equation: LinearEquation) -> None:
-        """Add linear equations of some parameters, known with their variance."""
-        block = np.ix_(equation.places, equation.places)
-        fisher = equation.slopes.T @ equation.slopes / equation.variance
-        self.information[block] += fisher
-        self.scatter[block] += fisher
-        self.score[equation.places] += equation.slopes.T @ equation.residual / equation.variance
-
-    def add_record(self, places: Indices, Z: Array, D: Array, e: Matrix, width: int) -> None:
-        """Add instruments Z, slopes D (n, m, k) and innovations e (n, m), whitened; blocks of ``width`` samples."""
-        block = np.ix_(places, places)
-        self.information[block] += np.tensordot(Z, D, axes=((0, 1), (0, 1)))
-        self.scatter[block] += np.tensordot(Z, Z, axes=((0, 1), (0, 1)))
-        scores = np.einsum("nmk,nm->nk", Z, e)
-        self.score[places] += scores.sum(axis=0)
-        starts = np.arange(0, len(scores), width)
-        blocks = np.zeros((len(starts), len(self.score)))
-        blocks[:, places] = np.add.reduceat(scores, starts, axis=0)
-        self.blocks.append(blocks)
-
-
 class FittedRecord(NamedTuple):
-    """A record with its last pass."""
+    """A record with its last pass, and the score of the parameters by each sample, (n - 1, p)."""
 
     record: Record
     linear: Linearization
     run: Pass
+    scores: Matrix
 
 
 class AirFit:
@@ -95,24 +63,19 @@ class AirFit:
         self.noise_search = NoiseSearch(noises, settings)
         self.settings = settings
         self.is_known = parameters.n_held > 0
-        self.regression = SteadyRegression(aircraft, layout, parameters)
-        self.winds = self._steady_winds()
+        self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
-        for flight, wind in enumerate(self.winds):
+        self.winds = []
+        for flight in range(len(parameters.places)):
+            own = [record for record in records if record.flight == flight]
+            wind = steady_wind(own, settings)
+            self.winds.append(wind)
             self.x[parameters.places_of(flight, WINDS[:2])] = wind.pitot[1:]
         if not self.is_known:
             self.x = self.regression.derivatives(records, self.x)
         # rates as measured, without gusts
         before = ((0, 0), (TURN.start, 0))
         self.states = [np.pad(record.rates, before) for record in records]
-
-    def _steady_winds(self) -> list[SteadyWind]:
-        """Return wind and pitot of each flight by its airspeed."""
-        winds = []
-        for flight in range(len(self.parameters.places)):
-            records = [record for record in self.records if record.flight == flight]
-            winds.append(steady_wind(records, self.settings))
-        return winds
 
     def search(self, n_before: int) -> bool:
         """Improve parameters and noises; return whether the search converged to a plausible solution.
@@ -122,31 +85,29 @@ class AirFit:
         settings = self.settings
         damping = settings.first_damping
         fraction = 1.0
-        free = self.parameters.free
-        last = np.zeros(len(self.x[free]))
+        last = np.zeros(len(self.x) - self.parameters.n_held)
         small = converged = False
         for number in range(settings.max_passes):
             sums, fitted = self.run(by_instruments=number >= n_before)
             self.records = [item.record for item in fitted]
             self.states = [item.run.states for item in fitted]
-            information = sums.information[free, free]
-            damped = information + damping * np.diag(np.diag(information))
-            step = self._bounded_step(damped, sums.score[free])
+            information, score = sums.damped(damping)
+            step = self._bounded_step(information, score)
             if not np.isfinite(step).all():
                 raise np.linalg.LinAlgError
             # two solutions could follow each other for ever
-            if step @ damped @ last < 0:
+            if step @ information @ last < 0:
                 fraction = max(settings.shorter * fraction, settings.least_fraction)
             else:
                 fraction = min(settings.longer * fraction, 1.0)
-            self.x[free] += fraction * step
+            self.x[sums.free] += fraction * step
             last = step
             noise_length = np.inf
             if number:
                 linears = [item.linear.middle(settings.noise_samples) for item in fitted]
                 noise_length = self.noise_search.step(self.records, linears)
             before = small
-            small = bool(step @ information @ step < settings.tolerance)
+            small = sums.squared_length(step) < settings.tolerance
             converged = before and small and noise_length < settings.noise_tolerance
             if converged and number > n_before:
                 break
@@ -155,12 +116,10 @@ class AirFit:
 
     def _is_plausible(self) -> bool:
         """Return whether errors of the path are as small as attitude and GPS make them."""
-        noises = self.noise_search.noises
-        largest = 0.0
-        for flight in range(len(noises.places)):
-            places = noises.places_of(flight, PATH_ERRORS)
-            largest = max(largest, np.exp(self.noise_search.psi[places]).max())
-        return bool(largest < self.settings.largest_path_error)
+        search = self.noise_search
+        flights = range(len(self.winds))
+        places = [search.prior.places_of(flight, PATH_ERRORS) for flight in flights]
+        return bool(np.exp(search.psi[places]).max() < self.settings.largest_path_error)
 
     def _bounded_step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the free parameters, with a lag that stays at or above zero."""
@@ -177,38 +136,65 @@ class AirFit:
     def run(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
         """Filter all records at the parameters; return sums of the parameters, and the filtered records."""
         sums = Sums(self.x, self.parameters)
-        if not self.is_known:
-            self._add_steady_equations(sums)
         fitted = []
         for record, states in zip(self.records, self.states, strict=True):
+            if not self.is_known:
+                self._add_steady_wind(sums, record)
             linear = self.linearized(record, states)
             run = filtered(linear, self.noise_search.noise(record))
-            fitted.append(self._add_scores(sums, FittedRecord(record, linear, run), by_instruments))
+            fitted.append(self._add_scores(sums, record, linear, run, by_instruments))
         return sums, fitted
 
-    def _add_steady_equations(self, sums: Sums) -> None:
-        """Add mean lift and airspeed of each record in steady wind."""
-        for record in self.records:
-            sums.add_equation(mean_lift(record, self.x, self.regression, self.settings))
-            variance = self.winds[record.flight].variance
-            sums.add_equation(pitot_equation(record, self.x, self.parameters, variance))
+    def _add_steady_wind(self, sums: Sums, record: Record) -> None:
+        """Add mean lift and airspeed of a record in steady wind."""
+        lift = mean_lift(record, self.x, self.regression)
+        variance = self.winds[record.flight].variance
+        airspeed = pitot_equation(record, self.x, self.parameters, variance)
+        for equation in (lift, airspeed):
+            weighted = equation.slopes.T / equation.variance
+            sums.add(equation.places, weighted @ equation.residual, weighted @ equation.slopes)
 
-    def _add_scores(self, sums: Sums, fitted: FittedRecord, by_instruments: bool) -> FittedRecord:
+    def _add_scores(
+        self,
+        sums: Sums,
+        record: Record,
+        linear: Linearization,
+        run: Pass,
+        by_instruments: bool,
+    ) -> FittedRecord:
         """Add the scores of a pass over a record; with instruments, return it with its surfaces' answers to gusts."""
-        record, linear, run = fitted
         L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
         e = whitened(L_inverse, run.innovations.values)
         slopes = L_inverse @ innovation_slopes(linear, run)
-        free = self.parameters.places[record.flight] >= self.parameters.n_held
-        D = slopes[:, :, np.flatnonzero(free)]
+        places = self.parameters.places[record.flight]
+        is_free = places >= self.parameters.n_held
+        D = slopes[:, :, np.flatnonzero(is_free)]
         Z = D
         if by_instruments and not self.is_known:
             instruments = slopes[:, :, self.layout.n_derivatives :]
             Z = _projected(D, instruments, self.settings.least_direction)
             record = record.with_answers(e, self.settings)
-        width = max(round(self.settings.block / record.median_step), 1)
-        sums.add_record(self.parameters.free_places(record.flight), Z, D, e, width)
-        return fitted._replace(record=record)
+        scores = np.einsum("nmk,nm->nk", Z, e)
+        over_samples = ((0, 1), (0, 1))
+        sums.add(
+            places[is_free],
+            scores.sum(axis=0),
+            np.tensordot(Z, D, axes=over_samples),
+            np.tensordot(Z, Z, axes=over_samples),
+        )
+        return FittedRecord(record, linear, run, scores)
+
+    def block_scores(self, fitted: list[FittedRecord]) -> Matrix:
+        """Return the scores of all records, summed over blocks of some seconds, (b, p)."""
+        blocks = []
+        for item in fitted:
+            width = max(round(self.settings.block / item.record.median_step), 1)
+            starts = np.arange(0, len(item.scores), width)
+            sums = np.zeros((len(starts), len(self.x)))
+            places = self.parameters.free_places(item.record.flight)
+            sums[:, places] = np.add.reduceat(item.scores, starts, axis=0)
+            blocks.append(sums)
+        return np.concatenate(blocks)
 
     def linearized(self, record: Record, states: Matrix) -> Linearization:
         """Return the filter's linearization at the parameters."""

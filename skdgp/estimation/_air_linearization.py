@@ -29,6 +29,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_model import (
     AIR,
     ERRORS,
+    N_VARIABLES,
     RATES,
     AirMotionModel,
     Inputs,
@@ -37,15 +38,13 @@ from skdgp.estimation._air_model import (
 from skdgp.estimation._air_parameters import (
     ARM,
     OWN,
-    PATH_ERRORS,
     SHARED,
     STATE_TERMS,
     WINDS,
-    Gusts,
     stacked,
 )
 from skdgp.estimation._air_records import Record, servo_output, servo_slopes
-from skdgp.estimation._kalman import Linearization, Noise
+from skdgp.estimation._kalman import Linearization
 from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE, SensorErrors
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
@@ -103,24 +102,34 @@ class Layout(NamedTuple):
         """Return whether each derivative is by one of the state's terms."""
         return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
 
-    def errors(self, terms: Matrix, response: Matrix, changes: Array) -> Array:
+    def coefficient_slopes(self, terms: Matrix, response: Matrix, changes: Array) -> Array:
         """Return d coefficients / d parameters and instruments (n, 6, p), at given air velocity.
 
         From the terms (n, f), their values ``response`` in the motion that surfaces cause, and
         ``changes`` (n, 6, 2) by lag of the servos and scale of the thrust.
         """
-        errors = np.zeros((len(terms), 6, self.n_slopes))
+        slopes = np.zeros((len(terms), 6, self.n_slopes))
         place = np.arange(self.n_derivatives)
-        errors[:, self.rows, place] = terms[:, self.columns]
-        errors[:, self.rows, len(self.names) + place] = response[:, self.columns]
-        errors[:, :, self.place("servo_lag", "thrust_scale")] = changes
-        return errors
+        slopes[:, self.rows, place] = terms[:, self.columns]
+        slopes[:, self.rows, len(self.names) + place] = response[:, self.columns]
+        slopes[:, :, self.place("servo_lag", "thrust_scale")] = changes
+        return slopes
 
-    def air_slopes(self, attitude: Array, rates: Matrix) -> Array:
-        """Return d air velocity / d parameters (n, 3, p)."""
-        slopes = np.zeros((len(rates), 3, self.n_slopes))
-        slopes[:, :, self.place(*WINDS)] = -attitude
-        slopes[:, :, self.place(*ARM)] = -cross_matrix(rates)
+    def variable_slopes(
+        self,
+        attitude: Array,
+        rates: Matrix,
+        air_by_state: Array,
+        coefficient_slopes: Array | float = 0.0,
+    ) -> Array:
+        """Return d variables of the model / d states, parameters and instruments, (n, 12, N + p)."""
+        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + self.n_slopes))
+        slopes[:, AIR, :N_STATES] = air_by_state
+        slopes[:, RATES, TURN] = np.eye(3)
+        slopes[:, ERRORS, N_STATES:] = coefficient_slopes
+        by_parameters = slopes[..., N_STATES:]
+        by_parameters[:, AIR, self.place(*WINDS)] = -attitude
+        by_parameters[:, AIR, self.place(*ARM)] = -cross_matrix(rates)
         return slopes
 
     def model(self, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
@@ -129,27 +138,6 @@ class Layout(NamedTuple):
         names = self.names[: self.n_derivatives]
         derivatives[self.rows, self.columns] = [value[name] for name in names]
         return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
-
-
-def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
-    """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
-    gusts = Gusts.of(value)
-    path_std = stacked(value, *PATH_ERRORS)
-    path_time = np.full_like(path_std, settings.path_time)
-    drive = stacked(value, "drive_p", "drive_q", "drive_r")
-    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std], axis=-1)
-    time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time], axis=-1)
-    start_rates = np.full_like(drive, settings.start_rate_variance)
-    inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
-    air = stacked(value, "airspeed", "vane", "vane")
-    sensors = np.concatenate([inertial, air], axis=-1)
-    return Noise(
-        rate=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
-        decay=np.concatenate([1 / time, np.zeros_like(drive)], axis=-1),
-        surface=value["surface"] ** 2,
-        sensor=sensors[..., sampled] ** 2,
-        start=np.concatenate([std**2, start_rates], axis=-1),
-    )
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -161,30 +149,14 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
     by_state[:, 2, PATH_Z] = -1.0
     by_state[:, :, TURN] = cross_matrix(stacked(value, *ARM))
     steady = record.velocity - record.attitude @ stacked(value, *WINDS)
-    return steady + (by_state @ states[:, :, None])[..., 0], by_state
-
-
-class _Point(NamedTuple):
-    """Values of a function (n, k) at variables (n, 12) of the model, and its derivatives."""
-
-    values: Matrix
-    slopes: Array  # (n, k, 12)
-    errors: Array  # (n, 6, parameters) d coefficients / d parameters and instruments
-    variables: Matrix
-
-    @property
-    def air(self) -> Matrix:
-        """Air velocity of a step's end."""
-        return self.values[:, AIR]
-
-    @property
-    def rates(self) -> Matrix:
-        """Rates of a step's end."""
-        return self.values[:, RATES]
+    return steady + _product(by_state, states), by_state
 
 
 class _Expansion:
-    """Aircraft, inputs and motion of a record at filtered states (n, N) and parameters by name."""
+    """Model, inputs and motion of a record at filtered states (n, N) and parameters by name.
+
+    ``z`` below stands for the N states of a sample, the parameters and the instruments, together.
+    """
 
     def __init__(
         self,
@@ -194,72 +166,88 @@ class _Expansion:
         value: Mapping[str, Any],
         states: Matrix,
         decay: Vector,
-        settings: AirSettings,
     ) -> None:
         self.record = record
         self.layout = layout
         self.value = value
         self.states = states
-        self.decay = decay
-        self.settings = settings
         self.model = layout.model(aircraft, value)
-        raw = record.inputs
-        surfaces, by_lag = servo_slopes(raw.surfaces, value["servo_lag"], record.median_step)
-        thrust = raw.thrust * (1 + value["thrust_scale"])
-        self.inputs = Inputs(surfaces, thrust, raw.density)
+        logged = record.inputs
+        surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
+        thrust = logged.thrust * (1 + value["thrust_scale"])
+        self.inputs = Inputs(surfaces, thrust, logged.density)
         self.later = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
-        self.changes = self.model.lag_and_thrust_slopes(self.air, raw, by_lag)
-
-    def step(self) -> tuple[_Point, Matrix, Matrix]:
-        """Return the step from the filtered states to the next samples, (n - 1, 6), and responses.
-
-        The response (n, f) has the terms of the coefficients in the motion that surfaces cause. Its
-        mean over each step (n - 1, f) comes last.
-        """
-        record, model, inputs = self.record, self.model, self.inputs
-        variables = _variables(self.air, self.states[:, TURN])[:-1]
-        gravity = STANDARD_GRAVITY * record.attitude[:-1, :, 2]
+        self.changes = self.model.lag_and_thrust_slopes(self.air, logged, by_lag)
+        self.start = _variables(self.air, states[:, TURN])[:-1]
         # gusts and errors of the path decay, and the air velocity with them
-        drift = -(self.air_by_state[:-1] * self.decay @ self.states[:-1, :, None])[..., 0]
+        self.kept = np.exp(-record.step[:, None] * decay)
+        self.drift_by_state = -self.air_by_state[:-1] * decay
+
+    def step(self) -> tuple[Matrix, Array]:
+        """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
+        drift = _product(self.drift_by_state, self.states[:-1])
+        gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
+        steps = self.record.step
         end, slopes = differentiated(
-            lambda s: model.step(s, gravity, drift, inputs, record.step), variables
+            lambda start: self.model.step(start, gravity, drift, self.inputs, steps), self.start
         )
-        surfaces = self._commanded()
-        response = _response(model, variables, slopes, surfaces, record, self.settings)
+        return _variables(end[:, AIR], end[:, RATES]), slopes
+
+    def step_slopes(self, end: Matrix, by_start: Array, response: Matrix) -> Array:
+        """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
         # terms within a step are the mean of the terms at its ends
-        terms = model.terms(variables[:, AIR], variables[:, RATES], inputs.surfaces[:-1])
-        terms_at_end = model.terms(end[:, AIR], end[:, RATES], self.later.surfaces)
-        mean_response = 0.5 * (response[1:] + response[:-1])
-        mean_changes = 0.5 * (self.changes[1:] + self.changes[:-1])
-        errors = self.layout.errors(0.5 * (terms_at_end + terms), mean_response, mean_changes)
-        return _Point(end, slopes, errors, variables), response, mean_response
-
-    def sensors(self, air: Matrix, rates: Matrix, response: Matrix) -> _Point:
-        """Return the readings (n - 1, 9) at the end of each step."""
-        variables = _variables(air, rates)
-        truth, slopes = differentiated(lambda s: self.model.sensors(s, self.later), variables)
-        sensors = SensorErrors.of(self.value)
-        terms = self.model.terms(air, rates, self.later.surfaces)
-        errors = self.layout.errors(terms, response[1:], self.changes[1:])
-        readings = sensors.readings(truth)
-        return _Point(readings, sensors.scale[:, None] * slopes, errors, variables)
-
-    def sensor_slopes(self, point: _Point) -> Array:
-        """Return derivatives (n - 1, 9, parameters and instruments) of readings by parameters of the sensors."""
-        layout = self.layout
-        slopes = np.zeros((*point.values.shape, layout.n_slopes))
-        slopes[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
-        (scale,) = layout.place("airspeed_scale")
-        slopes[:, AIRSPEED, scale] = point.values[:, AIRSPEED] / (1 + self.value["airspeed_scale"])
-        slopes[:, FORCE, layout.place(*ARM)] = self.model.arm_slopes(point.variables, self.later)
+        terms = self.model.terms(self.start, self.inputs.part(slice(-1)).surfaces)
+        end_terms = self.model.terms(end, self.later.surfaces)
+        coefficients = self.layout.coefficient_slopes(
+            0.5 * (terms + end_terms), _means(response), _means(self.changes)
+        )
+        slopes = by_start @ self.layout.variable_slopes(
+            self.record.attitude[:-1], self.start[:, RATES], self.air_by_state[:-1], coefficients
+        )
+        slopes[:, AIR, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
         return slopes
 
-    def predicted(self, rates: Matrix) -> Matrix:
-        """Return the states (n - 1, N) at the end of each step, with its rates."""
-        predicted = self.states[:-1] * np.exp(-self.record.step[:, None] * self.decay)
-        predicted[:, TURN] = rates
-        return predicted
+    def end_slopes(self, end: Matrix, response: Matrix) -> Array:
+        """Return d variables / d z of the same sample, (n - 1, 12, N + p)."""
+        terms = self.model.terms(end, self.later.surfaces)
+        coefficients = self.layout.coefficient_slopes(terms, response[1:], self.changes[1:])
+        attitude = self.record.attitude[1:]
+        return self.layout.variable_slopes(
+            attitude, end[:, RATES], self.air_by_state[1:], coefficients
+        )
+
+    def readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
+        """Return readings (n - 1, m), d readings / d variables, and d readings / d z at given variables."""
+        errors = SensorErrors.of(self.value)
+        truth, slopes = differentiated(lambda s: self.model.sensors(s, self.later), end)
+        values = errors.readings(truth)
+        layout = self.layout
+        direct = np.zeros((*values.shape, N_STATES + layout.n_slopes))
+        by_parameters = direct[..., N_STATES:]
+        by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
+        (scale,) = layout.place("airspeed_scale")
+        by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
+        by_parameters[:, FORCE, layout.place(*ARM)] = self.model.arm_slopes(end, self.later)
+        use = self.record.sampled
+        return values[:, use], errors.scale[use, None] * slopes[:, use], direct[:, use]
+
+    def response(self, by_start: Array, settings: AirSettings) -> Matrix:
+        """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
+
+        It contains no gusts. The motion is damped to a correlation time of
+        ``settings.response_time``, as the motion of an unstable aircraft would grow.
+        """
+        surfaces = self._commanded()
+        delay = settings.response_delay
+        late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
+        A = by_start[:, :, :6]
+        growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
+        A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
+        B = by_start[:, :, ERRORS] @ self.model.by_surfaces
+        motion = _motion(A, _product(B, _means(late - late.mean(axis=0))))
+        motion[:, AIR] += self.start[:, AIR].mean(axis=0)
+        return self.model.terms(motion, late)
 
     def _commanded(self) -> Matrix:
         """Return the surfaces (n, k) without an autopilot's answers to gusts."""
@@ -268,6 +256,14 @@ class _Expansion:
             return self.inputs.surfaces
         late = servo_output(answers, self.value["servo_lag"], self.record.median_step)
         return self.inputs.surfaces - late
+
+    def surface_noise(self, by_start: Array) -> Array:
+        """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step."""
+        jump = np.diff(self.inputs.surfaces, axis=0)
+        push = by_start[:, RATES, ERRORS] @ self.model.by_surfaces * jump[:, None]
+        covariance = np.zeros((len(jump), N_STATES, N_STATES))
+        covariance[:, TURN, TURN] = push @ push.mT
+        return covariance
 
 
 def linearized(
@@ -283,54 +279,63 @@ def linearized(
 
     ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
     """
-    expansion = _Expansion(record, layout, aircraft, value, states, decay, settings)
-    step = record.step[:, None]
-    air_by_state = expansion.air_by_state
-    air_by_parameters = layout.air_slopes(record.attitude, states[:, TURN])
-
-    # the step from filtered states
-    start, response, mean_response = expansion.step()
-    end_by_states = _by_states(start, air_by_state[:-1])
-    end_by_states[:, AIR] -= step[..., None] * air_by_state[:-1] * decay
-    end_by_parameters = _by_parameters(start, air_by_parameters[:-1])
-    transition = np.exp(-step * decay)[:, :, None] * np.eye(N_STATES)
-    transition[:, TURN] = end_by_states[:, RATES]
-    transition_slopes = np.zeros((len(step), N_STATES, layout.n_slopes))
-    transition_slopes[:, TURN] = end_by_parameters[:, RATES]
+    expansion = _Expansion(record, layout, aircraft, value, states, decay)
+    end, by_start = expansion.step()
+    response = expansion.response(by_start, settings)
+    step_slopes = expansion.step_slopes(end, by_start, response)
+    predicted = states[:-1] * expansion.kept
+    predicted[:, TURN] = end[:, RATES]
+    transition = expansion.kept[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
+    transition[:, TURN] = step_slopes[:, RATES]
 
     # sensors at its end, from the past alone
-    past = expansion.sensors(start.air, start.rates, response)
-    past_by_end = past.slopes[:, :, :6]
-    past_by_errors = past.slopes[:, :, ERRORS] @ past.errors
-    past_slopes = past_by_end @ end_by_parameters + past_by_errors + expansion.sensor_slopes(past)
+    past, by_end, past_slopes = expansion.readings(end)
+    end_slopes = expansion.end_slopes(end, response)
+    noise_slopes = by_end @ end_slopes[..., :N_STATES]
+    end_slopes[:, :6] = step_slopes
+    past_slopes += by_end @ end_slopes
 
     # and at the recorded path, with the predicted gusts
-    predicted = expansion.predicted(start.rates)
-    change = (air_by_state[1:] @ (predicted - states[1:])[..., None])[..., 0]
-    sensed = expansion.sensors(expansion.air[1:] + change, start.rates, response)
-    air_by_parameters = layout.air_slopes(record.attitude[1:], start.rates)
-    known_slopes = _by_parameters(sensed, air_by_parameters) + expansion.sensor_slopes(sensed)
+    change = _product(expansion.air_by_state[1:], predicted - states[1:])
+    known_end = _variables(expansion.air[1:] + change, end[:, RATES])
+    known, by_end, known_slopes = expansion.readings(known_end)
+    known_slopes += by_end @ expansion.end_slopes(known_end, response)
 
-    measured = record.measured[1:]
+    measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
-    use = record.sampled
+    transition, transition_slopes = _split(transition)
+    innovation_states, innovation_slopes = _split(past_slopes)
+    residual_states, residual_slopes = _split(known_slopes)
     return Linearization(
         states=states,
         predicted=predicted,
         transition=transition,
         transition_slopes=transition_slopes,
-        innovation=np.where(is_sampled, measured - past.values, 0.0)[:, use],
-        innovation_states=(past_by_end @ end_by_states)[:, use],
-        innovation_noise=_by_states(past, air_by_state[1:])[:, use],
-        innovation_slopes=past_slopes[:, use],
-        residual=np.where(is_sampled, measured - sensed.values, 0.0)[:, use],
-        residual_states=_by_states(sensed, air_by_state[1:])[:, use],
-        residual_slopes=known_slopes[:, use],
+        innovation=np.where(is_sampled, measured - past, 0.0),
+        innovation_states=innovation_states,
+        innovation_noise=noise_slopes,
+        innovation_slopes=innovation_slopes,
+        residual=np.where(is_sampled, measured - known, 0.0),
+        residual_states=residual_states,
+        residual_slopes=residual_slopes,
         step=record.step,
-        surface_noise=_surface_noise(start.slopes, expansion.model, expansion.inputs),
-        weight=np.where(is_sampled, 1.0, NOT_SAMPLED)[:, use],
-        response=mean_response,
+        surface_noise=expansion.surface_noise(by_start),
+        weight=np.where(is_sampled, 1.0, NOT_SAMPLED),
+        response=_means(response),
     )
+
+
+def _split(slopes: Array) -> tuple[Array, Array]:
+    """Return derivatives by the states, and by parameters and instruments."""
+    return slopes[..., :N_STATES].copy(), slopes[..., N_STATES:]
+
+
+def _motion(A: Array, push: Matrix) -> Matrix:
+    """Return x (n, k) of x_{k+1} = A_k x_k + push_k from zero."""
+    x = np.zeros((len(A) + 1, push.shape[1]))
+    for k in range(len(A)):
+        x[k + 1] = A[k] @ x[k] + push[k]
+    return x
 
 
 def _variables(air: Matrix, rates: Matrix) -> Matrix:
@@ -338,55 +343,11 @@ def _variables(air: Matrix, rates: Matrix) -> Matrix:
     return np.concatenate([air, rates, np.zeros((len(air), 6))], axis=1)
 
 
-def _by_states(point: _Point, air_by_state: Array) -> Array:
-    """Return derivatives (n, k, N) by the filter's states, by way of air velocity and rates."""
-    by_states = point.slopes[:, :, AIR] @ air_by_state
-    by_states[:, :, TURN] += point.slopes[:, :, RATES]
-    return by_states
+def _means(values: Array) -> Array:
+    """Return the means of neighbours along the first axis."""
+    return 0.5 * (values[1:] + values[:-1])
 
 
-def _by_parameters(point: _Point, air_by_parameters: Array) -> Array:
-    """Return derivatives (n, k, p) by parameters, by way of air velocity and coefficients."""
-    by_air = point.slopes[:, :, AIR] @ air_by_parameters
-    return by_air + point.slopes[:, :, ERRORS] @ point.errors
-
-
-def _response(
-    model: AirMotionModel,
-    variables: Matrix,
-    slopes: Array,
-    surfaces: Matrix,
-    record: Record,
-    settings: AirSettings,
-) -> Matrix:
-    """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
-
-    It contains no gusts. ``slopes`` (n - 1, 6, 12) are the derivatives of a step from ``variables``.
-    The motion is damped to a correlation time of ``settings.response_time``, as the motion of an
-    unstable aircraft would grow.
-    """
-    n = len(surfaces)
-    delay = settings.response_delay
-    late = np.concatenate([surfaces[:1]] * delay + [surfaces[: n - delay]])
-    change = late - late.mean(axis=0)
-    mean_change = 0.5 * (change[1:] + change[:-1])
-    A = slopes[:, :, :6]
-    B = slopes[:, :, ERRORS] @ model.by_surfaces
-    push = (B @ mean_change[..., None])[..., 0]
-    growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
-    damping = np.exp(-record.median_step / settings.response_time)
-    A = A * damping / max(growth, 1.0)
-    motion = np.zeros((n, 6))
-    for k in range(n - 1):
-        motion[k + 1] = A[k] @ motion[k] + push[k]
-    mean_air = variables[:, AIR].mean(axis=0)
-    return model.terms(mean_air + motion[:, AIR], motion[:, RATES], late)
-
-
-def _surface_noise(slopes: Array, model: AirMotionModel, inputs: Inputs) -> Array:
-    """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step."""
-    jump = np.diff(inputs.surfaces, axis=0)
-    push = slopes[:, RATES, ERRORS] @ model.by_surfaces * jump[:, None]
-    covariance = np.zeros((len(jump), N_STATES, N_STATES))
-    covariance[:, TURN, TURN] = push @ push.mT
-    return covariance
+def _product(matrices: Array, vectors: Matrix) -> Matrix:
+    """Return the product of the matrix (k, m) and the vector (m,) of each sample, (n, k)."""
+    return (matrices @ vectors[..., None])[..., 0]

@@ -22,7 +22,13 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.frames import air_data, cross, cross_matrix
-from skdgp.dynamics import Aircraft, aerodynamic_loads
+from skdgp.dynamics import (
+    Aircraft,
+    aerodynamic_loads,
+    dynamic_pressure,
+    gyroscopic_moment,
+    rk4_step,
+)
 from skdgp.estimation._air_parameters import STATE_TERMS
 
 DIFFERENCE = 1e-6  # of the numerical derivatives; velocities [m/s] move by V times as much
@@ -42,11 +48,15 @@ class Inputs(NamedTuple):
 
     def part(self, rows: slice) -> Inputs:
         """Return the inputs of some samples."""
-        return Inputs(*(values[rows] for values in self))
+        return Inputs(self.surfaces[rows], self.thrust[rows], self.density[rows])
 
     def between(self, fraction: float) -> Inputs:
         """Return the inputs of each step, interpolated between its samples."""
-        return Inputs(*((1 - fraction) * v[:-1] + fraction * v[1:] for v in self))
+
+        def mean(values: Array) -> Array:
+            return (1 - fraction) * values[:-1] + fraction * values[1:]
+
+        return Inputs(mean(self.surfaces), mean(self.thrust), mean(self.density))
 
 
 class AirMotionModel:
@@ -71,26 +81,27 @@ class AirMotionModel:
         """Derivatives of the coefficients by the surfaces, (6, n_surfaces)."""
         return self.derivatives[:, len(STATE_TERMS) :]
 
-    def terms(self, air: Array, rates: Array, surfaces: Array) -> Array:
-        """Return the values (..., k) of the terms of the coefficients."""
-        airspeed, alpha, beta = air_data(air)
+    def terms(self, state: Array, surfaces: Array) -> Array:
+        """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more)."""
+        airspeed, alpha, beta = air_data(state[..., AIR])
         X = np.empty((*alpha.shape, self.derivatives.shape[1]))
         X[..., 0] = 1.0
         X[..., 1] = alpha
         X[..., 2] = alpha**2
         X[..., 3] = beta
-        X[..., 4:7] = rates * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
+        X[..., 4:7] = state[..., RATES] * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
         X[..., 7:] = surfaces
         return X
 
-    def accelerations(self, air: Array, rates: Array, errors: Array, inputs: Inputs) -> Array:
-        """Return specific force and angular acceleration (..., 6); ``errors`` add to the coefficients."""
-        C = self.terms(air, rates, inputs.surfaces) @ self.derivatives.T + errors
-        airspeed = np.sqrt(np.einsum("...i,...i->...", air, air))
-        force, moment = aerodynamic_loads(C, airspeed, inputs.density, self.aircraft)
+    def accelerations(self, state: Array, inputs: Inputs) -> Array:
+        """Return specific force and angular acceleration (..., 6) at variables (..., 12)."""
+        rates = state[..., RATES]
+        terms = self.terms(state, inputs.surfaces)
+        coefficients = terms @ self.derivatives.T + state[..., ERRORS]
+        airspeed = np.linalg.norm(state[..., AIR], axis=-1)
+        force, moment = aerodynamic_loads(coefficients, airspeed, inputs.density, self.aircraft)
         specific_force = (force + inputs.thrust[:, :3]) / self.aircraft.mass
-        gyroscopic = cross(rates, rates @ self.aircraft.inertia)
-        moment = moment + inputs.thrust[:, 3:] - gyroscopic
+        moment = moment + inputs.thrust[:, 3:] - gyroscopic_moment(rates, self.aircraft)
         spin = moment @ self.aircraft.inertia_inverse
         return np.concatenate([specific_force, spin], axis=-1)
 
@@ -98,17 +109,17 @@ class AirMotionModel:
         self, specific_force: Matrix, rates: Matrix, spin: Matrix, air: Matrix, inputs: Inputs
     ) -> Matrix:
         """Return the coefficients (n, 6) at which `accelerations` are ``specific_force`` and ``spin``."""
-        aircraft, thrust = self.aircraft, inputs.thrust
-        force = specific_force * aircraft.mass - thrust[:, :3]
-        gyroscopic = cross(rates, rates @ aircraft.inertia)
-        moment = spin @ aircraft.inertia + gyroscopic - thrust[:, 3:]
-        loads = np.concatenate([force, moment / aircraft.moment_lengths], axis=1)
-        return loads / self.force_unit(air, inputs)
+        aircraft = self.aircraft
+        force = specific_force * aircraft.mass
+        moment = spin @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
+        loads = np.concatenate([force, moment], axis=1) - inputs.thrust
+        return loads / self.load_units(air, inputs)
 
-    def force_unit(self, air: Matrix, inputs: Inputs) -> Matrix:
-        """Return dynamic pressure times wing area (n, 1) [N]."""
-        pressure = 0.5 * inputs.density * np.sum(air**2, axis=1)
-        return (pressure * self.aircraft.wing_area)[:, None]
+    def load_units(self, air: Matrix, inputs: Inputs) -> Matrix:
+        """Return the loads of coefficients of one (n, 6), dynamic pressure times wing area and lengths [N, N m]."""
+        lengths = np.append(np.ones(3), self.aircraft.moment_lengths)
+        pressure = dynamic_pressure(np.linalg.norm(air, axis=1), inputs.density)
+        return pressure[:, None] * self.aircraft.wing_area * lengths
 
     def step(
         self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, step: Vector
@@ -118,40 +129,39 @@ class AirMotionModel:
         The method of Runge & Kutta. ``drift`` (n - 1, 3) is the acceleration of the air seen from
         the aircraft, ``gravity`` (n - 1, 3) that in body axes at the start.
         """
-        errors = start[..., ERRORS]
-        h = step[:, None]
+
+        def change(fraction: float, state: Array) -> Array:
+            """Return the change of variables and gravity (..., n - 1, 15) in a step at its rate of change."""
+            rates = state[..., RATES]
+            down = state[..., N_VARIABLES:]
+            loads = self.accelerations(state[..., :N_VARIABLES], inputs.between(fraction))
+            derivative = np.zeros_like(state)
+            derivative[..., AIR] = loads[..., :3] + down - cross(rates, state[..., AIR]) + drift
+            derivative[..., RATES] = loads[..., 3:]
+            derivative[..., N_VARIABLES:] = -cross(rates, down)
+            return step[:, None] * derivative
+
         gravity = np.broadcast_to(gravity, (*start.shape[:-1], 3))
-        state = np.concatenate([start[..., AIR], start[..., RATES], gravity], axis=-1)
-        total = np.zeros_like(state)
-        slope = np.zeros_like(state)
-        for fraction, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-            now = state + fraction * h * slope
-            air, rates, down = now[..., AIR], now[..., RATES], now[..., 6:]
-            loads = self.accelerations(air, rates, errors, inputs.between(fraction))
-            air_rate = loads[..., :3] + down - cross(rates, air) + drift
-            slope = np.concatenate([air_rate, loads[..., 3:], -cross(rates, down)], axis=-1)
-            total += weight * slope
-        return (state + h / 6 * total)[..., :6]
+        state = np.concatenate([start, gravity], axis=-1)
+        return rk4_step(change, 0.0, state, 1.0)[..., :6]
 
     def sensors(self, state: Array, inputs: Inputs) -> Array:
-        """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at states (..., n, 12)."""
-        air, rates = state[..., AIR], state[..., RATES]
-        loads = self.accelerations(air, rates, state[..., ERRORS], inputs)
+        """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at variables (..., n, 12)."""
+        rates = state[..., RATES]
+        loads = self.accelerations(state, inputs)
         turning = cross(loads[..., 3:], self.arm) + cross(rates, cross(rates, self.arm))
-        force = loads[..., :3] + turning
-        return np.concatenate([force, rates, np.stack(air_data(air), axis=-1)], axis=-1)
+        air = np.stack(air_data(state[..., AIR]), axis=-1)
+        return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
 
     def arm_slopes(self, state: Matrix, inputs: Inputs) -> Array:
         """Return d specific force / d arm (n, 3, 3)."""
-        rates = state[:, RATES]
-        loads = self.accelerations(state[:, AIR], rates, state[:, ERRORS], inputs)
-        turn = cross_matrix(rates)
-        return cross_matrix(loads[:, 3:]) + turn @ turn
+        turn = cross_matrix(state[:, RATES])
+        spin = self.accelerations(state, inputs)[:, 3:]
+        return cross_matrix(spin) + turn @ turn
 
     def lag_and_thrust_slopes(self, air: Matrix, inputs: Inputs, by_lag: Matrix) -> Array:
         """Return d coefficients / d (lag, thrust_scale), (n, 6, 2), by slopes of the surfaces ``by_lag`` (n, k)."""
-        lengths = np.append(np.ones(3), self.aircraft.moment_lengths)
-        by_thrust = inputs.thrust / lengths / self.force_unit(air, inputs)
+        by_thrust = inputs.thrust / self.load_units(air, inputs)
         return np.stack([by_lag @ self.by_surfaces.T, by_thrust], axis=-1)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import eigen_root
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import (
     ELEVONS,
     EULER,
@@ -30,33 +30,29 @@ from skdgp._flight.tables import FlightTable, has_values
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.estimation._air_covariance import (
-    add_model_error,
-    add_scale_error,
-    correlated_scatter,
+    error_fractions,
+    estimate_covariance,
     inflate_for_misfit,
-    misfit_of,
+    misfit_of_sensors,
     mix_with_prior,
-    sandwich,
-    widen,
+    with_model_errors,
     without_estimate,
 )
-from skdgp.estimation._air_fit import AirFit, FittedRecord, Sums
-from skdgp.estimation._air_linearization import BIASES, Layout
+from skdgp.estimation._air_fit import AirFit
+from skdgp.estimation._air_linearization import Layout
 from skdgp.estimation._air_parameters import (
     GUST_AXES,
     OWN,
     OWN_NOISES,
-    SENSOR_CONSTANTS,
     SHARED,
     SHARED_NOISES,
-    STATE_TERMS,
     TERMS,
     Gusts,
     Parameters,
     coefficient_of,
     derivatives_of,
 )
-from skdgp.estimation._air_records import TINY, Record, quietest_noise, records_of, shortened
+from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import FORCE, PATH_CHANNELS, RATE, Prior
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
@@ -157,18 +153,18 @@ class AirMotion:
         last axis times independent standard normal numbers.
         """
         alpha = float(np.nanmean(self.air["alpha"]))
-        names = list(self.derivatives.index)
-        value = self.derivatives["value"].to_numpy()
-        columns = np.column_stack([value, eigen_root(self.covariance.to_numpy())])
+        errors = eigen_root(self.covariance.to_numpy())
+        columns = np.column_stack([self.derivatives["value"], errors])
+        table = pd.DataFrame(columns, index=self.derivatives.index)
         out = np.full((len(coefficients), len(regressors), columns.shape[1]), np.nan)
-        for i, coefficient in enumerate(coefficients):
-            for j, regressor in enumerate(map(str, regressors)):
-                name = f"{coefficient}_{regressor.removesuffix(HAT)}"
-                if name in names and regressor not in RATES:
-                    out[i, j] = columns[names.index(name)]
-                curvature = f"{coefficient}_alpha2"
-                if regressor == "alpha" and curvature in names:
-                    out[i, j] += 2 * alpha * columns[names.index(curvature)]
+        for j, regressor in enumerate(map(str, regressors)):
+            if regressor in RATES:  # of derivatives by non-dimensional ones
+                continue
+            term = regressor.removesuffix(HAT)
+            out[:, j] = table.reindex([f"{name}_{term}" for name in coefficients])
+            if regressor == "alpha":
+                curvature = table.reindex([f"{name}_alpha2" for name in coefficients])
+                out[:, j] += 2 * alpha * curvature.fillna(0.0)
         return out[..., 0], np.nan_to_num(out[..., 1:])
 
     def gust_change(self, flight: int) -> float:
@@ -250,22 +246,14 @@ def estimate_air_motion(
     table = _with_elevator_and_aileron(table)
     if known is None:
         surfaces = [name for name in SURFACES if _moves(table, name)]
-        fewest = settings.fewest_samples
         derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
     else:
-        surfaces, fewest = known.surfaces, 2
+        surfaces = known.surfaces
         derivatives = _as_prior(known.derivatives)
-    has_thrust = thrust is not None and _has_thrust(table, aircraft) and _has_drag(derivatives)
-    loads = propulsive_loads(table, aircraft, thrust if has_thrust else None)
-    records = records_of(table, surfaces, np.concatenate(loads, axis=1), fewest, settings)
-    if not records:
-        raise ValueError(
-            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
-        )
-    if known is None:
-        records = shortened(records, settings)
-    if not has_thrust:
-        records = [record.with_axial_force(aircraft.mass) for record in records]
+    if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
+        thrust = None
+    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
+    if thrust is None:
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
     layout = Layout.of(list(derivatives), surfaces)
     n_flights = 1 + max(record.flight for record in records)
@@ -279,6 +267,29 @@ def estimate_air_motion(
     raise ValueError(DIVERGED)
 
 
+def _records(
+    table: pd.DataFrame,
+    surfaces: list[str],
+    aircraft: Aircraft,
+    thrust: str | None,
+    is_known: bool,
+    settings: AirSettings,
+) -> list[Record]:
+    """Return the records of the flights; without thrust with the measured axial force in its place."""
+    fewest = 2 if is_known else settings.fewest_samples
+    loads = np.hstack(propulsive_loads(table, aircraft, thrust))
+    records = records_of(table, surfaces, loads, fewest, settings)
+    if not records:
+        raise ValueError(
+            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
+        )
+    if not is_known:
+        records = shortened(records, settings)
+    if thrust is None:
+        records = [record.with_axial_force(aircraft.mass) for record in records]
+    return records
+
+
 def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
     """Return the table with elevator and aileron of its elevons, where it has no others."""
     if not {*ELEVONS} <= {*table} or {*MIXED} & {*table}:
@@ -289,9 +300,7 @@ def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
 
 def _moves(table: pd.DataFrame, surface: str) -> bool:
     """Return whether the table has a surface that moves."""
-    if not has_values(table, surface):
-        return False
-    return np.nanmax(table[surface]) > np.nanmin(table[surface])
+    return has_values(table, surface) and bool(table[surface].max() > table[surface].min())
 
 
 def _has_drag(derivatives: Iterable[str]) -> bool:
@@ -308,7 +317,8 @@ def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
 
 def _as_prior(estimates: pd.DataFrame) -> Prior:
     """Return value and standard deviation of estimates by name."""
-    return {str(name): (row["value"], row["std"]) for name, row in estimates.iterrows()}
+    pairs = zip(estimates["value"], estimates["std"], strict=True)
+    return dict(zip(estimates.index, pairs, strict=True))
 
 
 def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
@@ -330,32 +340,31 @@ def _noises(
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
+    accelerometer = quietest_noise(records, FORCE, settings.least_noise)
+    gyro = quietest_noise(records, RATE, settings.least_noise)
+    medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
     shared = dict(SHARED_NOISES)
-    for names, columns in ((("ax", "ay", "az"), FORCE), (("gyro",), RATE)):
-        median = quietest_noise(records, columns, settings.least_noise)
-        for name in names:
-            shared[name] = (median, SHARED_NOISES[name][1])
+    for name, median in medians.items():
+        shared[name] = (median, SHARED_NOISES[name][1])
     return Parameters.of(shared, OWN_NOISES, n_flights)
 
 
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
     sums, fitted = fit.run()
-    learned = converged and not fit.is_known
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    misfit = _misfit(fit) if learned else 1.0
+    misfit = 1.0
     covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
     if converged:
-        covariance = _covariance(sums)
-    if learned:
+        covariance = estimate_covariance(fit, sums, fitted)
+    if converged and not fit.is_known:
+        misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
-        covariance = _with_model_errors(covariance, fit)
+        covariance = with_model_errors(covariance, fit)
     air = smoothed_air(fit, fitted, covariance, n_rows)
-    if learned:
-        fraction = np.zeros(len(prior_std))
-        fraction[:nd] = _error_fractions(fit, fitted)
-        covariance = mix_with_prior(covariance, prior_std, fraction)
+    if converged and not fit.is_known:
+        covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
     names = fit.parameters.names
     std = np.sqrt(np.diag(covariance))
     if not fit.is_known:
@@ -364,7 +373,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     estimates = pd.DataFrame(columns, index=names)
     return AirMotion(
         derivatives=estimates[:nd],
-        covariance=pd.DataFrame(covariance[:nd, :nd], index=names[:nd], columns=names[:nd]),
+        covariance=pd.DataFrame(covariance, index=names, columns=names).iloc[:nd, :nd],
         constants=estimates[nd:],
         noise=fit.noise_search.values,
         air=air,
@@ -373,59 +382,3 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
     )
-
-
-def _covariance(sums: Sums) -> Matrix:
-    """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
-    covariance = sandwich(sums.information, sums.scatter)
-    by_blocks = sandwich(sums.information, correlated_scatter(np.concatenate(sums.blocks)))
-    return widen(covariance, by_blocks)
-
-
-def _misfit(fit: AirFit) -> float:
-    """Return the misfit of the sensors' constants."""
-    is_of_sensor = [name.split()[0] in SENSOR_CONSTANTS for name in fit.parameters.names]
-    offset = fit.x - fit.parameters.mean
-    return misfit_of(offset[is_of_sensor], fit.parameters.std[is_of_sensor])
-
-
-def _with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
-    """Return the covariance with errors of a linear model, and of the scale of angles without a vane."""
-    settings = fit.settings
-    derivatives = fit.x[: fit.layout.n_derivatives]
-    covariance = add_model_error(covariance, derivatives, settings.model_error)
-    for vane in VANES:
-        place = BIASES[f"{vane}_bias"]
-        if not any(record.sampled[place] for record in fit.records):
-            slopes = fit.layout.is_by(vane) * derivatives
-            covariance = add_scale_error(covariance, slopes, settings.angle_error)
-    return covariance
-
-
-def _error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
-    """Return the fraction (p,) of errors of path and sensors in the variance of each derivative's term.
-
-    One where surfaces do not move the term: an error then looks like motion.
-    """
-    motion = []
-    for item in fitted:
-        # in the motion without the answers to gusts that the last innovations show
-        response = fit.linearized(item.record, item.linear.states).response
-        motion.append(response - response.mean(axis=0))
-    variance = np.concatenate(motion).var(axis=0)
-    velocity = np.concatenate([item.record.velocity for item in fitted])
-    speed = np.linalg.norm(velocity, axis=1).mean()
-    error = _term_errors(fit, speed, len(variance))
-    fraction = error**2 / np.maximum(error**2 + variance, TINY)
-    fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
-    return fraction[fit.layout.columns]
-
-
-def _term_errors(fit: AirFit, speed: float, n_terms: int) -> Vector:
-    """Return the errors of the terms (n_terms,) of the coefficients by path, rates and surfaces."""
-    settings = fit.settings
-    angle = settings.velocity_error / speed
-    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
-    error = np.full(n_terms, settings.surface_error)
-    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
-    return error

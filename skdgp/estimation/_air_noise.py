@@ -12,11 +12,13 @@ With innovations :math:`e_k` of covariance :math:`S_k = L_k L_k^T`, :math:`u = L
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.estimation._air_linearization import air_noise
-from skdgp.estimation._air_parameters import Parameters
+from skdgp._compute.typing import Array, Mask, Matrix, Vector
+from skdgp.estimation._air_parameters import PATH_ERRORS, Gusts, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Innovations, Linearization, Noise, innovations
 from skdgp.estimation._settings import AirSettings
@@ -26,25 +28,21 @@ class NoiseSearch:
     """Logarithms of the noises ``psi`` (p,), and their steps."""
 
     def __init__(self, noises: Parameters, settings: AirSettings) -> None:
-        self.noises = noises
+        self.prior = noises._replace(mean=np.log(noises.mean))
         self.settings = settings
-        self.prior_mean = np.log(noises.mean)
-        self.psi = self.prior_mean.copy()
+        self.psi = self.prior.mean.copy()
         self.last = np.zeros(len(self.psi))
         self.limits = np.full(len(self.psi), settings.largest_noise_step)
 
     @property
     def values(self) -> dict[str, float]:
         """Noises by name."""
-        return dict(zip(self.noises.names, np.exp(self.psi).tolist(), strict=True))
+        return dict(zip(self.prior.names, np.exp(self.psi).tolist(), strict=True))
 
-    def noise(self, record: Record) -> Noise:
-        """Return the noises of a record, one set."""
-        return self._sets(self.psi[None], record)
-
-    def _sets(self, psi: Matrix, record: Record) -> Noise:
-        """Return the noises of a record at logarithms (s, p)."""
-        value = self.noises.values(np.exp(psi), record.flight)
+    def noise(self, record: Record, psi: Matrix | None = None) -> Noise:
+        """Return the noises of a record, one set, or at other logarithms (s, p)."""
+        psi = self.psi[None] if psi is None else psi
+        value = self.prior.values(np.exp(psi), record.flight)
         return air_noise(value, record.sampled, self.settings)
 
     def step(self, records: list[Record], linears: list[Linearization]) -> float:
@@ -52,29 +50,24 @@ class NoiseSearch:
 
         ``linears`` are parts of the records' linearizations, which represent the full records.
         """
-        precision = self.noises.std**-2.0
-        information = np.diag(precision)
-        score = (self.psi - self.prior_mean) * precision
+        sums = Sums(self.psi, self.prior)
         difference = self.settings.noise_difference
         for record, linear in zip(records, linears, strict=True):
-            places = self.noises.free_places(record.flight)
-            sets = np.tile(self.psi, (len(places) + 1, 1))
-            sets[np.arange(1, len(places) + 1), places] += difference
-            run = innovations(linear, self._sets(sets, record))
+            places = self.prior.free_places(record.flight)
+            moves = np.zeros((len(places) + 1, len(self.psi)))
+            moves[1:, places] = difference * np.eye(len(places))
+            run = innovations(linear, self.noise(record, self.psi + moves))
             gradient, fisher = _likelihood_slopes(run, difference)
             weight = len(record.step) / len(linear.step)
-            score[places] += weight * gradient
-            information[np.ix_(places, places)] += weight * fisher
-        free = self.noises.free
-        information, score = information[free, free], score[free]
-        damped = information + self.settings.noise_damping * np.diag(np.diag(information))
-        step = self._limited(np.asarray(-np.linalg.solve(damped, score), dtype=float))
-        self.psi[free] += step
-        return float(step @ information @ step)
+            sums.add(places, weight * gradient, weight * fisher)
+        information, score = sums.damped(self.settings.noise_damping)
+        step = self._limited(np.asarray(-np.linalg.solve(information, score), dtype=float))
+        self.psi[sums.free] += step
+        return sums.squared_length(step)
 
     def _limited(self, step: Vector) -> Vector:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
-        free = self.noises.free
+        free = slice(self.prior.n_held, None)
         turns_back = step * self.last[free] < 0
         limits = self.limits[free] * np.where(turns_back, 0.5, 1.3)
         limits = np.minimum(limits, self.settings.largest_noise_step)
@@ -82,6 +75,27 @@ class NoiseSearch:
         self.limits[free] = limits
         self.last[free] = step
         return step
+
+
+def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
+    """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
+    gusts = Gusts.of(value)
+    path_std = stacked(value, *PATH_ERRORS)
+    path_time = np.full_like(path_std, settings.path_time)
+    drive = stacked(value, "drive_p", "drive_q", "drive_r")
+    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std], axis=-1)
+    time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time], axis=-1)
+    start_rates = np.full_like(drive, settings.start_rate_variance)
+    inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
+    air = stacked(value, "airspeed", "vane", "vane")
+    sensors = np.concatenate([inertial, air], axis=-1)
+    return Noise(
+        rate=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
+        decay=np.concatenate([1 / time, np.zeros_like(drive)], axis=-1),
+        surface=value["surface"] ** 2,
+        sensor=sensors[..., sampled] ** 2,
+        start=np.concatenate([std**2, start_rates], axis=-1),
+    )
 
 
 def _likelihood_slopes(run: Innovations, difference: float) -> tuple[Vector, Matrix]:

@@ -112,10 +112,34 @@ class Parameters(NamedTuple):
         places = self.places[flight]
         return places[places >= self.n_held]
 
-    @property
-    def free(self) -> slice:
-        """Places of all parameters that are estimated."""
-        return slice(self.n_held, None)
+
+class Sums:
+    """Score and information of parameters x, and the covariance of the score: of the prior, and of what is added."""
+
+    def __init__(self, x: Vector, prior: Parameters) -> None:
+        precision = prior.std**-2.0
+        self.free = slice(prior.n_held, None)
+        self.score = (x - prior.mean) * precision
+        self.information = np.diag(precision)
+        self.scatter = np.diag(precision)
+
+    def add(
+        self, places: Indices, score: Vector, information: Matrix, scatter: Matrix | None = None
+    ) -> None:
+        """Add sums over samples for the parameters at some places; the scatter is the information unless given."""
+        block = np.ix_(places, places)
+        self.score[places] += score
+        self.information[block] += information
+        self.scatter[block] += information if scatter is None else scatter
+
+    def damped(self, damping: float) -> tuple[Matrix, Vector]:
+        """Return information and score of the estimated parameters, with a larger diagonal (Levenberg 1944)."""
+        information = self.information[self.free, self.free]
+        return information + damping * np.diag(np.diag(information)), self.score[self.free]
+
+    def squared_length(self, step: Vector) -> float:
+        """Return the squared length of a step of the estimated parameters, in standard deviations."""
+        return float(step @ self.information[self.free, self.free] @ step)
 
 
 class Gusts(NamedTuple):

@@ -20,15 +20,15 @@ from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
 from skdgp.estimation._path import estimate_path
 from skdgp.estimation._sensors import (
-    DIFFERENCE_GAIN,
-    DIFFERENCES,
     GUSTS,
     INERTIAL_BIASES,
     LAGS,
     PATH_NOISE,
     RATE,
     FlightSensors,
+    NamedFlight,
     flights_of,
+    third_differences,
 )
 from skdgp.estimation._settings import AirSettings
 
@@ -134,37 +134,40 @@ def records_of(
     table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: int, settings: AirSettings
 ) -> list[Record]:
     """Return the records of a table with propulsive ``loads`` (n, 6) that have ``fewest`` samples or more."""
-    deflections = numeric(table, surfaces)
-    density = numeric(table, ["density"])
-    logged = np.concatenate([deflections, loads, density], axis=1)
+    logged = np.hstack([numeric(table, surfaces), loads, numeric(table, ["density"])])
     vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
     for number, flight in enumerate(flights_of(table)):
-        sensors = flight.sensors.without_air_data()
-        # of the sensors without air data
-        learn = PATH_NOISE.keys() - {*AIR_DATA}
-        free = [*INERTIAL_BIASES, *LAGS]
-        path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
-        measured = np.column_stack([*path.inertial(sensors), vanes[flight.rows]])
-        values = interpolate_missing(sensors.time, logged[flight.rows])
-        k = len(surfaces)
-        attitude = path.attitude.as_matrix().mT
-        full_record = Record(
-            flight=number,
-            rows=flight.rows,
-            time=sensors.time,
-            velocity=(attitude @ path.velocity[..., None])[..., 0],
-            attitude=attitude,
-            measured=measured,
-            inputs=Inputs(values[:, :k], values[:, k:-1], values[:, -1]),
-        )
-        for rows in sensors.segments():
-            if len(rows) < 2:
+        rows = flight.rows
+        record = _whole_flight(number, flight, logged[rows], vanes[rows], len(surfaces))
+        for segment in flight.sensors.segments():
+            if len(segment) < fewest:
                 continue
-            record = full_record.part(_thinned(sensors.time, rows, settings.sample_rate))
-            if len(record.rows) >= fewest:
-                records.append(record)
+            part = record.part(_thinned(record.time, segment, settings.sample_rate))
+            if len(part.rows) >= fewest:
+                records.append(part)
     return records
+
+
+def _whole_flight(
+    number: int, flight: NamedFlight, logged: Matrix, vanes: Matrix, n_surfaces: int
+) -> Record:
+    """Return a flight with its gaps as one record, by its path without air data."""
+    sensors = flight.sensors.without_air_data()
+    learn = PATH_NOISE.keys() - {*AIR_DATA}
+    free = [*INERTIAL_BIASES, *LAGS]
+    path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
+    to_body = path.attitude.inv()
+    inputs = interpolate_missing(sensors.time, logged)
+    return Record(
+        flight=number,
+        rows=flight.rows,
+        time=sensors.time,
+        velocity=to_body.apply(path.velocity),
+        attitude=to_body.as_matrix(),
+        measured=np.column_stack([*path.inertial(sensors), vanes]),
+        inputs=Inputs(inputs[:, :n_surfaces], inputs[:, n_surfaces:-1], inputs[:, -1]),
+    )
 
 
 def _thinned(time: Vector, rows: Indices, sample_rate: float) -> slice:
@@ -189,9 +192,9 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
 
     Gusts shake one axis more than another; all have the same sensor.
     """
-    differences = [np.diff(record.measured[:, sensors], DIFFERENCES, axis=0) for record in records]
-    squares = np.mean(np.concatenate(differences) ** 2, axis=0)
-    return float(max(np.sqrt(np.nanmin(squares) / DIFFERENCE_GAIN), least))
+    noises = [third_differences(record.measured[:, sensors]) for record in records]
+    variances = np.mean(np.concatenate(noises) ** 2, axis=0)
+    return float(max(np.sqrt(np.nanmin(variances)), least))
 
 
 def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:

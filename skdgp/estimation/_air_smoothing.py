@@ -12,16 +12,18 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Matrix
-from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
-from skdgp._flight.frames import air_data, air_data_slopes, cross_matrix
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, SPECIFIC_FORCE, WIND
+from skdgp._flight.channels import RATES as RATE_CHANNELS
+from skdgp._flight.frames import air_data, air_data_slopes
 from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import FAST, N_STATES, SLOW, TURN, air_velocity
-from skdgp.estimation._air_parameters import ARM, WINDS, stacked
+from skdgp.estimation._air_linearization import FAST, N_STATES, SLOW, TURN, Layout, air_velocity
+from skdgp.estimation._air_model import AIR, RATES
+from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import smoothed, state_slopes
 from skdgp.estimation._sensors import FORCE
 
-ESTIMATED = (*AIR_DATA, *RATES, *WIND)
+ESTIMATED = (*AIR_DATA, *RATE_CHANNELS, *WIND)
 """Smoothed columns, each with its standard deviation."""
 OF_AIR_DATA = slice(0, 3)
 OF_RATES = slice(3, 6)
@@ -44,36 +46,37 @@ def smoothed_air(
 
 def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Matrix, Matrix]:
     """Return air data, rates and wind (n, 9), and their standard deviations."""
-    record, linear, run = item
-    states, P = smoothed(linear, run)
+    record = item.record
+    states, P = smoothed(item.linear, item.run)
     value = fit.parameters.values(fit.x, record.flight)
-    velocity, by_state = air_velocity(record, value, states)
+    air, air_by_state = air_velocity(record, value, states)
     wind = states[:, SLOW] + states[:, FAST] + stacked(value, *WINDS)
-    estimates = np.column_stack([*air_data(velocity), states[:, TURN], wind])
-    by_air = air_data_slopes(velocity)
-    G = np.zeros((len(states), len(ESTIMATED), N_STATES))
-    G[:, OF_AIR_DATA] = by_air @ by_state
-    G[:, OF_RATES, TURN] = np.eye(3)
-    G[:, OF_WIND, SLOW] = np.eye(3)
-    G[:, OF_WIND, FAST] = np.eye(3)
-    variance = np.einsum("nij,njk,nik->ni", G, P, G)
+    estimates = np.column_stack([*air_data(air), states[:, TURN], wind])
+    slopes = _slopes(fit.layout, record, air, air_by_state)
+    G = slopes[..., :N_STATES]
     places = fit.parameters.places[record.flight]
-    s = _parameter_slopes(fit, item, G, by_air)[:, :, : len(places)]
+    s = slopes[..., N_STATES:] + G @ state_slopes(item.linear, item.run)
     C = covariance[np.ix_(places, places)]
-    variance += np.einsum("nij,jk,nik->ni", s, C, s)
+    variance = _variances(G, P) + _variances(s[..., : len(places)], C)
     return estimates, np.sqrt(variance)
 
 
-def _parameter_slopes(fit: AirFit, item: FittedRecord, G: Array, by_air: Array) -> Array:
-    """Return d (air data, rates, wind) / d parameters (n, 9, p), as of the filtered states."""
-    record, linear, run = item
-    wind = fit.layout.place(*WINDS)
-    arm = fit.layout.place(*ARM)
-    slopes = G @ state_slopes(linear, run)
-    slopes[:, OF_AIR_DATA, wind] -= by_air @ record.attitude
-    slopes[:, OF_AIR_DATA, arm] -= by_air @ cross_matrix(record.rates)
-    slopes[:, OF_WIND, wind] += np.eye(3)
+def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
+    """Return derivatives (n, 9, N + p) by the states, and by the parameters at given states."""
+    variables = layout.variable_slopes(record.attitude, record.rates, air_by_state)
+    slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
+    slopes[:, OF_AIR_DATA] = air_data_slopes(air) @ variables[:, AIR]
+    slopes[:, OF_RATES] = variables[:, RATES]
+    slopes[:, OF_WIND, SLOW] = np.eye(3)
+    slopes[:, OF_WIND, FAST] = np.eye(3)
+    by_parameters = slopes[..., N_STATES:]
+    by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
     return slopes
+
+
+def _variances(slopes: Array, covariance: Array) -> Matrix:
+    """Return the diagonals of G P G^T, (n, k)."""
+    return np.sum((slopes @ covariance) * slopes, axis=-1)
 
 
 def _path(record: Record, mass: float) -> Matrix:

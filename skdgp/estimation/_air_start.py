@@ -23,8 +23,6 @@ from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, FORCE, WIND_STD
 from skdgp.estimation._settings import AirSettings
 
-RATE_WINDOW = 0.05  # s, half of the moving mean of the rates before they are differentiated
-
 
 class SteadyWind(NamedTuple):
     """Scale of the pitot and steady wind of a flight."""
@@ -51,71 +49,72 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
     ``settings.gust_window`` times the number of samples in a mean.
     """
     _, scale_std = SHARED["airspeed_scale"]
-    std = np.array([scale_std, WIND_STD, WIND_STD])
-    prior = np.diag(settings.pitot_noise / std)
+    prior = np.diag(settings.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
     pitot = np.zeros(3)
     for _ in range(5):
-        slopes, errors = [prior], [prior @ pitot]
+        slopes = [prior]
+        residuals = [prior @ pitot]
         for record in records:
             by_pitot, error = airspeed_error(record, pitot)
             slopes.append(by_pitot)
-            errors.append(error)
-        residual = np.concatenate(errors)
+            residuals.append(error)
+        residual = np.concatenate(residuals)
         pitot = pitot - np.linalg.lstsq(np.vstack(slopes), residual, rcond=None)[0]
-    error = residual[len(prior) :]
+    return SteadyWind(pitot, _sample_variance(residual[len(prior) :], records, settings))
+
+
+def _sample_variance(error: Vector, records: list[Record], settings: AirSettings) -> float:
+    """Return the variance of a sample of the airspeed, by the errors of all."""
     least = settings.least_pitot_std**2
     if not len(error):
-        return SteadyWind(pitot, least)
+        return least
     seconds = sum(record.seconds for record in records)
     width = max(1, int(len(error) * min(settings.gust_window / seconds, 0.25)))
     means = uniform_filter1d(error, width, mode="nearest")
-    variance = max(width * float(means.var()), float(error.var()), least)
-    return SteadyWind(pitot, variance)
+    return max(width * float(means.var()), float(error.var()), least)
 
 
 class SteadyRegression:
     """Coefficients of records by inverse dynamics in steady wind, and their regressors."""
 
-    def __init__(self, aircraft: Aircraft, layout: Layout, parameters: Parameters) -> None:
+    def __init__(
+        self, aircraft: Aircraft, layout: Layout, parameters: Parameters, settings: AirSettings
+    ) -> None:
         self.aircraft = aircraft
         self.layout = layout
         self.parameters = parameters
+        self.settings = settings
 
     def __call__(self, record: Record, x: Vector) -> tuple[Matrix, Matrix]:
         """Return terms (n, f) and coefficients (n, 6) at parameters x."""
         value = self.parameters.values(x, record.flight)
         air, _ = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
-        width = 2 * round(RATE_WINDOW / record.median_step) + 1
+        width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
-        elapsed = np.append(0.0, np.cumsum(record.step))
-        spin = np.gradient(smooth, elapsed, axis=0)
+        spin = np.gradient(smooth, record.time, axis=0)
         model = self.layout.model(self.aircraft, value)
         force = record.measured[:, FORCE]
         coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
-        return model.terms(air, record.rates, record.inputs.surfaces), coefficients
+        state = np.concatenate([air, record.rates], axis=1)
+        return model.terms(state, record.inputs.surfaces), coefficients
 
     def derivatives(self, records: list[Record], x: Vector) -> Vector:
         """Return parameters with derivatives by least squares, but slopes by alpha and beta as in x.
 
         In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
         """
-        terms, coefficients = [], []
-        for record in records:
-            X, C = self(record, x)
-            terms.append(X)
-            coefficients.append(C)
-        X, C = np.concatenate(terms), np.concatenate(coefficients)
+        equations = [self(record, x) for record in records]
+        X, C = map(np.concatenate, zip(*equations, strict=True))
+        X = X[:, self.layout.columns]  # of each derivative
         x = x.copy()
-        columns = self.layout.columns
         by_air = self.layout.is_by("alpha", "beta")
         for row in range(6):
             of_row = self.layout.rows == row
             held = np.flatnonzero(of_row & by_air)
             free = np.flatnonzero(of_row & ~by_air)
-            if not len(free):
-                continue
-            residual = C[:, row] - X[:, columns[held]] @ x[held]
-            x[free] = np.linalg.lstsq(X[:, columns[free]], residual, rcond=None)[0]
+            if len(free):
+                residual = C[:, row] - X[:, held] @ x[held]
+                x[free] = np.linalg.lstsq(X[:, free], residual, rcond=None)[0]
         return x
 
 
@@ -128,9 +127,7 @@ class LinearEquation(NamedTuple):
     variance: float
 
 
-def mean_lift(
-    record: Record, x: Vector, regression: SteadyRegression, settings: AirSettings
-) -> LinearEquation:
+def mean_lift(record: Record, x: Vector, regression: SteadyRegression) -> LinearEquation:
     """Return the equation of the mean lift: as in steady wind, except for a mean vertical gust.
 
     Alpha is observed by forces alone, so its mean and CZ_0 could not be separated otherwise.
@@ -140,6 +137,7 @@ def mean_lift(
     slopes = X.mean(axis=0)[regression.layout.columns[places]]
     residual = slopes @ x[places] - C[:, 2].mean()
     speed = np.linalg.norm(record.velocity, axis=1).mean()
+    settings = regression.settings
     std = settings.lift_slope * settings.mean_gust / speed
     return LinearEquation(places, slopes[None], np.array([residual]), std**2)
 

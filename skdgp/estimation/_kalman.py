@@ -50,15 +50,16 @@ class Linearization(NamedTuple):
     weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
     response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
 
-    def middle(self, n_samples: int) -> Linearization:
-        """Return the linearization of at most ``n_samples`` steps in the middle."""
-        n = len(self.step)
-        first = max(n - n_samples, 0) // 2
-        parts = []
-        for values in self:
-            extra = len(values) - n  # there is a state more than steps
-            parts.append(values[first : first + n_samples + extra])
-        return Linearization(*parts)
+    def part(self, first: int, last: int) -> Linearization:
+        """Return the steps ``first`` to ``last`` - 1, with the state after them."""
+        states, *arrays = self
+        parts = [values[first:last] for values in arrays]
+        return Linearization(states[first : last + 1], *parts)
+
+    def middle(self, n_steps: int) -> Linearization:
+        """Return the linearization of at most ``n_steps`` steps in the middle."""
+        first = max(len(self.step) - n_steps, 0) // 2
+        return self.part(first, first + n_steps)
 
 
 class Noise(NamedTuple):
@@ -124,100 +125,98 @@ class _Chunk(NamedTuple):
 
 def filtered(linear: Linearization, noise: Noise) -> Pass:
     """Return the filter's pass at one set of noises."""
-    chunks = list(_chunks(linear, noise))
-    e, S, x, P, P_predicted, gain = (
-        np.concatenate(parts)[:, 0] for parts in zip(*chunks, strict=True)
-    )
+    chunks = zip(*_chunks(linear, noise), strict=True)
+    run = _Chunk(*(np.concatenate(parts)[:, 0] for parts in chunks))
     states = linear.states.copy()
-    states[1:] += x[..., 0]
-    start = np.diag(noise.start[0])
-    P = np.concatenate([start[None], P])
-    return Pass(Innovations(e, S), states, P, P_predicted, gain)
+    states[1:] += run.x[..., 0]
+    return Pass(
+        innovations=Innovations(run.innovation, run.innovation_covariance),
+        states=states,
+        covariance=np.concatenate([[np.diag(noise.start[0])], run.P]),
+        predicted_covariance=run.P_predicted,
+        gain=run.gain,
+    )
 
 
 def innovations(linear: Linearization, noise: Noise) -> Innovations:
     """Return the innovations at all sets of noises."""
-    parts = [chunk[:2] for chunk in _chunks(linear, noise)]
-    return Innovations(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+    values = []
+    covariance = []
+    for chunk in _chunks(linear, noise):
+        values.append(chunk.innovation)
+        covariance.append(chunk.innovation_covariance)
+    return Innovations(np.concatenate(values), np.concatenate(covariance))
 
 
 def _chunks(linear: Linearization, noise: Noise) -> Iterator[_Chunk]:
     """Filter the record, and yield its chunks."""
-    N = linear.states.shape[1]
-    x = np.zeros((len(noise.start), N, 1))
-    P = noise.start[:, :, None] * np.eye(N)
+    x = np.zeros((*noise.start.shape, 1))
+    P = noise.start[:, :, None] * np.eye(noise.start.shape[1])
     for first in range(0, len(linear.step), CHUNK):
-        rows = slice(first, first + CHUNK)
-        chunk = _filtered_chunk(linear, noise, rows, x, P)
+        chunk = _filtered_chunk(linear.part(first, first + CHUNK), noise, x, P)
         yield chunk
         x, P = chunk.x[-1], chunk.P[-1]
 
 
-def _filtered_chunk(linear: Linearization, noise: Noise, rows: slice, x: Array, P: Array) -> _Chunk:
+def _filtered_chunk(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Chunk:
     """Return some steps of the filter, from deviation and covariance of the sample before."""
-    model = _step_model(linear, noise, rows)
-    n, n_sets, N, _ = model.Phi.shape
-    xs = np.empty((n + 1, n_sets, N, 1))
-    Ps = np.empty((n + 1, n_sets, N, N))
-    P_predicted = np.empty((n, n_sets, N, N))
-    gain = np.empty((n, n_sets, N, model.H.shape[1]))
+    model = _step_model(linear, noise)
+    n, m, N = model.H.shape
+    xs = np.empty((n + 1, *x.shape))
+    Ps = np.empty((n + 1, *P.shape))
+    P_predicted = np.empty((n, *P.shape))
+    gain = np.empty((n, len(P), N, m))
     xs[0], Ps[0] = x, P
     for k in range(n):
-        x, P, P_predicted[k], gain[k] = model.step(x, P, k)
-        xs[k + 1], Ps[k + 1] = x, P
-    past = _innovations(linear, noise, rows, model.R, xs[:-1], Ps[:-1])
+        xs[k + 1], Ps[k + 1], P_predicted[k], gain[k] = model.step(xs[k], Ps[k], k)
+    past = _innovations(linear, noise, model.R, xs[:-1], Ps[:-1])
     return _Chunk(*past, xs[1:], Ps[1:], P_predicted, gain)
 
 
-def _step_model(linear: Linearization, noise: Noise, rows: slice) -> _StepModel:
-    """Return the matrices of some steps."""
-    step = linear.step[rows, None, None]
-    Phi = np.repeat(linear.transition[rows, None], len(noise.rate), axis=1)
+def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
+    """Return the matrices of the steps."""
+    step = linear.step[:, None, None]
+    Phi = np.repeat(linear.transition[:, None], len(noise.rate), axis=1)
     decaying = np.flatnonzero(noise.decay[0] > 0)
     Phi[:, :, decaying, decaying] = np.exp(-step * noise.decay[:, decaying])
     Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.rate * step)
-    Q += noise.surface[:, None, None] * linear.surface_noise[rows, None]
-    sensor = noise.sensor * linear.weight[rows, None]
-    shift = linear.predicted[rows] - linear.states[1:][rows]
+    Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
+    sensor = noise.sensor * linear.weight[:, None]
+    shift = linear.predicted - linear.states[1:]
     return _StepModel(
         Phi=Phi,
         Q=Q,
         c=shift[:, :, None],
-        H=linear.residual_states[rows],
+        H=linear.residual_states,
         R=sensor[..., None] * np.eye(sensor.shape[-1]),
-        y=linear.residual[rows, :, None],
+        y=linear.residual[:, :, None],
     )
 
 
-def _innovations(
-    linear: Linearization, noise: Noise, rows: slice, R: Array, x: Array, P: Array
-) -> Innovations:
+def _innovations(linear: Linearization, noise: Noise, R: Array, x: Array, P: Array) -> Innovations:
     """Return the errors of predictions from the filtered sample before, and their covariances.
 
     The noise of the step reaches the sensors through its end as well.
     """
-    D = linear.innovation_states[rows, None]
-    L = linear.innovation_noise[rows, None]
-    e = linear.innovation[rows, None, :, None] - D @ x
-    S = D @ P @ D.mT
-    S += _step_noise(L, D, noise.rate * linear.step[rows, None, None])
-    surface = L @ linear.surface_noise[rows, None] @ L.mT
-    S += noise.surface[:, None, None] * surface
-    S += R
+    D = linear.innovation_states[:, None]
+    L = linear.innovation_noise[:, None]
+    e = linear.innovation[:, None, :, None] - D @ x
+    S = D @ P @ D.mT + R
+    S += _step_noise(L, D, noise.rate * linear.step[:, None, None])
+    S += noise.surface[:, None, None] * (L @ linear.surface_noise[:, None] @ L.mT)
     return Innovations(e[..., 0], S)
 
 
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     """Return the covariance (..., k, k) that a step's white noise of ``variance`` (..., N) makes.
 
-    By Simpson's rule, from the derivatives (..., k, N) by noise ``late`` and ``early`` in the step.
+    The mean of G V G^T by Simpson's rule, for derivatives G (..., k, N) that change linearly from
+    ``early`` to ``late`` in the step: (L V (2 L + E)^T + E V (2 E + L)^T) / 6.
     """
-    middle = 0.5 * (late + early)
-
-    def square(G: Array) -> Array:
-        return (G * variance[..., None, :]) @ G.mT
-
-    return (square(late) + 4 * square(middle) + square(early)) / 6
+    V = variance[..., None, :]
+    by_late = (late * V) @ (2 * late + early).mT
+    by_early = (early * V) @ (2 * early + late).mT
+    return (by_late + by_early) / 6
 
 
 def innovation_slopes(linear: Linearization, run: Pass) -> Array:
@@ -242,16 +241,11 @@ def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     change = run.states - linear.states
     predicted = linear.predicted + (linear.transition @ change[:-1, :, None])[..., 0]
     P_predicted = run.predicted_covariance
-    PPhi = run.covariance[:-1] @ linear.transition.mT
-    C = np.linalg.solve(P_predicted, PPhi.mT).mT  # gain of the smoother
-
-    def step(x: Vector, P: Matrix, k: int) -> tuple[Vector, Matrix]:
-        """Return smoothed state and covariance of sample k, given the ones of sample k + 1."""
-        x = run.states[k] + C[k] @ (x - predicted[k])
-        P = run.covariance[k] + C[k] @ (P - P_predicted[k]) @ C[k].T
-        return x, P
-
-    states, covariance = run.states.copy(), run.covariance.copy()
+    PhiP = linear.transition @ run.covariance[:-1]
+    C = np.linalg.solve(P_predicted, PhiP).mT  # gain of the smoother
+    x = run.states.copy()
+    P = run.covariance.copy()
     for k in reversed(range(len(C))):
-        states[k], covariance[k] = step(states[k + 1], covariance[k + 1], k)
-    return states, covariance
+        x[k] += C[k] @ (x[k + 1] - predicted[k])
+        P[k] += C[k] @ (P[k + 1] - P_predicted[k]) @ C[k].T
+    return x, P

@@ -20,6 +20,7 @@ import pandas as pd
 from scipy import linalg, signal
 from scipy.interpolate import CubicSpline
 from scipy.stats import norm as normal
+from scipy.stats import sem
 from scipy.stats import t as student
 
 from skdgp._compute.typing import Matrix, Vector
@@ -73,15 +74,24 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     unknown: surfaces without vanes, whose lag is a parameter of `estimate_air_motion`.
     """
     segments = _segments_of(table, settings)
-    surfaces = _surface_lag(segments, settings)
-    lags = {"air": _vane_lag(segments, removable(surfaces, settings), settings)}
-    lags["surfaces"] = surfaces
-    lags |= dict.fromkeys(PATH_LAGS, UNKNOWN)
-    if segments and not missing_channels(table):
-        if not has_values(table, *VANES):
-            lags["surfaces"] = UNKNOWN
-        lags |= _lags_of_path(table, settings)
-    return lags
+    surfaces = _most_likely_lag(
+        segments,
+        ALL_SURFACES,
+        lambda segment, lag: (segment.channels(ACCELERATIONS), segment.predictors(lag)),
+        settings,
+    )
+    surface_lag = removable(surfaces, settings)
+    vanes = _most_likely_lag(
+        segments,
+        VANES,
+        lambda segment, lag: (segment.channels(VANES, lag), segment.predictors(surface_lag)),
+        settings,
+    )
+    if not segments or missing_channels(table):
+        return {"air": vanes, "surfaces": surfaces} | dict.fromkeys(PATH_LAGS, UNKNOWN)
+    if not has_values(table, *VANES):
+        surfaces = UNKNOWN
+    return {"air": vanes, "surfaces": surfaces} | _lags_of_path(table, settings)
 
 
 def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
@@ -92,9 +102,8 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     """
     check_radians(table, ("theta", *RATES))
     lags = list(PATH_LAGS.values())
-    biases = ("p_bias", "q_bias", "r_bias")
-    free = [*biases, *lags, *MEAN_WIND]
-    place = slice(len(biases), len(biases) + len(lags))
+    free = ["p_bias", "q_bias", "r_bias", *lags, *MEAN_WIND]
+    places = slice(3, 5)
     noise = PATH_NOISE | GUSTS
     prior = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
     precision = prior.copy()
@@ -102,13 +111,13 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
     for flight in flights_of(first):
         solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
-        of_flight = np.linalg.inv(solved.covariance[place, place])
+        of_flight = np.linalg.inv(solved.covariance[places, places])
         weighted += of_flight @ solved.path.constant(*lags)
         precision += of_flight - prior
-    values = np.linalg.solve(precision, weighted)
-    stds = np.sqrt(np.diag(np.linalg.inv(precision)))
-    rows = zip(PATH_LAGS, values.tolist(), stds.tolist(), strict=True)
-    return {group: Lag(value, std) for group, value, std in rows}
+    covariance = np.linalg.inv(precision)
+    values = covariance @ weighted
+    stds = np.sqrt(np.diag(covariance))
+    return dict(zip(PATH_LAGS, map(Lag, values.tolist(), stds.tolist()), strict=True))
 
 
 def _first_rows(table: pd.DataFrame, settings: LagSettings) -> pd.DataFrame:
@@ -128,22 +137,29 @@ class _Segment:
         rate_hz = _rate_of(clock)
         low, high = _band_at(rate_hz, settings)
         channels = _on_clock(time, table, clock)
-        speed = np.ones(len(clock))
-        if "airspeed" in channels:
-            speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
-            speed = np.maximum(speed, 0.1 * np.median(speed))
+        speed = self._steady_speed(channels, rate_hz, settings)
         for name in RATES:
             rate = CubicSpline(clock, _low_pass(channels[name], 2 * high, rate_hz))
             channels[f"{name}_dot"] = rate(clock, 1) / speed**2
-            channels[name] = channels[name] / speed
+            channels[name] /= speed
         for name in SPECIFIC_FORCE:
-            channels[name] = channels[name] / speed**2
+            channels[name] /= speed**2
         sections = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
         self.splines = {}
         for name, values in channels.items():
             self.splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
         step = 1 / min(rate_hz, settings.oversampling * high)
         self.time = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
+
+    @staticmethod
+    def _steady_speed(
+        channels: dict[str, Vector], rate_hz: float, settings: LagSettings
+    ) -> Vector | float:
+        """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
+        if "airspeed" not in channels:
+            return 1.0
+        speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
+        return np.maximum(speed, 0.1 * np.median(speed))
 
     @property
     def seconds(self) -> float:
@@ -152,15 +168,17 @@ class _Segment:
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
-        present = [name for name in names if name in self.splines]
-        if not {*ELEVONS} <= {*present}:
-            return present
-        return [name for name in present if name not in MIXED]
+        left_out = MIXED if {*ELEVONS} <= {*self.splines} else ()
+        return [name for name in names if name in self.splines and name not in left_out]
 
     def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
         """Return channels (n, k) within the band, corrected for a lag."""
         columns = [self.splines[name](self.time + lag) for name in self.present(names)]
         return np.reshape(columns, (len(columns), len(self.time))).T
+
+    def predictors(self, surface_lag: float) -> Matrix:
+        """Return specific force, rates and surfaces (n, p), surfaces corrected for a lag."""
+        return np.hstack([self.channels(INERTIAL), self.channels(ALL_SURFACES, surface_lag)])
 
 
 def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
@@ -168,8 +186,7 @@ def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vec
     names = [*INERTIAL, *VANES, *ALL_SURFACES, "airspeed"]
     names = [name for name in names if has_values(table, name)]
     values = interpolate_missing(time, numeric(table, names))
-    columns = zip(names, values.T, strict=True)
-    return {name: CubicSpline(time, column)(clock) for name, column in columns}
+    return dict(zip(names, CubicSpline(time, values)(clock).T, strict=True))
 
 
 def _rate_of(clock: Vector) -> float:
@@ -211,54 +228,19 @@ Regression: TypeAlias = Callable[[_Segment, float], tuple[Matrix, Matrix]]
 """Responses (n, k) and predictors (n, p) of a segment at a lag."""
 
 
-def _surface_lag(segments: list[_Segment], settings: LagSettings) -> Lag:
-    """Return the lag of surfaces, which with rates and forces explain angular accelerations."""
-
-    def regression(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
-        predictors = [segment.channels(ALL_SURFACES, lag), segment.channels(INERTIAL)]
-        return segment.channels(ACCELERATIONS), np.hstack(predictors)
-
-    return _most_likely_lag(segments, ALL_SURFACES, regression, settings)
-
-
-def _vane_lag(segments: list[_Segment], surface_lag: float, settings: LagSettings) -> Lag:
-    """Return the lag of vanes, which forces, rates and surfaces explain."""
-
-    def regression(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
-        predictors = [segment.channels(INERTIAL), segment.channels(ALL_SURFACES, surface_lag)]
-        return segment.channels(VANES, lag), np.hstack(predictors)
-
-    return _most_likely_lag(segments, VANES, regression, settings)
-
-
 def _most_likely_lag(
     segments: list[_Segment], names: Sequence[str], regression: Regression, settings: LagSettings
 ) -> Lag:
     """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
 
-    RSS is the residual sum of squares of n samples over the sum of squares of the response. Each
-    piece of a segment has its own least squares and lag. The standard deviation is the standard
-    error of the mean of their lags, by Student's quantile at the significance, and the distance to
-    that mean.
+    RSS is the residual sum of squares of n samples over the sum of squares of the response. The
+    standard deviation is the standard error of the mean lag of pieces of the segments, by Student's
+    quantile at the significance, and the distance to that mean.
     """
     segments = [segment for segment in segments if segment.present(names)]
-    if not segments:
-        return UNKNOWN
-    total = sum(segment.seconds for segment in segments)
-    seconds = max(settings.shortest_piece, total / settings.n_pieces)
 
     def profile(lag: float) -> Vector:
-        """Return n log RSS of all segments, summed, and of each piece, (1 + pieces,)."""
-        total_log_rss = 0.0
-        pieces: list[float] = []
-        for segment in segments:
-            response, predictors = regression(segment, lag)
-            total_log_rss += _log_rss(response, predictors, settings)
-            count = max(1, round(segment.seconds / seconds))
-            responses = np.array_split(response, count)
-            parts = zip(responses, np.array_split(predictors, count), strict=True)
-            pieces += [_log_rss(y, X, settings) for y, X in parts]
-        return np.array([total_log_rss, *pieces])
+        return _profile(segments, regression, lag, settings)
 
     steps = np.arange(-settings.largest, settings.largest + settings.coarse / 2, settings.coarse)
     profiles = np.array([profile(step) for step in steps])
@@ -268,12 +250,28 @@ def _most_likely_lag(
     for _ in range(2):
         around = [profile(lag + step)[0] for step in (-settings.fine, 0, settings.fine)]
         lag += _vertex(around, settings.fine)
-    n_pieces = len(pieces)
     probability = normal.sf(settings.significance)
-    quantile = student.isf(probability, n_pieces - 1) / settings.significance
-    error = np.std(pieces, ddof=1) / np.sqrt(n_pieces)
-    std = np.hypot(quantile * error, lag - np.mean(pieces))
+    quantile = student.isf(probability, len(pieces) - 1) / settings.significance
+    std = np.hypot(quantile * sem(pieces), lag - np.mean(pieces))
     return Lag(lag, float(std))
+
+
+def _profile(
+    segments: list[_Segment], regression: Regression, lag: float, settings: LagSettings
+) -> Vector:
+    """Return n log RSS of all segments, summed, and of each piece by its own least squares, (1 + pieces,)."""
+    seconds = sum(segment.seconds for segment in segments) / settings.n_pieces
+    seconds = max(settings.shortest_piece, seconds)
+    total = 0.0
+    pieces = []
+    for segment in segments:
+        response, predictors = regression(segment, lag)
+        total += _log_rss(response, predictors, settings)
+        count = max(1, round(segment.seconds / seconds))
+        parts = np.array_split(response, count), np.array_split(predictors, count)
+        for y, X in zip(*parts, strict=True):
+            pieces.append(_log_rss(y, X, settings))
+    return np.array([total, *pieces])
 
 
 def _log_rss(response: Matrix, predictors: Matrix, settings: LagSettings) -> float:

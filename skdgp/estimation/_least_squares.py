@@ -16,41 +16,37 @@ follows from the Schur complement (Golub & Van Loan 2013, section 4.3).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 
 
-class Equations(NamedTuple):
-    """Linear equations residual + d_state x_k + d_next x_{k+1} + d_constants c = 0, m for each of n samples k."""
+class Equations:
+    """Linear equations residual + d_state x_k + d_next x_{k+1} + d_constants c = 0, m for each of n samples k.
 
-    residual: Matrix  # (n, m)
-    d_state: Array  # (n, m, s)
-    d_next: Any  # array (n, m, s); None for measurement equations
-    d_constants: Array  # (n, m, c)
+    The four are views of ``columns`` (n, m, 2 s + c + 1). ``d_next`` of the last sample is zero.
+    """
 
-    def whitened(self, noise: Matrix, places: list[int]) -> Equations:
-        """Return the equations in units of their noise, (n, m), by the constants at some places."""
-        unit = noise[..., None]
-        d_next = None if self.d_next is None else self.d_next / unit
-        d_constants = self.d_constants[..., places] / unit
-        return Equations(self.residual / noise, self.d_state / unit, d_next, d_constants)
+    def __init__(self, columns: Array, n_states: int) -> None:
+        self.columns = columns
+        self.n_states = n_states
+        self.d_state = columns[..., :n_states]
+        self.d_next = columns[..., n_states : 2 * n_states]
+        self.d_constants = columns[..., 2 * n_states : -1]
+        self.residual = columns[..., -1]
+
+    def whiten(self, noise: Matrix) -> None:
+        """Divide the equations by their noise, (n, m)."""
+        self.columns /= noise[..., None]
 
     def changes(self, states: Array, constants: Matrix) -> Array:
-        """Return the changes of the residuals, (n, m, k), by k sets of states (N, s, k) and constants (c, k)."""
-        total = self.d_state @ states[: len(self.d_state)] + self.d_constants @ constants
-        return total if self.d_next is None else total + self.d_next @ states[1:]
-
-    def normal(self) -> Array:
-        """Return J^T J of each sample, J = [d_state, d_next, d_constants, residual]."""
-        columns = [self.d_state, self.d_constants, self.residual[..., None]]
-        if self.d_next is not None:
-            columns.insert(1, self.d_next)
-        J = np.concatenate(columns, axis=2)
-        return J.mT @ J
+        """Return the changes of the residuals (n, m, k), by k sets of states (n, s, k) and constants (c, k)."""
+        total = self.d_state @ states + self.d_constants @ constants
+        total[:-1] += self.d_next[:-1] @ states[1:]
+        return total
 
 
 class GaussianPrior(NamedTuple):
@@ -66,77 +62,70 @@ class Posterior(NamedTuple):
     """Solution of the normal equations, and samples from the normal distribution around it."""
 
     states: Matrix  # (n, s)
-    constants: Vector  # (c,)
-    covariance: Matrix  # of the constants, (c, c)
+    constants: Vector  # (c,), zero where not free
+    covariance: Matrix  # of the free constants, (f, f)
     state_draws: Array  # (n, s, k), mean zero
     constant_draws: Matrix  # (c, k)
 
 
-def solve(
-    process: Equations, measurements: Equations, prior: GaussianPrior, draws: Matrix
-) -> Posterior:
-    """Return the least-squares solution of process and measurement equations.
+def solve(equations: Equations, prior: GaussianPrior, free: Indices, draws: Matrix) -> Posterior:
+    """Return the least-squares solution of the equations for the states and the ``free`` constants.
 
-    ``draws`` are standard normal numbers e, (n s + c, k). With c from the inverse of the Schur
+    ``draws`` are standard normal numbers e, (n s + f, k). With c from the inverse of the Schur
     complement C - B^T A^-1 B, the states L^-T e - A^-1 B c are samples from the posterior.
     """
-    n, s = prior.states.shape
-    band, border, corner, g, h = _normal_equations(process, measurements, prior)
+    band, border, corner = _normal_equations(equations, prior)
+    B = border[:, free]
+    C = corner[np.ix_(free, free)]
+    g = border[:, -1:]
+    h = corner[free, -1]
     L = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-    solved = cho_solve_banded((L, True), np.column_stack([border, g]), check_finite=False)
+    solved = cho_solve_banded((L, True), np.hstack([B, g]), check_finite=False)
     inner = solved[:, :-1]  # A^-1 B
     shift = solved[:, -1]  # A^-1 g
-    covariance = np.linalg.inv(corner - border.T @ inner)
+    covariance = np.linalg.inv(C - B.T @ inner)
     covariance = (covariance + covariance.T) / 2
-    constants = -covariance @ (h - border.T @ shift)
+    constants = covariance @ (B.T @ shift - h)
     states = -shift - inner @ constants
-    constant_draws = np.linalg.cholesky(covariance) @ draws[n * s :]
-    free_draws = lapack.dtbtrs(L, draws[: n * s], uplo="L", trans="T")[0]  # L^-T e
+    constant_draws = np.linalg.cholesky(covariance) @ draws[len(B) :]
+    free_draws = lapack.dtbtrs(L, draws[: len(B)], uplo="L", trans="T")[0]  # L^-T e
     state_draws = free_draws - inner @ constant_draws
+    shape = prior.states.shape
+    spread = np.eye(len(prior.constants))[:, free]
     return Posterior(
-        states=states.reshape(n, s),
-        constants=constants,
+        states=states.reshape(shape),
+        constants=spread @ constants,
         covariance=covariance,
-        state_draws=state_draws.reshape(n, s, -1),
-        constant_draws=constant_draws,
+        state_draws=state_draws.reshape(*shape, -1),
+        constant_draws=spread @ constant_draws,
     )
 
 
-def _normal_equations(
-    process: Equations, measurements: Equations, prior: GaussianPrior
-) -> tuple[Matrix, Matrix, Matrix, Vector, Vector]:
-    """Return A in lower banded storage, B, C, g and h."""
-    n, s = prior.states.shape
-    c = len(prior.constants)
-    measured = measurements.normal()  # by state, constants, residual
-    linked = process.normal()  # by state, next state, constants, residual
+def _normal_equations(equations: Equations, prior: GaussianPrior) -> tuple[Matrix, Matrix, Matrix]:
+    """Return A in lower banded storage, B with g in its last column, and C with h in its last column."""
+    s = equations.n_states
     this = slice(0, s)
     after = slice(s, 2 * s)
+    constants = slice(2 * s, -1)
     remaining = slice(2 * s, None)
-    # blocks on the diagonal of A
-    diagonal = prior.states[:, :, None] * np.eye(s) + measured[:, this, this]
-    diagonal[:-1] += linked[:, this, this]
-    diagonal[1:] += linked[:, after, after]
-    # B, and g in the last column
-    border = measured[:, this, s:].copy()
-    border[:-1] += linked[:, this, remaining]
-    border[1:] += linked[:, after, remaining]
+    J = equations.columns
+    products = J.mT @ J
+    blocks = products[:, : 2 * s, this].copy()  # of A, on and below its diagonal
+    blocks[:, this] += prior.states[:, :, None] * np.eye(s)
+    blocks[1:, this] += products[:-1, after, after]
+    border = products[:, this, remaining].copy()
+    border[1:] += products[:-1, after, remaining]
     border[..., -1] += prior.states * prior.states_offset
-    border = border.reshape(n * s, c + 1)
-    # C, and h in the last column
-    corner = measured[:, s:-1, s:].sum(axis=0) + linked[:, 2 * s : -1, remaining].sum(axis=0)
-    corner[:, :c] += np.diag(prior.constants)
-    corner[:, c] += prior.constants * prior.constants_offset
-    band = _banded(diagonal, linked[:, this, after])
-    return band, border[:, :c], corner[:, :c], border[:, c], corner[:, c]
+    corner = products[:, constants, remaining].sum(axis=0)
+    corner[:, :-1] += np.diag(prior.constants)
+    corner[:, -1] += prior.constants * prior.constants_offset
+    return _banded(blocks), border.reshape(prior.states.size, -1), corner
 
 
-def _banded(diagonal: Array, coupling: Array) -> Matrix:
-    """Return a block-tridiagonal matrix in the lower banded storage of LAPACK: row i - j, column j."""
-    n, s, _ = diagonal.shape
-    band = np.zeros((2 * s, n, s))
-    i, j = np.tril_indices(s)
-    band[i - j, :, j] = diagonal[:, i, j].T
-    i, j = np.indices((s, s)).reshape(2, -1)
-    band[s + i - j, :-1, j] = coupling[:, j, i].T
-    return band.reshape(2 * s, n * s)
+def _banded(blocks: Array) -> Matrix:
+    """Return blocks (n, 2 s, s), each a diagonal one over the one below, in the lower banded storage of LAPACK."""
+    n, height, s = blocks.shape
+    band = np.zeros((height, n, s))
+    i, j = np.nonzero(np.tri(height, s))  # entry (i, j) stands in row i - j
+    band[i - j, :, j] = blocks[:, i, j].T
+    return band.reshape(height, n * s)

@@ -22,16 +22,15 @@ from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import LEAST_GUST
 from skdgp.estimation._least_squares import Equations, GaussianPrior, Posterior, solve
 from skdgp.estimation._path_equations import (
+    ATTITUDE_LAG,
+    EQUATION_NOISE,
     GUST,
-    LATE,
-    MEASUREMENT_NOISE,
     MIRROR,
     ODD,
     PLACE,
-    PROCESS_NOISE,
+    VELOCITY_LAG,
     FlightPath,
-    measurement_equations,
-    process_equations,
+    path_equations,
 )
 from skdgp.estimation._sensors import (
     AIR,
@@ -100,27 +99,29 @@ def estimate_path(
     """
     search = _Search(sensors, free, settings)
     path = FlightPath.initial(sensors)
-    delays = np.zeros(len(LATE), dtype=int)
+    delays = np.zeros(2, dtype=int)
     stride = 1.0
     last = np.zeros(len(free))
     for number in range(settings.max_steps):
         if number <= settings.delay_steps:
             delays = search.delays(path)
         equations = search.equations(path, noise, delays)
-        posterior = solve(*equations, search.prior(path, noise), search.draws)
+        posterior = solve(equations, search.prior(path, noise), search.free, search.draws)
         # the full step of the constants, in standard deviations
-        move = posterior.constants / np.sqrt(np.diag(posterior.covariance))
+        move = posterior.constants[search.free] / np.sqrt(np.diag(posterior.covariance))
         if move @ last < -settings.overshoot * last @ last:
             stride /= 2
         last = move
-        path = path.moved(stride * posterior.states, search.spread(stride * posterior.constants))
+        path = path.moved(stride * posterior.states, stride * posterior.constants)
         before = noise
+        noise = dict(before)
         pace = min(1.0, 10 / (number + 1))
-        sums = search.residual_sums(equations, posterior)
-        noise = noise | _variance_components(sums, noise, learn, pace, settings)
+        for name, sums in search.residual_sums(equations, posterior).items():
+            if name in learn:
+                noise[name] = _variance_component(name, noise[name], sums, pace, settings)
         changes = [abs(np.log(noise[name] / before[name])) for name in learn]
-        steady = all(change < settings.tolerance for change in changes)
-        converged = number > 0 and steady and _is_small(posterior, settings.tolerance)
+        is_steady = all(change < settings.tolerance for change in changes)
+        converged = number > 0 and is_steady and _is_small(posterior, settings.tolerance)
         if converged:
             break
     if not search.has_alpha:
@@ -134,68 +135,70 @@ class _Search:
     def __init__(self, sensors: FlightSensors, free: Sequence[str], settings: PathSettings) -> None:
         self.sensors = sensors
         self.settings = settings
-        self.places = [PLACE[name] for name in free]
+        self.free = np.array([PLACE[name] for name in free])
         self.draws = _mirrored_draws(len(sensors.time), free, settings.n_draws)
         self.step = np.diff(sensors.time)
         self.correlation = np.exp(-self.step / settings.gust_time)  # of gusts over a step
         self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR.start + 1]).any())
-        # without an alpha vane vertical gusts are like horizontal ones
-        gust_down = PROCESS_NOISE[-1] if self.has_alpha else "gust_horizontal"
-        self.process_noise = (*PROCESS_NOISE[:-1], gust_down)
+        self.channels = list(EQUATION_NOISE)
+        if not self.has_alpha:
+            # without an alpha vane vertical gusts are like horizontal ones
+            self.channels[GUST.stop - 1] = "gust_horizontal"
 
     def delays(self, path: FlightPath) -> Indices:
-        """Return the lags of GPS and attitude in whole samples, (6,)."""
+        """Return the lags of GPS and attitude in whole samples, (2,)."""
         interval = np.median(self.step) if len(self.step) else np.inf
-        return np.round(path.constants[LATE] / interval).astype(int)
+        return np.round(path.constants[[VELOCITY_LAG, ATTITUDE_LAG]] / interval).astype(int)
 
-    def spread(self, constants: Vector) -> Vector:
-        """Return all constants, zeros but for the free ones."""
-        every = np.zeros(len(PATH_CONSTANTS))
-        every[self.places] = constants
-        return every
-
-    def equations(
-        self, path: FlightPath, noise: Mapping[str, float], delays: Indices
-    ) -> tuple[Equations, Equations]:
-        """Return process and measurement equations in units of their noise, by the free constants."""
-        scale = np.tile([noise[name] for name in self.process_noise], (len(self.step), 1))
+    def equations(self, path: FlightPath, noise: Mapping[str, float], delays: Indices) -> Equations:
+        """Return the equations of a path in units of their noise."""
+        least = self.settings.least_airspeed
+        equations = path_equations(path, self.sensors, self.correlation, delays, least)
+        scale = np.tile(self._stds(noise), (len(self.sensors.time), 1))
         # change of a Gauss-Markov process of correlation time T in a step
         growth = self.settings.gust_time / 2 * (1 - self.correlation**2)
-        scale[:, GUST] *= np.sqrt(growth)[:, None]
-        process = process_equations(path, self.sensors, self.correlation)
-        measured = measurement_equations(path, self.sensors, delays, self.settings.least_airspeed)
-        sensor_noise = np.array([noise[name] for name in MEASUREMENT_NOISE])
-        return process.whitened(scale, self.places), measured.whitened(sensor_noise, self.places)
+        scale[:-1, GUST] *= np.sqrt(growth)[:, None]
+        equations.whiten(scale)
+        return equations
+
+    def _stds(self, noise: Mapping[str, float]) -> Vector:
+        """Return the noise of each equation."""
+        return np.array([noise[name] for name in self.channels])
 
     def prior(self, path: FlightPath, noise: Mapping[str, float]) -> GaussianPrior:
         """Return the prior of the constants, and a wide one of states where segments begin."""
+        settings = self.settings
+        gust_std = self._stds(noise)[GUST] * np.sqrt(settings.gust_time / 2)  # stationary
+        start_std = np.repeat([settings.start_velocity, settings.start_attitude], 3)
         begins = np.append(True, ~self.sensors.joined)[:, None]
-        walk = np.array([noise[name] for name in self.process_noise[GUST]])
-        gust_std = walk * np.sqrt(self.settings.gust_time / 2)  # stationary
-        start_std = np.repeat([self.settings.start_velocity, self.settings.start_attitude], 3)
-        precision = begins * np.concatenate([start_std**-2.0, gust_std**-2])
+        precision = begins * np.concatenate([start_std, gust_std]) ** -2.0
         offset = np.zeros_like(precision)
         offset[:, GUST] = path.gust
-        constant_std = np.array(list(PATH_CONSTANTS.values()))[self.places]
-        return GaussianPrior(precision, offset, constant_std**-2, path.constants[self.places])
+        constant_std = np.array(list(PATH_CONSTANTS.values()))
+        return GaussianPrior(precision, offset, constant_std**-2, path.constants)
 
-    def residual_sums(
-        self, equations: tuple[Equations, Equations], posterior: Posterior
-    ) -> dict[str, Vector]:
-        """Return sum of squared residuals, trace of J P J^T and samples of each channel, in units of its noise."""
-        states = posterior.states[..., None]
-        constants = posterior.constants[:, None]
-        sums: dict[str, Vector] = {}
-        names = (self.process_noise, MEASUREMENT_NOISE)
-        for channels, rows in zip(names, equations, strict=True):
-            residual = rows.residual + rows.changes(states, constants)[..., 0]
-            squares = np.sum(residual**2, axis=0)
-            draws = rows.changes(posterior.state_draws, posterior.constant_draws)
-            trace = np.square(draws).mean(axis=-1).sum(axis=0)
-            count = np.any(rows.d_state != 0, axis=2).sum(axis=0)
-            for name, *values in zip(channels, squares, trace, count, strict=True):
-                sums[name] = sums.get(name, 0.0) + np.array(values)
-        return sums
+    def residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, ResidualSums]:
+        """Return sums over the residuals of each channel that was sampled."""
+        change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
+        squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
+        draws = equations.changes(posterior.state_draws, posterior.constant_draws)
+        traces = np.square(draws).mean(axis=-1).sum(axis=0)
+        counts = np.any(equations.d_state != 0, axis=2).sum(axis=0)
+        sums = np.column_stack([squares, traces, counts])
+        by_channel = {}
+        for name in dict.fromkeys(self.channels):
+            total = sums[np.array(self.channels) == name].sum(axis=0)
+            if total[-1]:
+                by_channel[name] = ResidualSums(*total.tolist())
+        return by_channel
+
+
+class ResidualSums(NamedTuple):
+    """Sums over the residuals of a channel, in units of its noise."""
+
+    squares: float
+    trace: float  # of J P J^T
+    n_samples: float
 
 
 def _mirrored_draws(n_states: int, free: Sequence[str], n_draws: int) -> Matrix:
@@ -207,7 +210,8 @@ def _mirrored_draws(n_states: int, free: Sequence[str], n_draws: int) -> Matrix:
     constants = [-1.0 if name in ODD else 1.0 for name in free]
     sign = np.append(np.tile(MIRROR, n_states), constants)
     half = np.random.default_rng(0).standard_normal((len(sign), n_draws // 2))
-    return np.column_stack([half, sign[:, None] * half])
+    # in the order that LAPACK takes without a transposition
+    return np.asfortranarray(np.hstack([half, sign[:, None] * half]))
 
 
 def _is_small(posterior: Posterior, tolerance: float) -> bool:
@@ -217,38 +221,30 @@ def _is_small(posterior: Posterior, tolerance: float) -> bool:
     return bool(np.all(moved < tolerance**2 * variance))
 
 
-def _variance_components(
-    sums: Mapping[str, Vector],
-    noise: Mapping[str, float],
-    learn: Collection[str],
-    pace: float,
-    settings: PathSettings,
-) -> dict[str, float]:
-    """Return the new standard deviation of each channel in ``learn`` that was sampled.
+def _variance_component(
+    name: str, std: float, sums: ResidualSums, pace: float, settings: PathSettings
+) -> float:
+    """Return the new standard deviation of a channel, whose residuals are in units of the one before, ``std``.
 
     For a random walk measured with other noise, the fraction of the residuals grows with the
     variance and the redundancy with its root. The plain iteration would halve the error in each
     step, so the step is divided by one minus that slope. ``pace`` shortens it, so that the search
     does not oscillate.
     """
-    new = {}
-    for name in learn:
-        squares, trace, count = sums.get(name, np.zeros(3))
-        if not count:
-            continue
-        # the initial noise of a sensor counts as some residuals; gusts have no such prior
-        is_sensor = name in PATH_NOISE
-        prior_count = settings.prior_count if is_sensor else 0.0
-        least = settings.least_noise if is_sensor else LEAST_GUST
-        prior_squares = prior_count * (PATH_NOISE.get(name, 0.0) / noise[name]) ** 2
-        redundancy = max(count - trace, 1.0)
-        total = squares + prior_squares
-        ratio = total / (redundancy + prior_count)
-        slope = squares / (total + settings.least_noise)
-        slope -= redundancy / (redundancy + prior_count) / 2
-        stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / count))
-        new[name] = max(noise[name] * ratio ** (stride / 2), least)
-    return new
+    # the initial noise of a sensor counts as some residuals; gusts have no such prior
+    prior_count = 0.0
+    prior_squares = 0.0
+    least = LEAST_GUST
+    if name in PATH_NOISE:
+        prior_count = settings.prior_count
+        prior_squares = prior_count * (PATH_NOISE[name] / std) ** 2
+        least = settings.least_noise
+    redundancy = max(sums.n_samples - sums.trace, 1.0)
+    total = sums.squares + prior_squares
+    weight = redundancy + prior_count
+    slope = sums.squares / (total + settings.least_noise) - redundancy / weight / 2
+    stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / sums.n_samples))
+    return max(std * (total / weight) ** (stride / 2), least)
 
 
 def overlapping_parts(

@@ -11,6 +11,8 @@ apart, three process equations have the residuals
 
 Airspeed, alpha, beta, GPS velocity and attitude of a sample are measurement equations (Jategaonkar
 2006, chapter 10). The second residual contains the coning of two samples (Bortz 1971).
+
+The nine process equations and the nine measurement equations of a sample are the rows of `Equations`.
 """
 
 from __future__ import annotations
@@ -20,14 +22,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.frames import STANDARD_GRAVITY, air_data, air_data_slopes, cross_matrix
 from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._least_squares import Equations
 from skdgp.estimation._sensors import (
     AIR,
     FORCE,
-    MEAN_WIND,
     PATH_CONSTANTS,
     RATE,
     FlightSensors,
@@ -35,29 +36,32 @@ from skdgp.estimation._sensors import (
 )
 
 PLACE = {name: place for place, name in enumerate(PATH_CONSTANTS)}
-FORCE_BIASES = [PLACE[name] for name in ("ax_bias", "ay_bias", "az_bias")]
-RATE_BIASES = [PLACE[name] for name in ("p_bias", "q_bias", "r_bias")]
-WINDS = [PLACE[name] for name in MEAN_WIND]
-# constants of the lags of the six measurements after air data: velocity, attitude
-LATE = [*[PLACE["velocity_lag"]] * 3, *[PLACE["attitude_lag"]] * 3]
-# places in a state's errors: NED velocity, rotation vector in body axes, NED gust
+FORCE_BIASES = slice(0, 3)
+RATE_BIASES = slice(3, 6)
+VELOCITY_LAG = 6
+ATTITUDE_LAG = 7
+WIND = slice(8, 10)
+"""Places among the constants, in the order of `PATH_CONSTANTS`."""
+N_STATES = 9
 VELOCITY = slice(0, 3)
 ATTITUDE = slice(3, 6)
 GUST = slice(6, 9)
-# NED; the local excess of gravity is part of the accelerometers' biases
-GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
-# signs of a state's errors in a mirror at the x-z plane, and constants that change theirs
-MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
-ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
-# noise of each process equation, and of each measurement equation
-PROCESS_NOISE = (
-    *["accelerometer"] * 3,
-    *["gyro"] * 3,
+"""Places in a state's errors: NED velocity, rotation vector in body axes, NED gust."""
+PROCESS = slice(0, 9)
+AIR_DATA = slice(9, 12)
+GPS = slice(12, 15)
+ANGLES = slice(15, 18)
+"""Places among the equations; the first nine have the order of the states."""
+EQUATION_NOISE = (
+    "accelerometer",
+    "accelerometer",
+    "accelerometer",
+    "gyro",
+    "gyro",
+    "gyro",
     "gust_horizontal",
     "gust_horizontal",
     "gust_vertical",
-)
-MEASUREMENT_NOISE = (
     "airspeed",
     "alpha",
     "beta",
@@ -68,6 +72,12 @@ MEASUREMENT_NOISE = (
     "tilt",
     "heading",
 )
+"""Noise of each equation."""
+GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
+"""NED; the local excess of gravity is part of the accelerometers' biases."""
+MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
+"""Signs of a state's errors in a mirror at the x-z plane, and constants that change theirs."""
 
 
 class FlightPath(NamedTuple):
@@ -105,7 +115,7 @@ class FlightPath(NamedTuple):
 
     def wind(self) -> Matrix:
         """Return the air's velocity (n, 3), NED [m/s]."""
-        return self.gust + np.append(self.constants[WINDS], 0.0)
+        return self.gust + np.append(self.constants[WIND], 0.0)
 
     def air_velocity(self) -> Matrix:
         """Return the velocity relative to the air (n, 3), body axes [m/s]."""
@@ -118,147 +128,137 @@ class FlightPath(NamedTuple):
         return truth[:, FORCE], truth[:, RATE]
 
 
-def process_equations(path: FlightPath, sensors: FlightSensors, correlation: Vector) -> Equations:
-    """Return the equations between samples: specific force, angular rate, and the change of the gust.
+def path_equations(
+    path: FlightPath,
+    sensors: FlightSensors,
+    correlation: Vector,
+    delays: Indices,
+    least_airspeed: float,
+) -> Equations:
+    """Return the equations of a path: residuals, and slopes by errors of the states and by all constants.
 
-    ``correlation`` (n - 1,) is the correlation of the gusts of a sample and the next.
+    Parameters
+    ----------
+    path : FlightPath
+    sensors : FlightSensors
+    correlation : ndarray (n - 1,)
+        Of the gusts of a sample and the next.
+    delays : ndarray (2,)
+        Lags of GPS velocity and attitude in whole samples.
+    least_airspeed : float
+        Below it vanes show no angle [m/s].
     """
-    n = len(sensors.time) - 1
-    equations = Equations(
-        residual=np.zeros((n, 9)),
-        d_state=np.zeros((n, 9, 9)),
-        d_next=np.zeros((n, 9, 9)),
-        d_constants=np.zeros((n, 9, len(PATH_CONSTANTS))),
-    )
+    n = len(sensors.time)
+    columns = np.zeros((n, len(EQUATION_NOISE), 2 * N_STATES + len(PATH_CONSTANTS) + 1))
+    equations = Equations(columns, N_STATES)
     force, rate = path.inertial(sensors)
+    # between samples
+    between = Equations(columns[:-1], N_STATES)
     step = np.diff(sensors.time)[:, None]
     turn = path.attitude[:-1].inv() * path.attitude[1:]  # R_k^T R_{k+1}
-    _fill_force(equations, path, force, turn, step)
-    _fill_rate(equations, rate, turn, step)
-    _fill_gust(equations, path.gust, correlation)
-    return _without(equations, np.repeat(~sensors.joined[:, None], 9, axis=1))
+    _fill_force(between, path, force, turn, step)
+    _fill_rate(between, rate, turn, step)
+    _fill_gust(between, path.gust, correlation)
+    between.residual[~sensors.joined, PROCESS] = np.nan
+    # of a sample
+    _fill_air_data(equations, path, sensors.readings[:, AIR], least_airspeed)
+    _fill_velocity(equations, path, sensors, force, delays[0])
+    _fill_attitude(equations, path, sensors, rate, delays[1])
+    columns[np.isnan(equations.residual)] = 0.0
+    return equations
 
 
 def _fill_force(
     equations: Equations, path: FlightPath, force: Matrix, turn: Rotation, step: Matrix
 ) -> None:
     """Set R_k^T ((v_{k+1} - v_k) / h - g - (R_k f_k + R_{k+1} f_{k+1}) / 2)."""
-    residual, d_state, d_next, d_constants = equations
     back = path.attitude[:-1].inv()
     turned = turn.as_matrix()
-    force_ned = path.attitude.apply(force)
     acceleration = np.diff(path.velocity, axis=0) / step
-    mean_force = (force_ned[:-1] + force_ned[1:]) / 2
-    residual[:, VELOCITY] = back.apply(acceleration - GRAVITY - mean_force)
+    mean_force = (force[:-1] + turn.apply(force[1:])) / 2
+    residual = back.apply(acceleration - GRAVITY) - mean_force
     by_velocity = back.as_matrix() / step[..., None]
-    d_next[:, VELOCITY, VELOCITY] = by_velocity
-    d_state[:, VELOCITY, VELOCITY] = -by_velocity
-    d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
-    d_state[:, VELOCITY, ATTITUDE] = cross_matrix(residual[:, VELOCITY] + force[:-1] / 2)
-    d_constants[:, VELOCITY, FORCE_BIASES] = (np.eye(3) + turned) / 2
+    equations.residual[:, VELOCITY] = residual
+    equations.d_next[:, VELOCITY, VELOCITY] = by_velocity
+    equations.d_state[:, VELOCITY, VELOCITY] = -by_velocity
+    equations.d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
+    equations.d_state[:, VELOCITY, ATTITUDE] = cross_matrix(residual + force[:-1] / 2)
+    equations.d_constants[:, VELOCITY, FORCE_BIASES] = (np.eye(3) + turned) / 2
 
 
 def _fill_rate(equations: Equations, rate: Matrix, turn: Rotation, step: Matrix) -> None:
     """Set Log(R_k^T R_{k+1}) / h - (omega_k + omega_{k+1}) / 2 - (h / 12) omega_k x omega_{k+1}."""
-    residual, d_state, d_next, d_constants = equations
     angle = turn.as_rotvec()
     mean_rate = (rate[:-1] + rate[1:]) / 2
     coning = np.cross(rate[:-1], rate[1:]) * step / 12
-    residual[:, ATTITUDE] = angle / step - mean_rate - coning
-    gradient = _log_gradient(angle)
-    d_next[:, ATTITUDE, ATTITUDE] = gradient / step[..., None]
-    d_state[:, ATTITUDE, ATTITUDE] = -gradient @ turn.inv().as_matrix() / step[..., None]
-    d_constants[:, ATTITUDE, RATE_BIASES] = np.eye(3)
+    gradient = _log_gradient(angle) / step[..., None]
+    equations.residual[:, ATTITUDE] = angle / step - mean_rate - coning
+    equations.d_next[:, ATTITUDE, ATTITUDE] = gradient
+    equations.d_state[:, ATTITUDE, ATTITUDE] = -gradient @ turn.inv().as_matrix()
+    equations.d_constants[:, ATTITUDE, RATE_BIASES] = np.eye(3)
 
 
 def _fill_gust(equations: Equations, gust: Matrix, correlation: Vector) -> None:
     """Set w_{k+1} - exp(-h / T) w_k."""
-    residual, d_state, d_next, _ = equations
-    residual[:, GUST] = gust[1:] - correlation[:, None] * gust[:-1]
-    d_state[:, GUST, GUST] = -correlation[:, None, None] * np.eye(3)
-    d_next[:, GUST, GUST] = np.eye(3)
-
-
-def measurement_equations(
-    path: FlightPath, sensors: FlightSensors, delays: Indices, least_airspeed: float
-) -> Equations:
-    """Return predicted - measured airspeed, alpha, beta, GPS velocity, and attitude (rotation about NED axes).
-
-    A sensor with a lag is compared with its value ``delays`` (6,) samples later. Over the rest of the
-    lag, less than a step, the prediction is continued by its rate of change.
-    """
-    n = len(sensors.time)
-    equations = Equations(
-        residual=np.zeros((n, 9)),
-        d_state=np.zeros((n, 9, 9)),
-        d_next=None,
-        d_constants=np.zeros((n, 9, len(PATH_CONSTANTS))),
-    )
-    _fill_air_data(equations, path, sensors.readings[:, AIR], least_airspeed)
-    _fill_path(equations, path, sensors, delays)
-    return _without(equations, np.isnan(equations.residual))
+    equations.residual[:, GUST] = gust[1:] - correlation[:, None] * gust[:-1]
+    equations.d_state[:, GUST, GUST] = -correlation[:, None, None] * np.eye(3)
+    equations.d_next[:, GUST, GUST] = np.eye(3)
 
 
 def _fill_air_data(
     equations: Equations, path: FlightPath, measured: Matrix, least_airspeed: float
 ) -> None:
     """Set airspeed, alpha and beta of R^T (v - w), less the measured ones."""
-    residual, d_state, _, d_constants = equations
     velocity = path.air_velocity()
+    predicted = np.column_stack(air_data(velocity))
+    predicted[predicted[:, 0] < least_airspeed, 1:] = np.nan
     slopes = air_data_slopes(velocity, least_airspeed)
     by_ned = slopes @ path.attitude.as_matrix().mT
-    airspeed, alpha, beta = air_data(velocity)
-    residual[:, :3] = np.column_stack([airspeed, alpha, beta]) - measured
-    residual[airspeed < least_airspeed, 1:3] = np.nan
-    d_state[:, :3, VELOCITY] = by_ned
-    d_state[:, :3, ATTITUDE] = slopes @ cross_matrix(velocity)
-    d_state[:, :3, GUST] = -by_ned
-    d_constants[:, :3, WINDS] = -by_ned[:, :, :2]
+    equations.residual[:, AIR_DATA] = predicted - measured
+    equations.d_state[:, AIR_DATA, VELOCITY] = by_ned
+    equations.d_state[:, AIR_DATA, ATTITUDE] = slopes @ cross_matrix(velocity)
+    equations.d_state[:, AIR_DATA, GUST] = -by_ned
+    equations.d_constants[:, AIR_DATA, WIND] = -by_ned[:, :, :2]
 
 
-def _fill_path(
-    equations: Equations, path: FlightPath, sensors: FlightSensors, delays: Indices
+def _fill_velocity(
+    equations: Equations, path: FlightPath, sensors: FlightSensors, force: Matrix, delay: int
 ) -> None:
-    """Set velocity and attitude, less those measured one lag later."""
-    residual, d_state, _, d_constants = equations
-    later, offset = _lagged_rows(sensors, path.constants[LATE], delays)
-    measured_velocity = np.take_along_axis(sensors.velocity, later[:, :3], axis=0)
-    residual[:, 3:6] = path.velocity - measured_velocity
-    d_state[:, 3:6, VELOCITY] = np.eye(3)
-    rows = later[:, 3]
-    angle = (path.attitude * sensors.attitude[rows].inv()).as_rotvec()
-    residual[:, 6:9] = angle
-    residual[~sensors.attitude_sampled[rows], 6:9] = np.nan
-    d_state[:, 6:9, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
-    # over the rest of the lag velocity and attitude move at their rates of change
-    force, rate = path.inertial(sensors)
+    """Set velocity at the end of its lag, less the one that GPS shows then."""
+    rows, offset = _lagged_rows(sensors, path.constants[VELOCITY_LAG], delay)
     acceleration = path.attitude.apply(force) + GRAVITY
-    rates = np.concatenate([acceleration, path.attitude.apply(rate)], axis=1)
-    residual[:, 3:] += offset * rates
-    for row, place in enumerate(LATE):
-        d_constants[:, 3 + row, place] = -rates[:, row]
+    equations.residual[:, GPS] = path.velocity - sensors.velocity[rows] + offset * acceleration
+    equations.d_state[:, GPS, VELOCITY] = np.eye(3)
+    equations.d_constants[:, GPS, VELOCITY_LAG] = -acceleration
 
 
-def _lagged_rows(sensors: FlightSensors, lags: Vector, delays: Indices) -> tuple[Indices, Matrix]:
-    """Return the row measured for each of `LATE`, (n, 6), and its offset in time, NaN where there is none."""
-    time, segment = sensors.time, sensors.segment
-    n = len(time)
-    later = np.arange(n)[:, None] + delays
-    inside = np.clip(later, 0, n - 1)
-    same = (inside == later) & (segment[inside] == segment[:, None])
-    offset = time[inside] - time[:, None] - lags
-    return inside, np.where(same, offset, np.nan)
+def _fill_attitude(
+    equations: Equations, path: FlightPath, sensors: FlightSensors, rate: Matrix, delay: int
+) -> None:
+    """Set the rotation about NED axes from the attitude measured at the end of its lag to the path's then."""
+    rows, offset = _lagged_rows(sensors, path.constants[ATTITUDE_LAG], delay)
+    angle = (path.attitude * sensors.attitude[rows].inv()).as_rotvec()
+    angle[~sensors.attitude_sampled[rows]] = np.nan
+    rate_ned = path.attitude.apply(rate)
+    equations.residual[:, ANGLES] = angle + offset * rate_ned
+    equations.d_state[:, ANGLES, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
+    equations.d_constants[:, ANGLES, ATTITUDE_LAG] = -rate_ned
+
+
+def _lagged_rows(sensors: FlightSensors, lag: float, delay: int) -> tuple[Indices, Matrix]:
+    """Return the row measured ``delay`` samples later, (n,), and its offset in time from the lag, (n, 1).
+
+    The offset, over which a prediction is continued at its rate of change, is NaN where there is
+    no such row in the segment.
+    """
+    later = np.arange(len(sensors.time)) + delay
+    rows = np.clip(later, 0, len(later) - 1)
+    same = (rows == later) & (sensors.segment[rows] == sensors.segment)
+    offset = sensors.time[rows] - sensors.time - lag
+    return rows, np.where(same, offset, np.nan)[:, None]
 
 
 def _log_gradient(angle: Matrix) -> Array:
     """Return the derivative of Log(exp(angle) exp(x)) by x at 0, to second order in the angle: (n, 3, 3)."""
     half = cross_matrix(angle) / 2
     return np.eye(3) + half + half @ half / 3
-
-
-def _without(equations: Equations, missing: Mask) -> Equations:
-    """Return the equations with zeros for the missing ones."""
-    for values in equations:
-        if values is not None:
-            values[missing] = 0.0
-    return equations

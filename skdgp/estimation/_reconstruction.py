@@ -22,11 +22,9 @@ RECONSTRUCTED = (*AIR_DATA, *ANGLE_RATES, *MOTION_COLUMNS)
 def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
     """Return the columns `RECONSTRUCTED` (n,) by a flight's path, SI units and radians."""
     air = np.column_stack(air_data(path.air_velocity()))
-    force, rate = path.inertial(sensors)
     euler = path.attitude.as_euler("ZYX")[:, ::-1]
-    motion = [rate, force, euler, path.velocity, path.wind()]
-    columns = np.column_stack([air, angle_rates(sensors, air), *motion])
-    return dict(zip(RECONSTRUCTED, columns.T, strict=True))
+    force, rate = path.inertial(sensors)
+    return _columns(sensors, air, np.hstack([rate, force, euler, path.velocity, path.wind()]))
 
 
 def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
@@ -35,15 +33,18 @@ def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
     Between the rows that records contain values are interpolated; rates of alpha and beta [rad/s]
     are the derivatives of cubic splines.
     """
-    names = [*AIR_DATA, *MOTION_COLUMNS]
-    motion = air[names].reset_index(drop=True)
+    motion = air[[*AIR_DATA, *MOTION_COLUMNS]].reset_index(drop=True)
     euler = motion[[*EULER]].dropna()
     # angles of thinned rows: between pi and -pi is pi, not zero
     motion.loc[euler.index, [*EULER]] = np.unwrap(euler.to_numpy(), axis=0)
     values = interpolate_missing(sensors.time, motion.to_numpy())
-    columns = dict(zip(names, values.T, strict=True))
-    rates = angle_rates(sensors, values[:, : len(AIR_DATA)])
-    return columns | dict(zip(ANGLE_RATES, rates.T, strict=True))
+    return _columns(sensors, values[:, : len(AIR_DATA)], values[:, len(AIR_DATA) :])
+
+
+def _columns(sensors: FlightSensors, air: Matrix, motion: Matrix) -> dict[str, Vector]:
+    """Return the columns `RECONSTRUCTED` by air data (n, 3) and motion (n, k)."""
+    columns = np.hstack([air, angle_rates(sensors, air), motion])
+    return dict(zip(RECONSTRUCTED, columns.T, strict=True))
 
 
 def angle_rates(sensors: FlightSensors, air: Matrix) -> Matrix:

@@ -86,9 +86,6 @@ AIR_NOISE: Prior = {
 }
 """Priors of the noises of the sensors in `estimate_air_motion` [SI]."""
 
-DIFFERENCES = 3  # order of the differences that show white noise
-DIFFERENCE_GAIN = 20  # sum of the squares of their coefficients 1, 3, 3, 1
-
 
 class SensorErrors(NamedTuple):
     """Scale and bias of the nine sensors."""
@@ -202,15 +199,19 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     return silent if "time" in table else ["time", *silent]
 
 
+def third_differences(values: Array) -> Array:
+    """Return third differences (n - 3, ...) of readings, scaled to the variance of their white noise."""
+    return np.diff(values, 3, axis=0) / np.sqrt(20)  # 1 + 9 + 9 + 1, squares of the coefficients
+
+
 def white_noise_squares(column: Vector, segment: Indices) -> Vector:
     """Return estimates of the variance of white noise in a channel, one for each third difference.
 
     Samples that are not finite are left out; differences do not cross gaps.
     """
     rows = np.flatnonzero(np.isfinite(column))
-    joined = segment[rows[DIFFERENCES:]] == segment[rows[:-DIFFERENCES]]
-    differences = np.diff(column[rows], DIFFERENCES)[joined]
-    return differences**2 / DIFFERENCE_GAIN
+    joined = segment[rows[3:]] == segment[rows[:-3]]
+    return third_differences(column[rows])[joined] ** 2
 
 
 def white_noise(flights: Sequence[FlightSensors], columns: slice) -> float:

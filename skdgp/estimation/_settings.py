@@ -107,6 +107,8 @@ class AirSettings:
     gust_window: float = 20.0
     # mean airspeed of a flight times the root of its samples, standard deviation [m/s]; typical
     pitot_noise: float = 10.0
+    # half of the moving mean of the rates before they are differentiated in steady wind [s]
+    rate_window: float = 0.05
     # least error of a sample of the airspeed [m/s]
     least_pitot_std: float = 0.1
     # least noise of accelerometers and gyros [SI]

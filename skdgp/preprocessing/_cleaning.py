@@ -26,7 +26,7 @@ from skdgp._flight.faults import (
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
-from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
 
 LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
 BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
@@ -249,50 +249,43 @@ class FlightSmoother(TableTransformer):
         self.joint = joint
 
     def _fit_table(self, table):
-        self.columns_ = _present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
-        names = _present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
+        self.columns_ = present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
+        names = present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
         self.derivatives_ = [name for name in names if f"{name}_dot" not in table]
         check_columns(table, ["time", *self.columns_, *names])
         if self.columns == "auto" and not names:
             self._check_any(table, SMOOTHED)
         numeric(table, {*self.columns_, *names})
         check_radians(table, IN_RADIANS)
-        used = {*self.columns_, *self.derivatives_}
-        is_joint = self.joint and self.cutoff == "auto"
-        self._vanes = [name for name in VANES if is_joint and name in used]
-        self.partners_ = _present(PARTNERS, table) if self._vanes else []
+        self._vanes = []
+        if self.joint and self.cutoff == "auto":
+            self._vanes = present(VANES, {*self.columns_, *self.derivatives_})
+        self.partners_ = present(PARTNERS, table) if self._vanes else []
 
     def _transform_table(self, table):
-        check_columns(
-            table, ["time", *self.columns_, *self.derivatives_, *self._vanes, *self.partners_]
-        )
-        numeric(table, [*self.columns_, *self.derivatives_])
+        used = [*self.columns_, *self.derivatives_]
+        check_columns(table, ["time", *used, *self.partners_])
+        numeric(table, used)
         check_radians(table, IN_RADIANS)
         new = self._apply(smooth, self.columns_, table)
-        new |= {name: wrapped_near(new[name], table[name]) for name in WRAPPED if name in new}
-        rates = self._apply(differentiate, self.derivatives_, table)
-        return with_columns(table, new | {f"{name}_dot": rate for name, rate in rates.items()})
+        for name in present(WRAPPED, new):
+            new[name] = wrapped_near(new[name], table[name])
+        for name, rate in self._apply(differentiate, self.derivatives_, table).items():
+            new[f"{name}_dot"] = rate
+        return with_columns(table, new)
 
     def _columns_out(self, names):
         return names + [f"{name}_dot" for name in self.derivatives_]
 
     def _apply(self, operation, names, table):
+        """Return columns by name, each filtered in one of two groups: vanes with their partners, and others."""
         clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
-        new: dict[str, Vector] = {}
-
-        def filter_together(group, partners):
-            columns = unwrapped(table, group + partners)
-            values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
-            new.update(zip(group, values.T, strict=False))  # without the partners
-
-        # every name is in one group of columns that are filtered together, with their partners
-        if any(name in self._vanes for name in names):
-            filter_together(self._vanes, self.partners_)
         apart = [name for name in names if name not in self._vanes]
-        if apart:
-            filter_together(apart, [])
+        together = self._vanes if len(apart) < len(names) else []
+        new: dict[str, Vector] = {}
+        for group, partners in ((together, self.partners_), (apart, [])):
+            if group:
+                columns = unwrapped(table, group + partners)
+                values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
+                new |= dict(zip(group, values.T, strict=False))  # without the partners
         return {name: new[name] for name in names}
-
-
-def _present(names, table):
-    return [name for name in names if name in table]

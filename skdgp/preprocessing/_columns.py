@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Real
 from typing import Any, Self
@@ -30,16 +30,17 @@ from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.tables import numeric
 from skdgp._flight.units import check_airspeed
-from skdgp.preprocessing._table import TableTransformer, as_pandas, with_columns
+from skdgp.preprocessing._table import (
+    TableTransformer,
+    as_pandas,
+    present,
+    with_columns,
+    with_names,
+)
 
 RATED = (*VANES, *RATES)
-# The column that another is made from, and the step that does it
-MAKERS = {
-    **{f"{name}_dot": (name, f"FlightSmoother(derivatives={[*RATED]})") for name in RATED},
-    **dict.fromkeys(MIXED, (ELEVONS[0], "ElevonSplitter()")),
-}
-LARGEST = 1e60  # regressor; squares of larger numbers overflow
-STILL = 1e-9  # a regressor that varies by less than this fraction of itself is constant
+CONTROLS = ("throttle", *SURFACES)
+ELEVON_MIXING = ((0.5, 0.5), (0.5, -0.5))
 
 
 class ElevonSplitter(TableTransformer):
@@ -108,19 +109,19 @@ class ElevonSplitter(TableTransformer):
 
     def _fit_table(self, table):
         shape = (len(self.controls), len(self.surfaces))
-        if self.mixing is None and shape != (2, 2):
-            raise ValueError(
-                f"Got {shape[1]} surfaces for {shape[0]} controls and no mixing, but expected "
-                f"mixing."
-            )
-        self.mixing_ = np.array(
-            [[0.5, 0.5], [0.5, -0.5]] if self.mixing is None else self.mixing, dtype=float
-        )
+        mixing = self.mixing
+        if mixing is None:
+            mixing = ELEVON_MIXING
+            if shape != (2, 2):
+                raise ValueError(
+                    f"Got {shape[1]} surfaces for {shape[0]} controls and no mixing, but expected mixing."
+                )
+        self.mixing_ = np.array(mixing, dtype=float)
         if self.mixing_.shape != shape:
             raise ValueError(
-                f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) "
-                f"= {shape}: one row "
-                f"for each of {list(self.controls)}, one column for each of {list(self.surfaces)}."
+                f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) = "
+                f"{shape}: one row for each of {list(self.controls)}, one column for each of "
+                f"{list(self.surfaces)}."
             )
         self._controls_of(table)
 
@@ -128,14 +129,11 @@ class ElevonSplitter(TableTransformer):
         return with_columns(table, self._controls_of(table))
 
     def _columns_out(self, names):
-        mixes = all(surface in names for surface in self.surfaces)
-        return names + [name for name in self.controls if mixes and name not in names]
+        return with_names(names, self.controls) if {*self.surfaces} <= {*names} else names
 
     def _controls_of(self, table):
         """Return controls by name; none where the table has them but not the surfaces."""
-        if not any(name in table for name in self.surfaces) and all(
-            name in table for name in self.controls
-        ):
+        if {*self.controls} <= {*table} and not {*self.surfaces} & {*table}:
             return {}
         check_columns(table, self.surfaces)
         values = self.mixing_ @ numeric(table, self.surfaces).T
@@ -181,7 +179,8 @@ class RateNondimensionalizer(TableTransformer):
 
     in_simulation = "rates"
     _parameter_constraints: dict = {
-        key: [Interval(Real, 0, None, closed="neither")] for key in ("span", "chord")
+        "span": [Interval(Real, 0, None, closed="neither")],
+        "chord": [Interval(Real, 0, None, closed="neither")],
     }
 
     def __init__(self, span: float, chord: float) -> None:
@@ -189,7 +188,7 @@ class RateNondimensionalizer(TableTransformer):
         self.chord = chord
 
     def _fit_table(self, table):
-        self.rates_ = [name for name in LENGTHS if name in table]
+        self.rates_ = present(LENGTHS, table)
         if not self.rates_:
             check_columns(table, ["p", "q", "r"])
         self._non_dimensional(table)
@@ -198,7 +197,7 @@ class RateNondimensionalizer(TableTransformer):
         return with_columns(table, self._non_dimensional(table))
 
     def _columns_out(self, names):
-        return names + [name + HAT for name in self.rates_ if name + HAT not in names]
+        return with_names(names, [name + HAT for name in self.rates_])
 
     def _non_dimensional(self, table):
         check_columns(table, ["airspeed", *self.rates_])
@@ -276,31 +275,28 @@ class RegressorSelector(TableTransformer):
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
-        X = as_pandas(X)
-        super().fit(X, y)
-        observed = np.ones(len(X), dtype=bool)
-        is_targeted = y is not None and len(y) == len(X)
+        table = as_pandas(X)
+        super().fit(table, y)
+        is_targeted = y is not None and len(y) == len(table)
         if is_targeted:
-            targets = np.asarray(y, dtype=float).reshape(len(X), -1)
-            observed = np.isfinite(targets).any(axis=1)
-        values = numeric(X, self.regressors_)
-        values = values[observed & np.isfinite(values).all(axis=1)]
+            targets = np.asarray(y, dtype=float).reshape(len(table), -1)
+            table = table[np.isfinite(targets).any(axis=1)]
+        values = numeric(table, self.regressors_)
+        values = values[np.isfinite(values).all(axis=1)]
         self.data_min_ = values.min(axis=0) if len(values) else None
         self.data_max_ = values.max(axis=0) if len(values) else None
-        self.ranges_ = {}
-        channels = [name for name in X if name in CHANNELS]
-        for name, column in X[channels].select_dtypes("number").items():
-            observed_values = column[observed].dropna()
-            if len(observed_values):
-                self.ranges_[str(name)] = float(observed_values.min()), float(observed_values.max())
+        channels = table[present(table, CHANNELS)].select_dtypes("number").dropna(axis=1, how="all")
+        limits = channels.agg(["min", "max"]).astype(float)
+        self.ranges_ = {name: tuple(limits[name].tolist()) for name in limits}
         if is_targeted and len(values):
-            is_still = np.ptp(values, axis=0) <= STILL * np.abs(values).max(axis=0)
-            self._warn_of_constant(np.flatnonzero(is_still))
+            self._warn_of_constant(values)
         return self
 
-    def _warn_of_constant(self, columns):
-        names = [self.regressors_[k] for k in columns]
-        if names:
+    def _warn_of_constant(self, values):
+        """Warn of regressors that vary by less than a billionth of themselves."""
+        is_still = np.ptp(values, axis=0) <= 1e-9 * np.abs(values).max(axis=0)
+        if is_still.any():
+            names = np.array(self.regressors_, dtype=object)[is_still].tolist()
             finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
             report(finding, FlightDataWarning, stacklevel=3)
 
@@ -317,7 +313,7 @@ class RegressorSelector(TableTransformer):
         _check_made(table, chosen)
         check_columns(table, chosen)
         numeric(table, chosen)
-        truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
+        truth = _truth(chosen)
         if truth:
             report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}), stacklevel=3)
         self.regressors_ = chosen
@@ -326,16 +322,16 @@ class RegressorSelector(TableTransformer):
         _check_made(table, self.regressors_)
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
-        holes = ~(np.abs(values) < LARGEST)
+        # squares of larger numbers overflow
+        holes = ~(np.abs(values) < 1e60)
         if holes.any():
-            counts = zip(self.regressors_, holes.sum(axis=0).tolist(), strict=True)
-            missing = {name: rows for name, rows in counts if rows}
+            counts = pd.Series(holes.sum(axis=0), index=self.regressors_)
             raise ValueError(
-                f"Got {int(holes.any(axis=1).sum())} of {len(values)} rows whose regressors are NaN "
-                f"or infinite (by rows: {missing}), but expected finite ones: drop these rows of "
-                f"the flight, as FlightCheck gives it, and of its targets, as skdgp identify does. "
-                f"Interpolate a slow sensor to the clock of the others, leave out an empty column, "
-                f"and isolated rows, which have no rate of change."
+                f"Got {holes.any(axis=1).sum()} of {len(values)} rows whose regressors are NaN or "
+                f"infinite (by rows: {counts[counts > 0].to_dict()}), but expected finite ones: drop "
+                "these rows of the flight, as FlightCheck gives it, and of its targets, as skdgp "
+                "identify does. Interpolate a slow sensor to the clock of the others, leave out an "
+                "empty column, and isolated rows, which have no rate of change."
             )
         return pd.DataFrame(values, columns=self.regressors_, index=table.index)
 
@@ -343,30 +339,40 @@ class RegressorSelector(TableTransformer):
         return self.regressors_
 
     def _from_set(self, table):
+        """Return the regressors of the named set, without the controls that the aircraft does not have."""
         names = list(REGRESSOR_SETS[self.regressors])
         _check_made(table, names)
         names = [name + HAT if name + HAT in table else name for name in names]
-        columns = [str(name) for name in table.columns if not str(name).endswith(TRUTH_SUFFIX)]
-        controls = ("throttle", *SURFACES)
-        missing = [name for name in controls if name in names and name not in table]  # or misspelt
-        self.absent_ = [
-            name for name in missing if not get_close_matches(name, columns, n=1, cutoff=0.85)
-        ]
-        if all(surface in self.absent_ for surface in SURFACES):
+        have = {*map(str, table.columns)}
+        measured = have - {*_truth(have)}
+        for name in present(CONTROLS, names):
+            is_misspelt = get_close_matches(name, measured, n=1, cutoff=0.85)
+            if name not in table and not is_misspelt:
+                self.absent_.append(name)
+        if {*SURFACES} <= {*self.absent_}:
             check_columns(table, SURFACES)
         return [name for name in names if name not in self.absent_]
+
+
+def _truth(names: Iterable[Any]) -> list[str]:
+    """Return the names of columns with the noise-free truth of a simulation."""
+    return [name for name in names if str(name).endswith(TRUTH_SUFFIX)]
 
 
 def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
     """Raise ValueError, with the step that adds it, if a column is missing that could be made."""
     lacking = [name for name in names if name not in table and name + HAT not in table]
-    makers = {name: MAKERS[name] for name in lacking if name in MAKERS}
-    steps = {name: step for name, (origin, step) in makers.items() if origin in table}
+    steps = {}
+    for name in lacking:
+        rated = name.removesuffix("_dot")
+        if rated != name and rated in RATED:
+            check_columns(table, [rated])
+            steps[name] = f"FlightSmoother(derivatives={[*RATED]})"
+        elif name in MIXED and ELEVONS[0] in table:
+            steps[name] = "ElevonSplitter()"
     if steps:
         raise ValueError(
             f"The flight lacks {sorted(steps)}, but these regressors need them: put "
             f"{', '.join(dict.fromkeys(steps.values()))} before RegressorSelector in the pipeline, "
             "or name other regressors."
         )
-    rates = [name for name in makers if name.endswith("_dot")]
-    check_columns(table, [makers[name][0] for name in rates])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Integral
 from typing import Any, NamedTuple
@@ -43,7 +43,7 @@ from skdgp.estimation import (
     path_columns,
 )
 from skdgp.preprocessing._cleaning import FlightSmoother
-from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, with_columns, with_names, wrapped_near
 
 
 class FlightPart(NamedTuple):
@@ -53,6 +53,12 @@ class FlightPart(NamedTuple):
     rows: Indices  # of the table
     sensors: FlightSensors
     estimate: PathEstimate
+
+    @property
+    def gust_std(self) -> float:
+        """Change of the air's velocity in one second [m/s], root mean square of the two directions."""
+        stds = [self.estimate.noise[name] for name in GUSTS]
+        return _mean_std(stds, np.ones(len(stds)))
 
 
 class FlightPathReconstruction(TableTransformer):
@@ -209,16 +215,14 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
         parts = self._estimated_paths(table, PATH_NOISE, learn=PATH_NOISE | GUSTS)
-        self.converged_ = {part.name: True for part in parts}
         for part in parts:
-            self.converged_[part.name] &= part.estimate.converged
-        samples = [len(part.sensors.time) for part in parts]
-        self.noise_std_ = {}
-        for name in PATH_NOISE:
-            stds = [part.estimate.noise[name] for part in parts]
-            self.noise_std_[name] = _mean_std(stds, samples)
-        self.gust_std_ = _mean_std([_gust_std(part.estimate) for part in parts], samples)
-        self.calibration_ = pd.concat([_calibration(part) for part in parts], ignore_index=True)
+            others = self.converged_.get(part.name, True)
+            self.converged_[part.name] = others and part.estimate.converged
+        noise = pd.DataFrame([part.estimate.noise for part in parts])
+        samples = [len(part.rows) for part in parts]
+        self.noise_std_ = {name: _mean_std(noise[name], samples) for name in PATH_NOISE}
+        self.gust_std_ = _mean_std([part.gust_std for part in parts], samples)
+        self.calibration_ = pd.concat(map(_calibration, parts), ignore_index=True)
         found = contradictions([part.sensors for part in parts], self.noise_std_)
         self.contradictions_ = found
         # one sensor of air data alone is probably filtered by the autopilot
@@ -254,10 +258,10 @@ class FlightPathReconstruction(TableTransformer):
             motion = estimate_air_motion(
                 table, aircraft, thrust=self.thrust, known=known, settings=settings
             )
+            if not motion.converged:
+                cause = Finding(Code.AIR_NOT_CONVERGED)
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
-        if motion is not None and not motion.converged:
-            cause = Finding(Code.AIR_NOT_CONVERGED)
         if cause is None:
             return motion, None
         numbers = {
@@ -287,18 +291,17 @@ class FlightPathReconstruction(TableTransformer):
 
     def _columns_by_path(self, table: pd.DataFrame) -> dict[str, Vector]:
         """Return the columns of flights by their most likely paths."""
-        new = {name: np.empty(len(table)) for name in (*RECONSTRUCTED, "gust")}
+        flights = []
         for part in self._estimated_paths(table, self.noise_std_, learn=GUSTS):
             columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
             columns["gust"] = self.gust_std_
             if part.estimate.converged:
                 # gusts of the training flights count as some seconds of this flight
-                stds = [_gust_std(part.estimate), self.gust_std_]
+                stds = [part.gust_std, self.gust_std_]
                 seconds = [np.ptp(part.sensors.time), PathSettings().gust_prior_seconds]
                 columns["gust"] = _mean_std(stds, seconds)
-            for name, values in columns.items():
-                new[name][part.rows] = values
-        return new
+            flights.append(pd.DataFrame(columns, index=part.rows))
+        return _in_rows(flights)
 
     def _columns_by_air(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
         """Return the columns of flights by the motion of the air, with the aircraft as ``known``."""
@@ -307,20 +310,19 @@ class FlightPathReconstruction(TableTransformer):
             return self._columns_by_path(table)
         surfaces = [name for name in ALL_SURFACES if has_values(table, name)]
         deflections = numeric(table, surfaces)
-        new = {name: np.empty(len(table)) for name in (*RECONSTRUCTED, "gust", *surfaces)}
+        flights = []
         for number, (_, rows, sensors) in enumerate(flights_of(table)):
             columns: dict[str, Any] = air_columns(motion.air.iloc[rows], sensors)
             columns["gust"] = np.nan_to_num(motion.gust_change(number), nan=self.gust_std_)
             late = delayed_surfaces(sensors, deflections[rows], self.servo_lag_)
             columns |= dict(zip(surfaces, late.T, strict=True))
-            for name, values in columns.items():
-                new[name][rows] = values
-        return new
+            flights.append(pd.DataFrame(columns, index=rows))
+        return _in_rows(flights)
 
     def _columns_out(self, names):
         if not self.used_:
             return names
-        return names + [name for name in (*RECONSTRUCTED, "gust") if name not in names]
+        return with_names(names, [*RECONSTRUCTED, "gust"])
 
     def _check(self, table):
         FlightTable.of(table, PATH_CHANNELS)
@@ -335,9 +337,8 @@ class FlightPathReconstruction(TableTransformer):
             for part, inner in overlapping_parts(len(rows), self.max_rows):
                 sensors = flight_sensors.part(part.start, part.stop)
                 estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
-                path = estimate.path.part(inner.start, inner.stop)
+                estimate = estimate._replace(path=estimate.path.part(inner.start, inner.stop))
                 inner_sensors = sensors.part(inner.start, inner.stop)
-                estimate = estimate._replace(path=path)
                 parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
         diverged = [str(part.name) for part in parts if not part.estimate.converged]
         if diverged:
@@ -346,14 +347,15 @@ class FlightPathReconstruction(TableTransformer):
         return parts
 
 
-def _mean_std(stds: Sequence[float], weights: Sequence[float]) -> float:
+def _in_rows(flights: list[pd.DataFrame]) -> dict[str, Vector]:
+    """Return the columns of flights, whose indices are rows of the table, in the order of the rows."""
+    table = pd.concat(flights).sort_index()
+    return dict(zip(table.columns, table.to_numpy(float).T, strict=True))
+
+
+def _mean_std(stds: Any, weights: Any) -> float:
     """Return the root of the weighted mean of variances."""
     return float(np.sqrt(np.average(np.square(stds), weights=weights)))
-
-
-def _gust_std(estimate: PathEstimate) -> float:
-    """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
-    return float(np.sqrt(np.mean([estimate.noise[name] ** 2 for name in GUSTS])))
 
 
 def _calibration(part: FlightPart) -> pd.DataFrame:

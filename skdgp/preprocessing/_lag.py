@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from numbers import Real
 from typing import Any
 
@@ -21,7 +21,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.tables import numeric, unwrapped
 from skdgp.estimation import Lag, LagSettings, estimate_lags, removable, without_lag
-from skdgp.preprocessing._table import TableTransformer, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
 
 GROUPS = {
     "air": AIR_DATA,
@@ -97,56 +97,52 @@ class LagCorrector(TableTransformer):
             self._check_any(table, _columns_of(GROUPS))
             rows = {group: _applied(lag) for group, lag in estimate_lags(table).items()}
         else:
-            lags = self.lags or {}
-            _check_lags(lags, table)
-            if lags:
-                self._check_any(table, _columns_of(lags))
-            rows = {name: (float(lag), np.nan, float(lag), "given") for name, lag in lags.items()}
+            rows = self._given(table)
         columns = ["lag", "std", "applied", "remark"]
         self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
         self.lags_ = self.lags_.rename_axis("group")
 
+    def _given(self, table):
+        """Return the given lags; raise ValueError if one is not finite, or names neither a group nor a column."""
+        lags = self.lags or {}
+        rows = {}
+        for name, lag in lags.items():
+            if name not in GROUPS and name not in table:
+                raise ValueError(
+                    f"Got a lag of {name!r}, but expected groups {list(GROUPS)} or columns of the table."
+                )
+            if not isinstance(lag, Real) or not np.isfinite(float(lag)):
+                raise ValueError(
+                    f"Got the lag {lag!r} of {name!r}, but expected a finite number of seconds."
+                )
+            rows[name] = (float(lag), np.nan, float(lag), "given")
+        if rows:
+            self._check_any(table, _columns_of(rows))
+        return rows
+
     def _transform_table(self, table):
         check_columns(table, ["time"])
         time = numeric(table, ["time"])[:, 0]
+        lags = self.lags_["applied"]
         new = {}
-        for group, lag in self.lags_["applied"].items():
-            for name in _columns_of([group]):
-                if not lag or name not in table:
-                    continue
-                new[name] = without_lag(
-                    time,
-                    unwrapped(table, [name])[:, 0],
-                    lag,
-                    table.get("flight"),
-                    noisy=name not in CONTROLS,
-                    repeats=name not in KINEMATIC,
-                )
-                if name in WRAPPED:
-                    new[name] = wrapped_near(new[name], table[name])
+        for group, lag in lags[lags != 0].items():
+            for name in present(_columns_of([group]), table):
+                values = unwrapped(table, [name])[:, 0]
+                flight = table.get("flight")
+                noisy = name not in CONTROLS
+                repeats = name not in KINEMATIC
+                new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
+        for name in present(WRAPPED, new):
+            new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
 
 
 def _columns_of(names: Iterable[Any]) -> list[str]:
     """Return the columns of groups and of single columns."""
-    return [column for name in names for column in GROUPS.get(name, (name,))]
-
-
-def _check_lags(lags: Mapping[str, Any], table: pd.DataFrame) -> None:
-    """Raise ValueError if a lag is not a finite number, or names neither a group nor a column."""
-    unknown = [name for name in lags if name not in GROUPS and name not in table]
-    if unknown:
-        raise ValueError(
-            f"Got lags of {unknown}, but expected groups {list(GROUPS)} or columns of the table."
-        )
-    wrong = {name: lag for name, lag in lags.items() if not _is_finite(lag)}
-    if wrong:
-        raise ValueError(f"Got lags {wrong}, but expected finite numbers of seconds.")
-
-
-def _is_finite(lag: object) -> bool:
-    """Return whether a lag is a finite number."""
-    return isinstance(lag, Real) and bool(np.isfinite(float(lag)))
+    columns: list[str] = []
+    for name in names:
+        columns += GROUPS.get(name, (name,))
+    return columns
 
 
 def _applied(lag: Lag) -> tuple[float, float, float, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import Any, Self
 
 import numpy as np
@@ -67,7 +67,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
     def _check_any(self, table: pd.DataFrame, names: Iterable[str]) -> None:
         """Raise ValueError if the table has none of the columns that the transformer works on."""
         names = list(names)
-        if not any(name in table for name in names):
+        if not present(names, table):
             raise ValueError(
                 f"Got a table with the columns {[*map(str, table.columns[:20])]}, but "
                 f"{type(self).__name__} expected at least one of {names}. Rename yours; "
@@ -88,6 +88,16 @@ def as_pandas(X: Any) -> Any:
     return pd.DataFrame({name: X[name].to_numpy() for name in X.columns})
 
 
+def present(names: Iterable[str], columns: Container[str]) -> list[str]:
+    """Return the names that are among the columns, in their order."""
+    return [name for name in names if name in columns]
+
+
+def with_names(names: Iterable[str], added: Iterable[str]) -> list[str]:
+    """Return the names followed by the added ones that are new."""
+    return list(dict.fromkeys([*names, *added]))
+
+
 def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
     """Return angles shifted by multiples of 2 pi to less than pi from a column of angles."""
     reference = near.to_numpy(float, na_value=np.nan)
@@ -97,8 +107,6 @@ def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
 
 def with_columns(table: pd.DataFrame, new: dict[str, np.ndarray]) -> pd.DataFrame:
     """Return the table with columns replaced in their place or added at the end."""
-    table = table.assign(**{name: values for name, values in new.items() if name in table})
-    added = {name: values for name, values in new.items() if name not in table}
-    if not added:
-        return table
-    return pd.concat([table, pd.DataFrame(added, index=table.index)], axis=1)
+    columns = pd.DataFrame(new, index=table.index)
+    replaced = table.assign(**columns[present(new, table)])
+    return pd.concat([replaced, columns.drop(columns=[*table], errors="ignore")], axis=1)

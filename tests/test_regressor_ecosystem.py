@@ -135,11 +135,12 @@ def logged(request):
     n = {"average": 1000, "joint": 300}[structure]
     rng = default_rng(0)
     time = 0.1 * np.arange(n)
-    X = np.sin(np.outer(time, [0.3, 0.7, 1.1])) + 0.05 * rng.normal(size=(n, 3))
-    Y = np.sin(X @ rng.normal(size=(3, 3))) + 0.1 * rng.normal(size=(n, 3))
+    X = np.sin(np.outer(time, [0.3, 0.7, 1.1]))
+    Y = np.sin(X @ rng.normal(size=(3, 3))) + 0.02 * rng.normal(size=(n, 3))
+    X += 0.2 * rng.normal(size=X.shape)
     Y[rng.random(Y.shape) < gaps] = np.nan
     options = {"inference": inference, "structure": structure, "n_inducing": 5}
-    model = quick(**options, n_latent=0, max_iter=1)
+    model = quick(**options, n_latent=0, max_iter=4)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         model.fit(X, Y, time=time)

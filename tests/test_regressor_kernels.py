@@ -396,3 +396,21 @@ def test_registered_paths_are_in_the_units_of_the_outputs(inference):
     assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
     some = model.sample_y(at, 3000, random_state=0)
     assert_array_equal(some, np.moveaxis(values, 0, -1))
+
+
+def test_restarts_leave_an_optimum_that_explains_all_as_noise():
+    """From far too long length scales, the nearest optimum of this likelihood is white noise."""
+    X = np.linspace(0, 10, 80)[:, None]
+    y = np.sin(3 * X[:, 0]) + 0.1 * default_rng(0).normal(size=80)
+    kernel = ConvolvedGaussian(
+        0,
+        amplitude=[[1.0]],
+        length_scale=[[[30.0]]],
+        parameter_bounds={"length_scale": (0.05, 100.0)},
+    )
+    options = {"structure": "joint", "trend": "constant", "random_state": 0}
+    trapped = DependentGPRegressor(kernel, **options).fit(X, y)
+    free = DependentGPRegressor(kernel, n_restarts_optimizer=4, **options).fit(X, y)
+    assert trapped.noise_variance_ > 0.3
+    assert 0.005 < free.noise_variance_ < 0.02
+    assert free.log_marginal_likelihood_value_ > trapped.log_marginal_likelihood_value_ + 50

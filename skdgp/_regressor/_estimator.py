@@ -91,12 +91,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
-        from at most 1800 values. "auto" is "exact" up to 6000 observed values, 1000 of a time series. Of
-        more without ``time`` it is "sparse" where the inducing inputs leave less than 0.3 of the
-        noise variance unexplained (Burt, Rasmussen & van der Wilk 2020), else "exact" on 6000 of
-        the values. The result is in ``inference_``.
+        from at most 1800 values. "auto" is "exact" up to 1000 observed values of a time series, and
+        "sparse" for more. Without ``time`` it is "exact" up to 6000, but above 1500 "sparse" where
+        the inducing inputs leave at most 0.003 of the noise variance unexplained (Burt, Rasmussen &
+        van der Wilk 2020), so that errors are within 1 % of exact ones. Of more than 6000 it is
+        "sparse" where up to four times as many inducing inputs leave at most 0.3, else "exact" on
+        6000 of the values. The result is in ``inference_``.
     n_inducing : int
-        Inducing inputs of each latent process in sparse inference.
+        Inducing inputs of each latent process in sparse inference; "auto" may take more.
     input_noise : {"auto", "learned"}, array (d,) or None
         Noise of the regressors, independent between samples and regressors: "learned" is one
         standard deviation for each regressor. With their covariance S and the slopes J of the mean
@@ -114,6 +116,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     optimizer : "fmin_l_bfgs_b" or None
         None keeps the values of the kernel, and estimates noise that is not given. The posterior
         uses all values.
+    n_restarts_optimizer : int
+        Joint searches from other random starts, of which the likeliest counts. Each takes as long
+        as the first. As in scikit-learn they change nothing without an ``optimizer``.
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a time
@@ -193,6 +198,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "noise_variance": [Interval(Real, 0, None, closed="neither"), "array-like", None],
         "noise_variance_bounds": ["array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
+        "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
         "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "random_state": ["random_state"],
     }
@@ -213,6 +219,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         noise_variance: Any = None,
         noise_variance_bounds: Any = None,
         optimizer: Any = "fmin_l_bfgs_b",
+        n_restarts_optimizer: int = 0,
         max_iter: int | None = None,
         random_state: Seed = None,
     ) -> None:
@@ -226,6 +233,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.noise_variance = noise_variance
         self.noise_variance_bounds = noise_variance_bounds
         self.optimizer = optimizer
+        self.n_restarts_optimizer = n_restarts_optimizer
         self.max_iter = max_iter
         self.random_state = random_state
 
@@ -359,6 +367,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             n_inducing=self.n_inducing,
             input_noise=self.input_noise,
             optimizer=self.optimizer,
+            n_restarts_optimizer=self.n_restarts_optimizer,
             max_iter=self.max_iter,
             random_state=self.random_state,
             time_series=time_series,

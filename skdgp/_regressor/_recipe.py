@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import clone
@@ -22,9 +22,9 @@ from skdgp.inference import (
     SearchSettings,
     as_exact,
     average,
+    check_inducing,
     fit_exact,
     fit_sparse,
-    inducing_inputs,
     mixture_of,
     n_searched,
     search,
@@ -52,8 +52,15 @@ class RegressorSettings:
     exact_values: int = 6000
     #: The same of a time series
     exact_time_series_values: int = 1000
-    #: Largest prior variance that inducing variables leave unexplained, over the noise variance
+    #: Observed values above which inference="auto" tries inducing variables; fewer are exact in no time
+    sparse_values: int = 1500
+    #: Largest prior variance that inducing variables leave unexplained, over the noise variance,
+    #: where exact inference on all values is possible: errors are within 1 % of exact ones
+    least_neglected: float = 0.003
+    #: The same where it is possible on some of the values
     most_neglected: float = 0.3
+    #: Numbers of inducing inputs that inference="auto" tries before that, over ``n_inducing``
+    times_inducing: tuple[int, ...] = (1, 2, 4)
     #: Most samples of a time series for which an average has main effects (docs/theory.md)
     additive_samples: int = 5000
     #: Largest variance of the discrepancy, over the sum of discrepancy and noise
@@ -78,6 +85,7 @@ class Recipe:
     n_inducing: int
     input_noise: Any
     optimizer: str | None
+    n_restarts_optimizer: int
     max_iter: int | None
     random_state: Seed
     time_series: bool
@@ -213,62 +221,112 @@ class Recipe:
 
     def _searched(self, kernels, X, Z, data, known, random_state):
         """Return the fits of one search, and their weights."""
-        rng = check_random_state(random_state.randint(2**31 - 1))
-        options = {
-            "optimizer": self.optimizer,
-            "max_iter": self.most_iterations(Z),
-            "input_noise": self.learns_input_noise(known),
-            "random_state": rng,
-            "settings": self.settings.search,
-        }
+        seeds = random_state.randint(2**31 - 1, size=2)
+        request = SearchOptions(
+            optimizer=self.optimizer,
+            max_iter=self.most_iterations(Z),
+            random_state=check_random_state(seeds[0]),
+            input_noise=self.learns_input_noise(known),
+            n_restarts=self.n_restarts_optimizer,
+            shifts=len(kernels) > 1,
+            settings=self.settings.search,
+        )
         is_exact = self.inference_of(data.n_values) == "exact"
-        sparse = {}
         if not is_exact:
-            centres = inducing_inputs(kernels[-1], X, Z, self.n_inducing, rng)
-            sparse = {
-                "n_inducing": self.n_inducing,
-                "centres": centres,
-                "ordered": self.time_series,
-            }
-        requested = SearchOptions(shifts=len(kernels) > 1, **options)
-        found = search(kernels, X, Z, requested, exact=is_exact, known=known)
+            check_inducing(kernels[-1], X, Z, self.n_inducing)
+        found = search(kernels, X, Z, request, exact=is_exact, known=known)
         weights = structure_weights([learned.score() for learned in found])
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
-        options |= {"known": known, "data": data} | sparse
         fits = []
         for k in likeliest:
-            fits.append(self._fitted(found[k], X, Z, known, random_state, options))
+            rng = check_random_state(seeds[1])  # the same inducing inputs for all
+            samples = _Samples(X, Z, data, known)
+            if is_exact:
+                fit = self._of_few(found[k], samples, rng)
+            else:
+                fit, samples = self._of_many(found[k], samples, rng)
+            if self._averages and not fit.learned.interrupted:
+                fit = self._average(fit, samples, random_state)
+            fits.append(fit)
         return fits, weights[likeliest]
 
-    def _fitted(self, learned, X, Z, known, random_state, options):
-        """Return the fit at hyperparameters that a search has found."""
-        fit_one = fit_sparse if "centres" in options else fit_exact
-        fit = fit_one(learned.kernel, X, Z, learned=learned, **options)
-        if fit_one is fit_sparse and self._is_neglectful(fit):
-            rows = stratified(np.arange(len(X)), self._exact_rows(X, Z), random_state)
-            X, Z, known = X[rows], Z[rows], known.of_rows(rows)
-            data = fit.learned.noisy(Data.from_table(X, Z, known.loading))
-            fit = as_exact(fit.learned, X, Z, data, known)
-        if not self._averages or fit.learned.interrupted:
-            return fit
-        return average(fit, X, Z, None if self.time_series else random_state, known)
+    def _of_few(self, learned, samples, rng):
+        """Return the fit of samples that exact inference can take all of."""
+        is_large = samples.data.n_values > self.settings.sparse_values
+        if is_large and self.inference == "auto" and self._can_neglect(learned):
+            fit = self._sparse(learned, samples, self.n_inducing, rng)
+            if fit.posterior.neglected_variance <= self.settings.least_neglected:
+                return fit
+        return fit_exact(
+            learned.kernel,
+            samples.X,
+            samples.Z,
+            known=samples.known,
+            data=samples.data,
+            learned=learned,
+            optimizer=self.optimizer,
+        )
 
-    def _is_neglectful(self, fit):
-        """Return whether exact inference on fewer values replaces a sparse fit; warn if it neglects much."""
-        if self.time_series or fit.learned.interrupted or fit.learned.input_std is not None:
-            return False
-        posterior = fit.posterior
-        neglected = float(np.max(posterior.unexplained_variance / posterior.noise))
-        if neglected <= self.settings.most_neglected:
-            return False
+    def _of_many(self, learned, samples, rng):
+        """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
+        settings = self.settings
         is_auto = self.inference == "auto"
-        n_exact = self.settings.exact_values if is_auto else None
-        _checks.warn_of_approximation(neglected, self.n_inducing, n_exact)
-        return is_auto
+        for times in settings.times_inducing if is_auto else (1,):
+            n_inducing = times * self.n_inducing
+            fit = self._sparse(learned, samples, n_inducing, rng)
+            if not self._can_neglect(fit.learned):
+                return fit, samples
+            neglected = fit.posterior.neglected_variance
+            if neglected <= settings.most_neglected:
+                return fit, samples
+            if 2 * fit.posterior.size > settings.exact_values:
+                break  # exact inference takes less time
+        n_exact = settings.exact_values if is_auto else None
+        _checks.warn_of_approximation(neglected, n_inducing, n_exact)
+        if not is_auto:
+            return fit, samples
+        n_rows = settings.exact_values * len(samples.X) // samples.data.n_values
+        rows = stratified(np.arange(len(samples.X)), n_rows, rng)
+        few = samples.of_rows(rows)
+        learned = fit.learned
+        return as_exact(learned, few.X, few.Z, learned.noisy(few.data), few.known), few
 
-    def _exact_rows(self, X, Z):
-        """Return the number of rows with as many values as exact inference takes."""
-        return self.settings.exact_values * len(X) // np.isfinite(Z).sum()
+    def _can_neglect(self, learned):
+        """Return whether the variance that inducing variables neglect is known, and decides."""
+        return not (self.time_series or learned.interrupted or learned.input_std is not None)
+
+    def _sparse(self, learned, samples, n_inducing, rng):
+        """Return the fit with so many inducing inputs."""
+        return fit_sparse(
+            learned.kernel,
+            samples.X,
+            samples.Z,
+            n_inducing=n_inducing,
+            ordered=self.time_series,
+            known=samples.known,
+            data=samples.data,
+            learned=learned,
+            random_state=rng,
+        )
+
+    def _average(self, fit, samples, random_state):
+        """Return the average of the terms of the kernel of a fit."""
+        order = None if self.time_series else random_state
+        return average(fit, samples.X, samples.Z, order, samples.known)
+
+
+class _Samples(NamedTuple):
+    """Inputs (n, d), targets (n, P), their observed values, and the known noise."""
+
+    X: Matrix
+    Z: Matrix
+    data: Data
+    known: KnownNoise
+
+    def of_rows(self, rows):
+        """Return some samples."""
+        X, Z, known = self.X[rows], self.Z[rows], self.known.of_rows(rows)
+        return _Samples(X, Z, Data.from_table(X, Z, known.loading), known)
 
 
 def weights_of(posterior: Posterior) -> dict[str, Vector]:

@@ -29,7 +29,7 @@ from skdgp.inference._errors import (
     narrowing,
 )
 from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mixture_of
-from skdgp.inference._fit import inducing_inputs as inducing_inputs
+from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings

@@ -60,6 +60,7 @@ def fit_exact(
     X: Matrix,
     Y: Matrix,
     *,
+    optimizer: str | None,
     known: KnownNoise = UNKNOWN,
     data: Data | None = None,
     learned: Hyperparameters | None = None,
@@ -74,6 +75,8 @@ def fit_exact(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
+    optimizer : "fmin_l_bfgs_b" or None
+        As for ``SearchOptions``.
     known : KnownNoise
         Known part of the noise.
     data : Data or None
@@ -88,13 +91,13 @@ def fit_exact(
     Fit
         The posterior, its hyperparameters and the history of the search.
     """
-    search_options = SearchOptions(**options)
     if learned is None:
-        learned = search([kernel], X, Y, search_options, exact=True, known=known)[0]
+        request = SearchOptions(optimizer=optimizer, **options)
+        learned = search([kernel], X, Y, request, exact=True, known=known)[0]
     if data is None:
         data = Data.from_table(X, Y, known.loading)
     posterior = _exact_posterior(learned, data)
-    if search_options.optimizer is not None:
+    if optimizer is not None:
         learned = unbiased(learned, posterior, Y, known)
     if learned.is_unbiased:
         posterior = _exact_posterior(learned, data)
@@ -145,7 +148,6 @@ def fit_sparse(
     ordered: bool = False,
     known: KnownNoise = UNKNOWN,
     data: Data | None = None,
-    centres: Matrix | None = None,
     learned: Hyperparameters | None = None,
     **options: Any,
 ) -> Fit:
@@ -163,8 +165,6 @@ def fit_sparse(
     known : KnownNoise
     data : Data or None
         As for ``fit_exact``.
-    centres : ndarray (k, d) or None
-        Inducing inputs. None: ``inducing_inputs``.
     learned : Hyperparameters or None
         As for ``fit_exact``.
     **options
@@ -181,11 +181,12 @@ def fit_sparse(
         When matrices of the size of all inducing variables do not fit into memory.
     """
     random_state = check_random_state(random_state)
-    Z = inducing_inputs(kernel, X, Y, n_inducing, random_state) if centres is None else centres
-    options["random_state"] = random_state
+    check_inducing(kernel, X, Y, n_inducing)
     if learned is None:
-        learned = search([kernel], X, Y, SearchOptions(**options), known=known)[0]
-    features = inducing_features(learned.kernel, Z)
+        request = SearchOptions(random_state=random_state, **options)
+        learned = search([kernel], X, Y, request, known=known)[0]
+    centres = inducing_centres(learned.kernel, X, n_inducing, random_state)
+    features = inducing_features(learned.kernel, centres)
     data = Data.from_table(X, Y, known.loading) if data is None else data
     fit = SparseFit(features, data, X, Y, ordered, known)
     return fit.at(learned)
@@ -286,15 +287,11 @@ class SparseFit:
         return SparsePosterior(posterior.kernel, self.features, noise, data)
 
 
-def inducing_inputs(
-    kernel: MultiOutputKernel, X: Matrix, Y: Matrix, n_inducing: int, random_state: Any
-) -> Matrix:
-    """Return the inducing inputs (k, d) of a kernel without values; ValueError if matrices of their size do not fit."""
+def check_inducing(kernel: MultiOutputKernel, X: Matrix, Y: Matrix, n_inducing: int) -> None:
+    """Raise ValueError if matrices of the size of all inducing variables of a kernel without values do not fit."""
     start = kernel.initialize(X, Y, np.random.RandomState(0))
-    Z = inducing_centres(start, X, n_inducing, random_state)
-    size = inducing_features(start, Z).size
+    size = inducing_features(start, X[:n_inducing]).size
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
-    return Z
 
 
 def inducing_centres(
@@ -384,10 +381,14 @@ def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
         members += fit.posterior.members
         mixture.append(weight * fit.posterior.mixture)
     learned = [fit.learned for fit in fits]
-    stds = [part.input_std for part in learned if part.input_std is not None]
+    input_std = None
+    if any(part.input_std is not None for part in learned):
+        stds = [0.0 if part.input_std is None else part.input_std for part in learned]
+        variances = np.broadcast_arrays(*map(np.square, stds))
+        input_std = np.sqrt(np.average(variances, axis=0, weights=weights))
     common = learned[0]._replace(
         noise=np.average([part.noise for part in learned], axis=0, weights=weights),
-        input_std=np.sqrt(np.average(np.square(stds), axis=0, weights=weights)) if stds else None,
+        input_std=input_std,
         converged=all(part.converged for part in learned),
     )
     return Fit(AveragePosterior(members, np.concatenate(mixture)), common)

@@ -50,8 +50,9 @@ class SearchSettings:
     structure_iterations: int = 50
     #: Largest price of hyperparameters, over the number of values
     most_price: float = 0.5
-    #: Distance from the best score up to which a structure is searched again on all values [nats]
-    trial_margin: float = 30.0
+    #: Distance from the best score up to which a structure is searched again on all values [nats],
+    #: and that of the richest structure, which more values favour
+    trial_margins: tuple[float, float] = (10.0, 100.0)
     #: Values of each output, between these
     output_values: int = 300
     #: Most values of an output alone
@@ -92,6 +93,8 @@ class SearchOptions:
     random_state : int, RandomState or None
     input_noise : bool
         Whether a standard deviation of the noise of each regressor is learned.
+    n_restarts : int
+        Joint searches from other random starts, of which the likeliest counts.
     shifts : bool
         Whether kernels with shifts are searched too, where separate fits of the outputs show them.
     settings : SearchSettings
@@ -101,6 +104,7 @@ class SearchOptions:
     max_iter: int
     random_state: Seed
     input_noise: bool = False
+    n_restarts: int = 0
     shifts: bool = False
     settings: SearchSettings = SETTINGS
 
@@ -258,7 +262,7 @@ def search(
         random_state,
     )
     if len(kernels) == 1:
-        return [joint.learned(kernel)]
+        return [joint.likeliest(kernel)]
     found = _compared(joint, kernels, shift)
     if stop.is_set():  # even where it ended the search of another structure
         found = [each._replace(interrupted=True) for each in found]
@@ -291,7 +295,10 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
     if few is joint or joint.stop.is_set():
         return found
     scores = np.array([each.score(joint.n_values / few.n_values) for each in found])
-    promising = scores > scores.max() - joint.options.settings.trial_margin
+    margin, of_richest = joint.options.settings.trial_margins
+    margins = np.full(len(found), margin)
+    margins[len(kernels) - 1] = of_richest
+    promising = scores > scores.max() - margins
     return [joint.compared(structures[k]) for k in np.flatnonzero(promising)]
 
 
@@ -332,14 +339,32 @@ class _JointSearch(NamedTuple):
 
     def compared(self, structure: _Structure) -> Hyperparameters:
         """Return the hyperparameters of a structure, with its price."""
-        learned = self.learned(structure.kernel)
+        learned = self.likeliest(structure.kernel)
         price = min(
             n_mattering(learned.kernel, self.X), self.options.settings.most_price * self.n_values
         )
         return learned._replace(price=price + structure.price)
 
+    def likeliest(self, kernel: MultiOutputKernel) -> Hyperparameters:
+        """Return the hyperparameters of a kernel with the largest likelihood, of all starts."""
+        best = self.learned(kernel)
+        for _ in range(self.options.n_restarts):
+            if self.stop.is_set():
+                break
+            other = self.learned(self._redrawn(kernel))
+            if other.log_likelihood > best.log_likelihood:
+                best = other
+        return best._replace(interrupted=self.stop.is_set())
+
+    def _redrawn(self, kernel):
+        """Return a kernel with values drawn inside its bounds; missing values are drawn by each start."""
+        if not kernel.has_values():
+            return kernel
+        start = self._start(kernel)
+        return start.clone_with_theta(self.random_state.uniform(*start.bounds.T))
+
     def learned(self, kernel: MultiOutputKernel) -> Hyperparameters:
-        """Return the hyperparameters of a kernel."""
+        """Return the hyperparameters of a kernel from one start."""
         options = self.options
         data = Data.from_table(self.X, self.Y, self.known.loading)
         noise = self.noise
@@ -350,12 +375,14 @@ class _JointSearch(NamedTuple):
         start = self._start(kernel)
         shared = self._start(coarse(kernel))
         n_iter = 0
+        of_exact_regressors = -np.inf
         step = 1 if options.input_noise else -(-data.n_values // options.settings.coarse_values)
         if shared.n_dims < start.n_dims or options.input_noise or step > 1:
             half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
             few = data.every(step)
             shared, noise, end = self._climb(shared, noise, self.bounds, few, half)
             n_iter = end.n_iter
+            of_exact_regressors = end.value
             start = from_coarse(kernel, start, shared)
 
         bounds = self.bounds
@@ -365,6 +392,11 @@ class _JointSearch(NamedTuple):
             noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
             bounds = np.concatenate([bounds, input_bounds])
         best, noise, end = self._climb(start, noise, bounds, data, options.max_iter - n_iter)
+        # noise that does not raise the likelihood is none; fewer iterations saw exact regressors
+        is_worse = options.input_noise and end.value < of_exact_regressors
+        if is_worse and self.known.input_std is None and not self.stop.is_set():
+            exact = self._replace(options=replace(options, input_noise=False))
+            return exact.learned(kernel)
 
         # Stage 4.
         if options.input_noise and not self.exact and not self.stop.is_set():

@@ -184,6 +184,11 @@ class SparsePosterior(SinglePosterior):
             variance[i] = s.unexplained / s.n
         return variance
 
+    @property
+    def neglected_variance(self) -> float:
+        """The largest ``unexplained_variance`` of any output, over its noise variance."""
+        return float(np.max(self.unexplained_variance / self.noise))
+
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
         return SparsePosterior(self.kernel, self.features, noise, data)

@@ -142,11 +142,11 @@ def load_example_flights(
     Examples
     --------
     >>> from skdgp.datasets import load_example_flights
-    >>> data = load_example_flights()
+    >>> data = load_example_flights(duration=30.0)
     >>> data.train.groupby("flight", observed=True)["airspeed_true"].mean().round()
     flight
     lateral    35.0
-    latlon     35.0
+    latlon     36.0
     Name: airspeed_true, dtype: float64
     >>> data.aircraft
     Aircraft('brumby', 45 kg, S 2.59 m^2, b 2.8 m, c 1.09 m)

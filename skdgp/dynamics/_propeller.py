@@ -19,7 +19,7 @@ from skdgp._flight.checks import (
     check_numbers,
     check_table,
 )
-from skdgp._flight.frames import SEA_LEVEL_DENSITY
+from skdgp._flight.frames import SEA_LEVEL_DENSITY, cross
 
 
 @dataclass(frozen=True)
@@ -366,5 +366,5 @@ class ThrustLine:
         T = np.asarray(thrust, dtype=float)[..., None]
         Q = np.asarray(torque, dtype=float)[..., None]
         force = T * self.direction
-        moment = T * np.cross(self.position, self.direction) + Q * self.direction
+        moment = T * cross(self.position, self.direction) + Q * self.direction
         return force, moment

@@ -334,6 +334,8 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.filters.pair(i, j)
 
     def couples(self, i: int, j: int) -> bool:
+        if self.feeds is None:
+            return self.n_latent > 0 or i == j
         feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
         return bool((feeds[:, i] & feeds[:, j]).any())
 

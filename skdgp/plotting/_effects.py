@@ -260,8 +260,7 @@ def _interaction(
     points = np.tile(rows.mean(axis=0), (2, n + 1, 1))
     points[:, 1:, first] = np.linspace(low, high, n)
     points[:, :, second] = np.quantile(rows[:, second], SETTINGS.levels)[:, None]
-    changes = np.array([_change(parts.posterior, curve, output) for curve in points])
-    mean, variance = np.moveaxis(changes, 1, 0)
+    mean, variance = _changes(parts.posterior, points, output)
     units = parts.in_units(points)
     scale = parts.scale[output]
     return Interaction(
@@ -274,14 +273,17 @@ def _interaction(
     )
 
 
-def _change(posterior: Any, points: Matrix, output: int) -> tuple[Vector, Vector]:
-    """Return mean and variance of an output at points (1 + n, d) less its value at the first, (n,) each."""
-    n = len(points)
-    block = slice(output * n, (output + 1) * n)
-    value = posterior.predict(points)[:, output]
-    cov = posterior.covariance(points)[block, block]
-    variance = np.diagonal(cov)[1:] + cov[0, 0] - 2 * cov[1:, 0]
-    return value[1:] - value[0], variance
+def _changes(posterior: Any, curves: Array, output: int) -> tuple[Matrix, Matrix]:
+    """Return mean and variance of an output on curves (k, 1 + n, d) less its value at their origins, (k, n) each."""
+    k, n, d = curves.shape
+    points = curves.reshape(k * n, d)
+    block = slice(output * k * n, (output + 1) * k * n)
+    value = posterior.predict(points)[:, output].reshape(k, n)
+    cov = posterior.covariance(points)[block, block].reshape(k, n, k, n)
+    of_curves = np.einsum("iaib->iab", cov)
+    with_origin = of_curves[:, 1:, 0]
+    variance = np.einsum("iaa->ia", of_curves)[:, 1:] + of_curves[:, :1, 0] - 2 * with_origin
+    return value[:, 1:] - value[:, :1], variance
 
 
 class _Parts(NamedTuple):

@@ -161,11 +161,11 @@ def test_learnable_and_still_hard(data):
 
 
 def test_shape_clock_and_names(data):
-    assert data.train.shape == (14400, 69)
-    assert data.test.shape == (7200, 69)
+    assert data.train.shape == (4800, 69)
+    assert data.test.shape == (2400, 69)
     assert list(data.train) == list(data.test)
     for _, table in data.train.groupby("flight", observed=True):
-        assert_allclose(table.time, np.arange(7200) * 0.025, atol=1e-9)
+        assert_allclose(table.time, np.arange(2400) * 0.025, atol=1e-9)
     assert data.train.index.is_unique
     assert data.train.notna().all(axis=None)
     assert data.test.notna().all(axis=None)
@@ -224,7 +224,7 @@ class TestSensors:
 
     def test_noise_has_the_stated_levels(self, errors):
         std = errors.std(axis=0)
-        assert_allclose(std, [*self.NOISE.values()], rtol=0.02)
+        assert_allclose(std, [*self.NOISE.values()], rtol=0.04)  # of 4800 samples: 1 %
         assert (abs(errors.mean(axis=0)) < 5 * std / np.sqrt(len(errors))).all()
 
     def test_noise_is_white_and_independent(self, errors):

@@ -18,6 +18,7 @@ CONVOLVED_GP = 0.4552  # mean absolute error of Cd, Alvarez & Lawrence (2011)
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared_data):
     """Cadmium where nickel and zinc are known. Seeds change the error by 0.001, a tenth of the distance."""
     parts = [
@@ -32,6 +33,7 @@ def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     """On four minutes of a flight at two altitudes, from 100 noisy samples of two minutes at one."""
     folder = shared_data / "flights"

@@ -12,6 +12,7 @@ DOCS = ROOT / "docs"
 MADE = ("_build", "gallery", "generated", "sg_execution_times.rst")  # by a build
 
 
+@pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
     """All but the running of examples and the writing of HTML, in a copy, since a build writes beside its sources."""
     for name in ("sphinx", "myst_parser", "sphinx_gallery", "numpydoc", "furo"):

@@ -334,6 +334,7 @@ def test_demo_is_honest(command, tmp_path, monkeypatch, capsys):
     assert 0 < pipeline.seconds_ <= 2 * 2000 * 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_flights", "hasty_fits")
 @pytest.mark.parametrize(
     ("short_flights", "name", "arguments"),

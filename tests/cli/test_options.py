@@ -116,6 +116,7 @@ def blocks(language):
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("hasty_fits", "few_manoeuvres", "no_mechanics")
 @pytest.mark.filterwarnings("ignore:Flight 'two_altitudes' lasts 7.48 s")
 def test_commands_and_code_of_the_page_run(folder, tmp_path, monkeypatch, command):

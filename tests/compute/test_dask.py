@@ -18,6 +18,7 @@ pytest.importorskip(
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "inference.md"
 
 
+@pytest.mark.slow
 def test_the_page_runs_and_workers_find_the_same_models():
     """Two worker processes import the package once for the whole test."""
     code = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE)

@@ -30,6 +30,7 @@ def short(fly, truth, aircraft, train, seconds, seed):
     return fly(truth, aircraft, train, min(seconds, 12.0), seed)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_it_runs(example, tmp_path, capsys):
     picture = tmp_path / "loop.png"

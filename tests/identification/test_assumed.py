@@ -137,6 +137,7 @@ def found(log):
 
 
 @pytest.mark.shared
+@pytest.mark.slow
 class TestALogAMassAndASpan:
     def test_signs_are_right(self, found):
         """PX4, hardware in the loop: no accelerometer, vane, servo angle or thrust, of an unknown simulator."""

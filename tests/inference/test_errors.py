@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import Data, ExactPosterior, function_errors, mean_errors
@@ -18,9 +19,8 @@ def wandering(rng, n, memory):
     """Return a time series (n,) of variance one whose correlation falls by 1/e in ``memory`` samples."""
     keep = np.exp(-1 / memory)
     values = rng.normal(size=n)
-    for k in range(1, n):
-        values[k] = keep * values[k - 1] + np.sqrt(1 - keep**2) * values[k]
-    return values
+    values[1:] *= np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], values)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ An environment of Gymnasium (pip install gymnasium): episodes fly aircraft of th
 import argparse
 
 import gymnasium
+import matplotlib.pyplot as plt
 import numpy as np
 
 from skdgp import make_identification_pipeline
@@ -44,17 +45,29 @@ class AircraftEnv(gymnasium.Env):
 
 
 def main(arguments=None):
-    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--output", default="episode.png", help="the picture")
+    output = parser.parse_args(arguments).output
     data = load_example_flights()
     model = make_identification_pipeline(data.aircraft)
     model.set_params(dependentgpregressor__structure="trend")
     model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
     env = AircraftEnv(model, data.aircraft, trim(model, data.aircraft, 35.0, altitude=300.0))
     (seen, _), rewards, ends = env.reset(seed=0), [], []
+    angles = []
     while not any(ends):  # a proportional controller takes the place of a learning one
         seen, reward, *ends, _ = env.step([0.1 * seen[6], -0.1 * seen[3] - 0.02 * seen[5], 0.0])
         rewards.append(reward)
+        angles.append(np.rad2deg(seen[[1, 3, 4]]))
     print(f"{len(rewards)} steps, mean reward {np.mean(rewards):.2f}")
+    fig, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 5))
+    time = np.linspace(0.0, env.simulator.time, len(rewards))
+    above.plot(time, angles, label=["angle of attack", "roll angle", "pitch angle"])
+    above.set_ylabel("[deg]")
+    above.legend()
+    below.plot(time, rewards)
+    below.set(xlabel="time [s]", ylabel="reward", ylim=(0, None))
+    fig.savefig(output)
 
 
 if __name__ == "__main__":

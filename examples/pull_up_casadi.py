@@ -14,6 +14,7 @@ Needs CasADi: pip install "skdgp[export]".
 """
 
 import casadi
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
@@ -95,7 +96,23 @@ def margin(values, mean):
     return np.quantile(worst, 0.97) * spread
 
 
-def main(paths=200, samples=150):
+def drawn(plans, limits, output):
+    """Write a picture of alpha and load factor of each plan, with those of the aircraft that fly it."""
+    fig, axes = plt.subplots(2, len(plans), sharex=True, sharey="row", figsize=(10, 5))
+    for column, (mean, others, share) in zip(axes.T, plans, strict=True):
+        column[0].set_title(f"{share:.0%} exceed a limit")
+        for k, (axis, unit) in enumerate(zip(column, (180 / np.pi, 1.0), strict=True)):
+            axis.plot(TIME, unit * others[:, :, k].T, color="C0", lw=0.3, alpha=0.4)
+            axis.plot(TIME, unit * mean[:, k], color="black")
+            axis.axhline(unit * limits[k], color="C3", ls="--")
+    axes[0, 0].set_ylabel("angle of attack [deg]")
+    axes[1, 0].set_ylabel("load factor")
+    axes[1, 1].set_xlabel("time [s]")
+    fig.tight_layout()
+    fig.savefig(output)
+
+
+def main(paths=200, samples=150, output="pull_up.png"):
     flights = load_example_flights()
     aircraft = flights.aircraft
     regressor = DependentGPRegressor(inference="sparse", n_inducing=30, n_latent=1, max_iter=20)
@@ -109,13 +126,16 @@ def main(paths=200, samples=150):
     limits = np.array([ranges["alpha"].max(), 1.8])
     motion, start = motion_of(model, aircraft, steady, density)
     kept = np.zeros((len(TIME), 2))
+    plans = []
     for number in range(3):
         controls, mean = planned(motion, start, steady, limits - kept, ranges["elevator"].tolist())
         fly = pipeline, aircraft, steady, controls, density, paths
         others = flown(*fly, seed=1000 + number)  # not the aircraft of the margin
         share = np.mean((others > limits).any(axis=(1, 2)))
         print(f"plan {number + 1}: {share:.0%} of aircraft exceed a limit")
+        plans.append((mean, others, share))
         kept = margin(flown(*fly, seed=number), mean)
+    drawn(plans, limits, output)
 
 
 if __name__ == "__main__":

@@ -199,6 +199,7 @@ def _derivatives_text(mechanics: FlightMechanics) -> str:
     modes: Any = mechanics.modes
     table = mechanics.derivatives
     controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
+    flight = f"{point.airspeed:g} m/s in air of {point.density:.4g} kg/m^3"
     cells = table["value"].map("{:z.4f}".format)
     meaning = "values"
     if "std" in table:
@@ -210,7 +211,7 @@ def _derivatives_text(mechanics: FlightMechanics) -> str:
     wide = wide.reindex(index=rows.unique(), columns=columns.unique())
     return "\n".join(
         [
-            f"{point.airspeed:g} m/s: alpha {np.rad2deg(point.alpha):.3g} deg, {controls}",
+            f"{flight}: alpha {np.rad2deg(point.alpha):.3g} deg, {controls}",
             meaning,
             "",
             wide.rename_axis(index=None, columns=None).to_string(),

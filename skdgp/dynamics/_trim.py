@@ -103,6 +103,7 @@ class Trim:
     controls: dict  #: Controls of the model and the engine
     airspeed: float
     altitude: float
+    density: float  #: Of the air [kg/m^3]
     climb: float
     turn_rate: float
     alpha: float
@@ -228,6 +229,7 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         state=state,
         controls={name: float(flight[name]) for name in steady.controls},
         airspeed=airspeed,
+        density=float(now.density),
         **{name: float(flight[name]) for name in FLIGHT},
         rates=state[RATES].copy(),
         coefficients=now.coefficients,

@@ -181,5 +181,6 @@ def air_of(pipeline: Pipeline, most: int = 4) -> str:
     for name, row in winds.iterrows():
         north, east = row[["wind_north", "wind_east"]]
         way = np.rad2deg(np.arctan2(-east, -north)) % 360
-        parts.append(f"steady wind of {name} {np.hypot(north, east):.2g} m/s from {way:.0f} deg")
+        speed = np.hypot(north, east)
+        parts.append(f"steady wind {speed:.2g} m/s from {way:.0f} deg in flight {name!r}")
     return ", ".join(parts[:most])

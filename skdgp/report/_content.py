@@ -162,7 +162,7 @@ class Verdict:
 
 
 # Facts of a trim and columns of derivatives in metrics.json
-TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "controls")
+TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
 DERIVATIVE = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
 
 

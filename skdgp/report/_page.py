@@ -381,6 +381,7 @@ def _trim(trim: Trim) -> str:
     """Return state and controls of a steady flight."""
     values = {
         "airspeed": trim.airspeed,
+        "density": trim.density,
         "alpha": trim.alpha,
         "theta": trim.theta,
         "phi": trim.phi,

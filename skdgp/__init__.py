@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 # isort: off
 if TYPE_CHECKING:
     from skdgp import (
+        control as control,
         datasets as datasets,
         design as design,
         dynamics as dynamics,
@@ -50,6 +51,7 @@ _HOMES = {
     "make_identification_pipeline": "identification",
 }
 _FOLDERS = [
+    "control",
     "datasets",
     "design",
     "dynamics",

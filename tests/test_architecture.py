@@ -38,7 +38,11 @@ FLOORS = [
     ["plotting"],
     ["report"],  # shows arrays; it knows no models
     ["identification"],  # fills the reports of its models
-    ["export", "design"],  # what is done with a model: written for other programs; what to fly next
+    [
+        "export",
+        "design",
+        "control",
+    ],  # what is done with a model: written for other programs; what to fly next
     ["_cli"],
     ["__main__", "__init__"],
 ]

@@ -10,7 +10,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from skdgp._cli import _learn, _use
+from skdgp._cli import _control, _learn, _use
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Console, Run
 
@@ -18,7 +18,7 @@ __all__ = ["main"]
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS: opt.Commands = {**_learn.COMMANDS, **_use.COMMANDS}
+COMMANDS: opt.Commands = {**_learn.COMMANDS, **_use.COMMANDS, **_control.COMMANDS}
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
@@ -31,6 +31,7 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
   skdgp derivatives results/model.joblib --airspeed 30 35 40
   skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
   skdgp export results/model.joblib --to c -o flight_code
+  skdgp margins results/model.joblib --params plane.params --airspeed 35 --full aileron=0.42
 
 COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong
 usage, 130 stopped by Ctrl-C.

@@ -68,6 +68,28 @@ class LinearModel:
     D: Any
     #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
     paths: LinearModel | None = None
+    airspeed: float = np.nan  #: Of the flight [m/s]
+    density: float = np.nan  #: Of its air [kg/m^3]
+    delay: float = 0.0  #: Of the commands [s]; not in A, B, C, D
+
+    def to_control(self) -> Any:
+        """Return the model of the mean as a ``control.StateSpace`` of python-control, with names, without the delay.
+
+        Raises ImportError if python-control is not installed.
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise ImportError(
+                'Got no package "control", but expected python-control for a StateSpace: pip install control.'
+            ) from error
+        matrices = [table.to_numpy() for table in (self.A, self.B, self.C, self.D)]
+        return control.ss(
+            *matrices,
+            states=list(self.A.index),
+            inputs=list(self.B.columns),
+            outputs=list(self.C.index),
+        )
 
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
@@ -99,6 +121,7 @@ def linearize(
     random_state: Seed = 0,
     thrust: str | None = "auto",
     air: Any = None,
+    delay: float = 0.0,
 ) -> LinearModel:
     r"""Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
@@ -121,6 +144,9 @@ def linearize(
         Of the paths.
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
+    delay : float
+        Of the commands [s], from computing and sampling, for
+        :func:`skdgp.control.margins`. It is no state.
 
     Returns
     -------
@@ -154,8 +180,13 @@ def linearize(
     roll              19.51     1.00
     spiral             0.05    -1.00
     """
+    if not 0 <= delay < np.inf:
+        raise ValueError(
+            f"Got delay={delay!r}, but expected a finite number of seconds, at least 0."
+        )
     motion = Motion(model, aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
+    now = motion.at(state, controls)
     inputs = list(motion.controls)
     engine = thrust_control(aircraft, thrust)
     if engine in controls and engine not in inputs:
@@ -175,6 +206,9 @@ def linearize(
         C=pd.DataFrame(mean.C, outputs, states),
         D=pd.DataFrame(mean.D, outputs, inputs),
         paths=paths,
+        airspeed=float(now.airspeed),
+        density=float(now.density),
+        delay=float(delay),
     )
 
 

@@ -10,7 +10,17 @@ import pandas as pd
 import pytest
 
 PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
-NAMES = ["inspect", "identify", "demo", "validate", "predict", "derivatives", "plan", "export"]
+NAMES = [
+    "inspect",
+    "identify",
+    "demo",
+    "validate",
+    "predict",
+    "derivatives",
+    "plan",
+    "export",
+    "margins",
+]
 
 
 @pytest.fixture

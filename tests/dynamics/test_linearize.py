@@ -1,5 +1,7 @@
 """Linear models against differences of the motion, textbooks and simulations; refusals."""
 
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -333,3 +335,21 @@ class TestServos:
 
         assert growth(0.97 * limit) < 0.95
         assert growth(1.03 * limit) > 1.05
+
+
+def test_python_control_gets_the_transfer_functions_with_their_names(linear):
+    pytest.importorskip("control", reason="compares with python-control, which is not installed")
+    system = linear.to_control()
+    s = 2.0j
+    A, B, C, D = (table.to_numpy() for table in (linear.A, linear.B, linear.C, linear.D))
+    expected = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
+    assert_allclose(system(s), expected, rtol=1e-8, atol=1e-10)
+    assert system.state_labels == list(linear.A.index)
+    assert system.input_labels == list(linear.B.columns)
+    assert system.output_labels == list(linear.C.index)
+
+
+def test_without_python_control_the_error_names_the_package(linear, monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(ImportError, match="pip install control"):
+        linear.to_control()

@@ -1,0 +1,179 @@
+"""Commands for control: margins of an autopilot's loops around a model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._cli import _shared as opt
+from skdgp._cli._shared import Run
+from skdgp._cli._use import read_model_to_fly
+from skdgp._compute.files import csv_writer
+from skdgp.control import Loop, autopilot_loops, suggest_gains
+from skdgp.control import margins as margins_of
+from skdgp.dynamics import linearize, trim
+from skdgp.identification import named_flights, usable_flights_of_model
+
+
+def margins(run: Run) -> None:
+    """Print the margins of the loops of PX4 or ArduPilot Plane around a model, and gains that have wanted margins.
+
+    The file has the autopilot's parameters, as a ground station saves them. --full gives the deflections
+    [rad] at an output of 1; loops of controls that it does not name are open. With -o writes margins.csv,
+    suggested.csv and margins.json.
+
+    For example:
+      skdgp margins results/model.joblib --params plane.params --airspeed 20 --full aileron=0.42 elevator=0.42
+    """
+    options = run.options
+    run.console.stage("reading")
+    loops = autopilot_loops(options.params, dict(options.full))
+    model, thrust = read_model_to_fly(options)
+    flight = None
+    if options.flight:
+        named = named_flights(options.flight, **opt.reading(options, model))
+        flight = pd.concat(usable_flights_of_model(model.pipeline, named).values())
+    run.console.stage("trimming")
+    climb = None if thrust is None else 0.0
+    steady: Any = trim(
+        model.pipeline,
+        model.aircraft,
+        options.airspeed,
+        altitude=options.altitude,
+        climb=climb,
+        thrust=thrust,
+    )
+    run.console.stage("margins")
+    linear = linearize(
+        model.pipeline,
+        model.aircraft,
+        steady,
+        n_paths=options.paths,
+        random_state=options.seed,
+        thrust=thrust,
+        delay=options.delay,
+    )
+    now = margins_of(linear, loops, flight=flight)
+    wanted = {
+        "gain_margin": options.gain_margin,
+        "phase_margin": options.phase_margin,
+        "probability": options.probability,
+    }
+    texts = [f"margins now, at {options.airspeed:g} m/s", _margin_text(now)]
+    files = {"margins.csv": csv_writer(now.reset_index())}
+    numbers: dict[str, Any] = {
+        "model": options.model,
+        "parameters": options.params,
+        "margins": _records(now),
+    }
+    try:
+        suggested = suggest_gains(linear, loops, **wanted)
+    except ValueError as error:
+        texts += ["", f"no gains are suggested: {error}"]
+    else:
+        gains = _gains_of(loops, suggested)
+        then = margins_of(linear, suggested, flight=flight)
+        asked = f"{options.gain_margin:g} dB and {options.phase_margin:g} deg"
+        share = f"{options.probability:.0%} of the aircraft"
+        texts += ["", f"largest gains with {asked} in {share}", gains.to_string(index=False)]
+        texts += ["", "margins with these gains", _margin_text(then)]
+        files["suggested.csv"] = csv_writer(gains)
+        numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
+    if run.folder is not None:
+        written = run.write(files, "margins.json", numbers)
+        texts.append(f"wrote {', '.join(map(str, written))}")
+    run.print("\n".join(texts), numbers)
+
+
+def _records(table: pd.DataFrame) -> Any:
+    return table.reset_index().to_dict("records")
+
+
+def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
+    """Return the parameters with their values now and suggested."""
+    rows = []
+    for before, after in zip(loops, suggested, strict=True):
+        for name, value in (before.parameters or {}).items():
+            new = float(f"{(after.parameters or {})[name]:.4g}")
+            rows.append({"parameter": name, "now": value, "suggested": new})
+    return pd.DataFrame(rows)
+
+
+def _margin_text(table: pd.DataFrame) -> str:
+    """Return margins as text."""
+    shown = table.copy()
+    if shown["excited"].isna().all():
+        shown = shown.drop(columns="excited")
+    numbers = shown.select_dtypes(float).columns
+    for name in numbers:
+        form = "{:.0%}" if name == "probability" else "{:.3g}"
+        shown[name] = [form.format(value) if not np.isnan(value) else "" for value in shown[name]]
+    return shown.rename_axis(index=["", ""]).to_string()
+
+
+COMMANDS: opt.Commands = {
+    margins: {
+        "": {
+            **opt.shared("model", "--aircraft", "--seed", "--output", *opt.LOG),
+            "--params": {
+                "metavar": "FILE",
+                "required": True,
+                "help": "parameters of PX4 or ArduPilot Plane, as a ground station saves them",
+            },
+            "--airspeed": {
+                "metavar": "V",
+                "type": opt.positive("m/s"),
+                "required": True,
+                "help": "of the trim [m/s]",
+            },
+            "--full": {
+                **opt.AXIS_VALUES,
+                "required": True,
+                "help": "deflections [rad] at an output of 1",
+            },
+            "--delay": {
+                "metavar": "S",
+                "type": opt.from_zero(),
+                "default": 0.02,
+                "help": "of the commands [s], from computing and sampling (default: 0.02)",
+            },
+            "--flight": {
+                "metavar": "LOG",
+                "nargs": "+",
+                "help": "logs that tell whether the crossovers were excited",
+            },
+            "--altitude": {
+                "metavar": "M",
+                "type": opt.number(),
+                "default": 0.0,
+                "help": "of the trim [m] (default: 0)",
+            },
+            "--paths": {
+                "metavar": "N",
+                "type": opt.n_paths,
+                "default": 200,
+                "help": "aircraft of the posterior (default: 200)",
+            },
+            "--gain-margin": {
+                "metavar": "DB",
+                "type": opt.positive("dB"),
+                "default": 6.0,
+                "help": "wanted (default: 6)",
+            },
+            "--phase-margin": {
+                "metavar": "DEG",
+                "type": opt.positive("deg"),
+                "default": 45.0,
+                "help": "wanted (default: 45)",
+            },
+            "--probability": {
+                "metavar": "P",
+                "type": opt.positive("probability"),
+                "default": 0.95,
+                "help": "of the wanted margins (default: 0.95)",
+            },
+        },
+    },
+}

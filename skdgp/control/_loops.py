@@ -1,0 +1,327 @@
+"""Rate and attitude loops of PX4 and ArduPilot Plane, from a file of their parameters.
+
+The laws are those of PX4's ``FixedwingRateControl::Run`` and ``RateControl::update``, and of
+ArduPilot's ``AP_FW_Controller::_get_rate_out``, ``AC_PID::update_all`` and
+``AP_YawController::get_servo_out``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skdgp._compute.typing import Array
+
+GRAVITY = 9.80665  # m/s^2
+SEA_LEVEL_DENSITY = 1.225  # kg/m^3
+#: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
+ARDUPILOT_FULL = 45.0
+#: Corner of the high-pass filter of ArduPilot's yaw damper [rad/s]
+WASHOUT = 0.2
+AXES = {
+    "roll": ("p", "phi", "aileron"),
+    "pitch": ("q", "theta", "elevator"),
+    "yaw": ("r", "", "rudder"),
+}
+NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    r"""A loop of an autopilot: a control law from rate and attitude to one control.
+
+    With the airspeed's scaling k, the rate w, the attitude a and its time constant T, the commanded
+    rate is :math:`w_c = -a / T`. The output, 1 at full deflection, is
+
+    .. math:: u = k^2 \left[(P + I / s) (w_c - w) - D s w\right] + k F w_c
+
+    In ArduPilot, D acts on the filtered error, and :math:`w_c` is filtered.
+    """
+
+    name: str  #: roll, pitch or yaw
+    control: str  #: Of the linear model
+    full: float  #: Deflection at an output of 1 [rad]
+    P: float  #: Output for a rate error [s/rad], at the scaling speed
+    I: float = 0.0  #: Output for its integral [1/rad]
+    D: float = 0.0  #: Output for its derivative [s^2/rad]
+    FF: float = 0.0  #: Output for a commanded rate [s/rad]
+    time_constant: float = np.inf  #: Of the attitude [s]; infinite: the rate alone is fed back
+    scaling_speed: float = np.nan  #: Airspeed [m/s] of these gains; NaN: they hold at all
+    least_scaling: float = 0.0
+    most_scaling: float = np.inf
+    gyro_corner: float = np.inf  #: Of the second-order filter of the rates [Hz]
+    derivative_corner: float = np.inf  #: Of the filter of the derivative [Hz]
+    derivative_order: int = 1
+    error_corner: float = np.inf  #: Of the filter of the error [Hz]
+    target_corner: float = np.inf  #: Of the filter of the commanded rate [Hz]
+    derivative_of_error: bool = False
+    coordination: float = (
+        0.0  #: Part of the rate of a coordinated turn, g phi / V, that is commanded
+    )
+    washout: float = 0.0  #: Corner of a high-pass filter of the rate error [rad/s]
+    slip: float = (
+        0.0  #: ArduPilot's YAW2SRV_SLIP: lateral acceleration that counts as a rate [rad s/m]
+    )
+    #: Parameters of the gains P, I, D, FF by name, with their values
+    parameters: Mapping[str, float] | None = None
+
+    def feedback(self, s: Array, airspeed: float, density: float) -> dict[str, Array]:
+        """Return the command [rad] for each output of the linear model that is fed back, (n,), by its name.
+
+        ``s`` (n,) [rad/s] is the Laplace variable, ``airspeed`` [m/s] the true one, ``density`` [kg/m^3].
+        """
+        rate, angle, _ = AXES[self.name]
+        to_true = np.sqrt(SEA_LEVEL_DENSITY / density)
+        k = self._scaling(airspeed / to_true)
+        gyro = _second_order(s, self.gyro_corner)
+        error = _first_order(s, self.error_corner)
+        if self.washout:
+            error = error * s / (s + self.washout)
+        order = _first_order if self.derivative_order == 1 else _second_order
+        derivative = self.D * s * order(s, self.derivative_corner)
+        of_error = (self.P + self.I / s) * error
+        if self.derivative_of_error:
+            of_error = of_error + derivative * error
+        of_rate = of_error if self.derivative_of_error else of_error + derivative
+        target = _first_order(s, self.target_corner)
+        forward = k**2 * of_error + k * self.FF
+        laws = {rate: -(k**2) * of_rate * gyro}
+        if np.isfinite(self.time_constant) and angle:
+            laws[angle] = -forward * target / self.time_constant
+        if self.coordination:
+            laws["phi"] = forward * self.coordination * GRAVITY / airspeed
+        if self.slip:
+            laws["ay"] = -(k**2) * self.I / s * self.slip
+        return {name: self.full * law for name, law in laws.items()}
+
+    def scaled(self, factor: float) -> Loop:
+        """Return the loop with P, I, D and FF times a factor."""
+        parameters = {name: factor * value for name, value in (self.parameters or {}).items()}
+        gains = {name: factor * vars(self)[name] for name in ("P", "I", "D", "FF")}
+        return replace(self, **gains, parameters=parameters)
+
+    def _scaling(self, equivalent_airspeed):
+        if np.isnan(self.scaling_speed):
+            return 1.0
+        scaling = self.scaling_speed / equivalent_airspeed
+        return float(np.clip(scaling, self.least_scaling, self.most_scaling))
+
+
+def _first_order(s, corner):
+    """Return the low-pass filter of a corner [Hz]."""
+    return 1.0 / (1.0 + s / (2 * np.pi * corner))
+
+
+def _second_order(s, corner):
+    """Return Butterworth's low-pass filter of second order of a corner [Hz]."""
+    x = s / (2 * np.pi * corner)
+    return 1.0 / (1.0 + np.sqrt(2.0) * x + x**2)
+
+
+def read_parameters(path: str | Path) -> dict[str, float]:
+    """Return the parameters of an autopilot from a file, by name.
+
+    Files of QGroundControl, Mission Planner, MAVProxy and PX4's ``param show`` have a parameter on each
+    line, its name before its value.
+
+    Raises
+    ------
+    ValueError
+        If the file has none.
+    """
+    path = Path(path)
+    found = {}
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        text = re.sub(r"\[[^\]]*\]", " ", line.split("#")[0])
+        words = re.split(r"[\s,:=]+", text.strip())
+        for name, value in pairwise(words):
+            if NAME.fullmatch(name):
+                number = _number(value)
+                if number is not None:
+                    found[name] = number
+                break
+    if not found:
+        raise ValueError(
+            f"Got {path} without parameters, but expected lines of a name and a value, as ground stations save them."
+        )
+    return found
+
+
+def _number(text):
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def autopilot_loops(
+    parameters: str | Path | Mapping[str, float], full: Mapping[str, float]
+) -> list[Loop]:
+    """Return the loops of PX4 or ArduPilot Plane with gains, for the controls that ``full`` names.
+
+    Parameters
+    ----------
+    parameters : path or mapping of str to float
+        A file, see `read_parameters`, or its parameters. PX4: ``FW_RR_*``, ``FW_PR_*``, ``FW_YR_*``, the
+        attitude's ``FW_R_TC`` and ``FW_P_TC``, filters ``IMU_GYRO_CUTOFF`` and ``IMU_DGYRO_CUTOFF``. ArduPilot
+        Plane 4.1 and newer: ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``,
+        ``YAW2SRV_*``, ``SCALING_SPEED``, ``INS_GYRO_FILTER``.
+    full : mapping of str to float
+        Deflection [rad] of aileron, elevator and rudder at an output of 1, positive. Loops of controls
+        that are not named are left out.
+
+    Returns
+    -------
+    list of Loop
+
+    Raises
+    ------
+    ValueError
+        If there are no gains of these firmwares, or no loop for the controls.
+
+    Examples
+    --------
+    >>> from skdgp.control import autopilot_loops
+    >>> gains = {"FW_RR_P": 0.05, "FW_RR_I": 0.1, "FW_R_TC": 0.4, "FW_AIRSPD_TRIM": 15.0}
+    >>> [loop.name for loop in autopilot_loops(gains, full={"aileron": 0.42})]
+    ['roll']
+    """
+    known = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
+    surfaces = [surface for *_, surface in AXES.values()]
+    wrong = {name: value for name, value in full.items() if not _is_full(name, value, surfaces)}
+    if wrong or not full:
+        raise ValueError(
+            f"Got full={dict(full)!r}, but expected deflections [rad] at full output, positive, of some of {surfaces}."
+        )
+    if "FW_RR_P" in known or "FW_PR_P" in known:
+        loops = _px4_loops(known, full)
+    elif "RLL_RATE_P" in known or "PTCH_RATE_P" in known:
+        loops = _ardupilot_loops(known, full)
+    elif "RLL2SRV_P" in known or "PTCH2SRV_P" in known:
+        raise ValueError(
+            "Got the gains RLL2SRV_P or PTCH2SRV_P of ArduPilot before 4.1, but expected RLL_RATE_P and "
+            "PTCH_RATE_P: the older firmware has another control law."
+        )
+    else:
+        raise ValueError(
+            f"Got {len(known)} parameters without gains of a rate loop, but expected FW_RR_P or FW_PR_P of PX4, or "
+            "RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane."
+        )
+    if not loops:
+        raise ValueError(
+            f"Got no gains other than zero for {sorted(full)}, but expected at least one loop for these controls."
+        )
+    return loops
+
+
+def _is_full(name, value, surfaces):
+    return name in surfaces and np.isfinite(value) and 0 < value <= np.pi / 2
+
+
+def _corner(parameters, name, default):
+    """Return the corner of a filter [Hz]; zero switches it off."""
+    corner = parameters.get(name, default)
+    return corner if corner > 0 else np.inf
+
+
+def _px4_loops(known, full):
+    """Return the loops of PX4's ``FixedwingRateControl``; FF is inside the loop of the attitude."""
+    scaling = {}
+    trim = known.get("FW_AIRSPD_TRIM", np.nan)
+    if known.get("FW_ARSP_SCALE_EN", 1) and np.isfinite(trim):
+        slowest, fastest = known.get("FW_AIRSPD_STALL", 0.1), known.get("FW_AIRSPD_MAX", 1000.0)
+        scaling = {
+            "scaling_speed": trim,
+            "least_scaling": trim / fastest,
+            "most_scaling": trim / slowest,
+        }
+    filters = {
+        "gyro_corner": _corner(known, "IMU_GYRO_CUTOFF", 40.0),
+        "derivative_corner": _corner(known, "IMU_DGYRO_CUTOFF", 30.0),
+        "derivative_order": 2,
+    }
+    loops = []
+    for name, short in {"roll": "R", "pitch": "P", "yaw": "Y"}.items():
+        parameters = {gain: f"FW_{short}R_{gain}" for gain in ("P", "I", "D", "FF")}
+        settings: dict[str, Any] = {"time_constant": known.get(f"FW_{short}_TC", np.inf)}
+        if name == "yaw":
+            settings["coordination"] = 1.0
+        loops += _loop(name, parameters, 1.0, known, full, **settings, **scaling, **filters)
+    return loops
+
+
+def _ardupilot_loops(known, full):
+    """Return the loops of ArduPilot's ``AP_FW_Controller`` and ``AP_YawController``."""
+    scaling_speed = known.get("SCALING_SPEED", 15.0)
+    slowest = known.get("AIRSPEED_MIN", known.get("ARSPD_FBW_MIN", np.inf))
+    fastest = known.get("AIRSPEED_MAX", known.get("ARSPD_FBW_MAX", 0.0))
+    common = {
+        "scaling_speed": scaling_speed,
+        # Plane::calc_speed_scaler
+        "least_scaling": min(0.5, scaling_speed / (2 * fastest) if fastest else 0.5),
+        "most_scaling": max(2.0, scaling_speed / (0.7 * slowest)),
+        "gyro_corner": _corner(known, "INS_GYRO_FILTER", 20.0),
+    }
+    unit = np.rad2deg(1.0) / ARDUPILOT_FULL
+    loops = []
+    for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
+        parameters = {gain: f"{rate}_{gain}" for gain in ("P", "I", "D", "FF")}
+        settings = {
+            "time_constant": known.get(f"{angle}_TCONST", 0.5),
+            "error_corner": _corner(known, f"{rate}_FLTE", 0.0),
+            "target_corner": _corner(known, f"{rate}_FLTT", 3.0),
+            "derivative_corner": _corner(known, f"{rate}_FLTD", 12.0),
+        }
+        loops += _loop(
+            name, parameters, unit, known, full, derivative_of_error=True, **settings, **common
+        )
+    return loops + _ardupilot_yaw_damper(known, full, unit, common)
+
+
+def _ardupilot_yaw_damper(known, full, unit, common):
+    """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate, and INT of the slip."""
+    damping = known.get("YAW2SRV_DAMP", 0.0)
+    if not damping or "rudder" not in full:
+        return []
+    integral = known.get("YAW2SRV_INT", 0.0)
+    return [
+        Loop(
+            name="yaw",
+            control="rudder",
+            full=full["rudder"],
+            P=unit * damping,
+            I=unit * damping * integral,
+            washout=WASHOUT,
+            coordination=known.get("YAW2SRV_RLL", 1.0),
+            # degrees of rate for an acceleration
+            slip=np.deg2rad(known.get("YAW2SRV_SLIP", 0.0)),
+            parameters={"YAW2SRV_DAMP": damping},
+            **common,
+        )
+    ]
+
+
+def _loop(name, parameters, unit, known, full, **settings):
+    """Return the loop of an axis, or none: parameters without values are zero."""
+    control = AXES[name][2]
+    values = {gain: known.get(parameter, 0.0) for gain, parameter in parameters.items()}
+    if control not in full or not any(values[gain] for gain in ("P", "I", "D")):
+        return []
+    named = {parameter: known[parameter] for parameter in parameters.values() if parameter in known}
+    gains = {gain: unit * value for gain, value in values.items()}
+    return [
+        Loop(
+            name=name,
+            control=control,
+            full=full[control],
+            parameters=named,
+            **gains,
+            **settings,
+        )
+    ]

@@ -1,0 +1,506 @@
+r"""Margins of control loops around a linear model and its paths, and gains that have wanted margins.
+
+The loop transfer function of a loop, opened at its control with the other loops closed, is
+
+.. math:: L_i = M_{ii} - M_{io} (I + M_{oo})^{-1} M_{oi}, \quad M = -K(s) G(s) e^{-s \tau}
+
+with the response G of the linear model, the laws K of all loops and the delay tau of the commands
+(Skogestad & Postlethwaite 2005, sections 2.4 and 4.9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.signal import detrend, welch
+
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.tables import FlightTable
+from skdgp.control._loops import AXES, Loop
+from skdgp.dynamics import LinearModel
+
+UNUSED = ("north", "east", "down", "psi")  # states that no loop feeds back: their modes are at zero
+
+
+@dataclass(frozen=True)
+class MarginSettings:
+    """Frequencies, and what counts as stable and as excited."""
+
+    #: Range [rad/s] and number of frequencies
+    frequencies: tuple[float, float] = (0.02, 300.0)
+    n_frequencies: int = 1200
+    #: Growth [1/s] below which a mode does not count as unstable: a spiral that doubles in seven seconds
+    growth: float = 0.1
+    #: Interval of values over the paths
+    interval: tuple[float, float] = (0.05, 0.95)
+    #: Usual requirements: gain [dB], phase [deg], sensitivity
+    gain: float = 6.0
+    phase: float = 45.0
+    sensitivity: float = 2.0
+    #: Response to the logged inputs, in power over the noise of the rate, that counts as excited
+    excited: float = 4.0
+    #: Length of the segments of spectra [s], and the part of the highest frequencies that is noise
+    segment: float = 10.0
+    noise: float = 0.25
+    #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
+    largest_factor: float = 26.0
+    steps: tuple[float, float] = (2.0, 0.25)
+    #: Rounds over the loops, since each changes the others
+    rounds: int = 2
+    #: Frequencies of the search for gains
+    n_searched: int = 400
+
+
+SETTINGS = MarginSettings()
+
+
+class Margins(NamedTuple):
+    """Of one loop, for each path, (n_paths,): gain [dB], phase [deg], sensitivity, and crossovers [rad/s]."""
+
+    gain: Vector
+    phase: Vector
+    sensitivity: Vector
+    crossover: Vector
+    phase_crossover: Vector
+
+
+def margins(
+    linear: LinearModel,
+    loops: Sequence[Loop],
+    *,
+    flight: Any = None,
+    settings: MarginSettings = SETTINGS,
+) -> pd.DataFrame:
+    r"""Return the margins of each loop, opened at its control with the other loops closed.
+
+    The gain margin is the rise of all gains of the loop that makes the aircraft unstable, the phase
+    margin the further delay, as an angle at the crossover, the sensitivity the largest
+    :math:`|1 / (1 + L)|`. All are of the exact delay. A closed loop with a mode that grows faster than
+    0.1 1/s has margins of minus infinity. The sign of each deflection is that which turns the aircraft of
+    the mean in the positive direction.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        Of :func:`skdgp.dynamics.linearize`, with ``n_paths`` for intervals and ``delay``.
+    loops : sequence of Loop
+        Of `autopilot_loops`.
+    flight : DataFrame, optional
+        A log, which tells whether the crossovers were excited: whether the rate's response to the logged
+        deflections is above its noise there. A margin where nothing was excited is a guess of the model.
+    settings : MarginSettings
+
+    Returns
+    -------
+    DataFrame
+        Rows (loop, quantity) with the quantities ``gain`` [dB], ``phase`` [deg], ``sensitivity`` and
+        ``crossover`` [rad/s]; columns ``value``, of the mean, ``lower`` and ``upper``, which hold 90 % of the
+        paths, ``probability`` that the gain margin is at least 6 dB, the phase margin 45 deg, and the
+        sensitivity at most 2, and ``excited``, empty without a flight.
+
+    Raises
+    ------
+    ValueError
+        If a loop has a control that the linear model has not, or the flight lacks a channel.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from skdgp.control import autopilot_loops, margins
+    >>> from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
+    >>> def roll(X):
+    ...     alpha, p, aileron, elevator = X.T
+    ...     zero = np.zeros_like(p)
+    ...     lift = 0.3 + 4.5 * alpha
+    ...     moments = [-0.4 * p + 0.1 * aileron, -elevator - alpha, zero]
+    ...     return np.stack([-0.03 + lift * alpha, zero, -lift, *moments], axis=-1)
+    >>> model = Aerodynamics(roll, ["alpha", "p_hat", "aileron", "elevator"])
+    >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
+    >>> linear = linearize(model, aircraft, trim(model, aircraft, 20.0), delay=0.02)
+    >>> loops = autopilot_loops({"FW_RR_P": 0.5, "FW_RR_I": 0.2}, full={"aileron": 0.42})
+    >>> margins(linear, loops).loc["roll", "value"].round(1).to_dict()
+    {'gain': 13.4, 'phase': 141.4, 'sensitivity': 1.3, 'crossover': 0.5}
+    """
+    _check(linear, loops)
+    s = 1j * _frequencies(settings)
+    responses = _responses(linear, loops, s)
+    of_mean = _of_loops(responses.mean, linear, loops, s)
+    of_paths = _of_loops(responses.paths, linear, loops, s) if responses.paths is not None else None
+    unstable = _Stability.of(linear, loops, settings).unstable(linear, loops)
+    rows = []
+    for k, loop in enumerate(loops):
+        value = _marked(_margins_of(of_mean[..., k], s.imag), unstable.mean)
+        paths = None
+        if of_paths is not None:
+            paths = _marked(_margins_of(of_paths[..., k], s.imag), unstable.paths)
+        excited = None
+        if flight is not None:
+            rate = responses.mean[..., responses.outputs.index(AXES[loop.name][0]), k]
+            excited = _excited(loop, value, rate[0], s.imag, flight, settings)
+        rows += _rows(loop, value, paths, excited, settings)
+    return pd.DataFrame(rows).set_index(["loop", "quantity"])
+
+
+def suggest_gains(
+    linear: LinearModel,
+    loops: Sequence[Loop],
+    *,
+    gain_margin: float = 6.0,
+    phase_margin: float = 45.0,
+    probability: float = 0.95,
+    settings: MarginSettings = SETTINGS,
+) -> list[Loop]:
+    """Return the loops with the largest gains that have both margins with a probability.
+
+    P, I, D and FF of a loop keep their ratios. The loops are taken in turn, twice, each with the others
+    closed at their new gains.
+
+    Parameters
+    ----------
+    linear : LinearModel
+        With paths, see `margins`.
+    loops : sequence of Loop
+    gain_margin, phase_margin : float
+        Wanted [dB], [deg].
+    probability : float
+    settings : MarginSettings
+
+    Returns
+    -------
+    list of Loop
+        `Loop.parameters` has the values to set, by name.
+
+    Raises
+    ------
+    ValueError
+        If the linear model has no paths, or no gains between a twentieth and twenty times the present
+        ones have the margins.
+    """
+    _check(linear, loops)
+    if linear.paths is None:
+        raise ValueError(
+            "Got a linear model without paths, but expected linearize(..., n_paths=200)."
+        )
+    searched = replace(settings, n_frequencies=settings.n_searched)
+    s = 1j * _frequencies(searched)
+    responses = _responses(linear, loops, s)
+    stability = _Stability.of(linear, loops, searched)
+    chosen = list(loops)
+    for k in [*range(len(chosen))] * settings.rounds:
+        # the loop transfer function is proportional to the gains of its loop
+        transfer = _of_loops(responses.paths, linear, chosen, s)[..., k]
+
+        def share(decibels, transfer=transfer):
+            """Return the part of the paths with both margins, for gains times a factor."""
+            found = _margins_of(10 ** (decibels / 20) * transfer, s.imag)
+            return np.mean((found.gain >= gain_margin) & (found.phase >= phase_margin))
+
+        def is_enough(decibels, k=k, share=share):
+            """Return whether enough paths have both margins, and are stable."""
+            if share(decibels) < probability:
+                return False
+            loop = chosen[k].scaled(float(10 ** (decibels / 20)))
+            unstable = stability.unstable(linear, [*chosen[:k], loop, *chosen[k + 1 :]])
+            return np.mean(unstable.paths) <= 1 - probability
+
+        coarse, fine = settings.steps
+        largest = settings.largest_factor
+        tried = np.arange(largest, -largest - coarse, -coarse)
+        best = next((decibels for decibels in tried if is_enough(decibels)), None)
+        if best is None:
+            raise ValueError(
+                f"Got no gains of the {chosen[k].name} loop with {gain_margin:g} dB and {phase_margin:g} deg in "
+                f"{probability:.0%} of the paths. Lower the wanted margins, shorten the delay, start from gains that "
+                "are stable, or fly manoeuvres that tell the derivatives."
+            )
+        while best < largest and is_enough(best + fine):
+            best += fine
+        chosen[k] = chosen[k].scaled(float(10 ** (best / 20)))
+    return chosen
+
+
+class _OfModel(NamedTuple):
+    """Arrays of the model of the mean, first axis of length one, and of its paths or None."""
+
+    mean: Array
+    paths: Array | None
+    outputs: list[str]
+
+
+def _check(linear, loops):
+    """Raise a ValueError if loops are none, two of a control, or of controls that are no inputs."""
+    inputs = [*linear.B.columns]
+    missing = [loop.control for loop in loops if loop.control not in inputs]
+    if missing:
+        raise ValueError(f"Got loops of {missing}, but the linear model has the inputs {inputs}.")
+    controls = [loop.control for loop in loops]
+    if not loops or len(set(controls)) < len(controls):
+        raise ValueError(
+            f"Got loops of {controls}, but expected at least one, each of its own control."
+        )
+
+
+def _frequencies(settings):
+    first, last = settings.frequencies
+    return np.geomspace(first, last, settings.n_frequencies)
+
+
+def _signs(linear, loops):
+    """Return the signs of the deflections that turn the aircraft of the mean in the positive direction."""
+    first = _state_response(linear.A, linear.B, linear.C, linear.D, linear, loops, np.array([1e3]))
+    rates = [AXES[loop.name][0] for loop in loops]
+    outputs = [*linear.C.index]
+    # at a high frequency a rate is the angular acceleration over s, behind the servo
+    effects = []
+    for k, rate in enumerate(rates):
+        effects.append(first[0, outputs.index(rate), k].real)
+    return np.where(np.array(effects) < 0, -1.0, 1.0)
+
+
+def _state_response(A, B, C, D, linear, loops, s):
+    """Return the response (..., n, n_outputs, n_loops) of arrays (..., :, :) without the states at zero."""
+    kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
+    columns = [linear.B.columns.get_loc(loop.control) for loop in loops]
+    A, B, C, D = (np.asarray(matrix) for matrix in (A, B, C, D))
+    A = A[..., kept, :][..., kept]
+    B = B[..., kept, :][..., columns]
+    C = C[..., kept]
+    D = D[..., columns]
+    resolvent = s[:, None, None] * np.eye(len(kept)) - A[..., None, :, :]
+    states = np.linalg.solve(
+        resolvent, np.broadcast_to(B[..., None, :, :], (*resolvent.shape[:-1], B.shape[-1]))
+    )
+    return C[..., None, :, :] @ states + D[..., None, :, :]
+
+
+def _responses(linear, loops, s) -> _OfModel:
+    """Return the responses (n_paths, n, n_outputs, n_loops) to commands with their delay and signs."""
+    late = _signs(linear, loops) * np.exp(-s * linear.delay)[:, None, None]
+    mean = _state_response(linear.A, linear.B, linear.C, linear.D, linear, loops, s)[None] * late
+    paths = None
+    if linear.paths is not None:
+        p = linear.paths
+        paths = (
+            np.array(
+                [
+                    _state_response(*each, linear, loops, s)
+                    for each in zip(p.A, p.B, p.C, p.D, strict=True)
+                ]
+            )
+            * late
+        )
+    return _OfModel(mean, paths, [*linear.C.index])
+
+
+def _gains(linear, loops, s):
+    """Return the laws K (n, n_loops, n_outputs)."""
+    outputs = [*linear.C.index]
+    K = np.zeros((len(s), len(loops), len(outputs)), dtype=complex)
+    for k, loop in enumerate(loops):
+        for name, law in loop.feedback(s, linear.airspeed, linear.density).items():
+            K[:, k, outputs.index(name)] = law
+    return K
+
+
+def _of_loops(responses, linear, loops, s):
+    """Return the loop transfer functions, each with the other loops closed, (n_paths, n, n_loops)."""
+    M = -_gains(linear, loops, s) @ responses
+    n_loops = len(loops)
+    transfer = np.empty(M.shape[:-1], dtype=complex)
+    for k in range(n_loops):
+        others = [i for i in range(n_loops) if i != k]
+        transfer[..., k] = M[..., k, k]
+        if others:
+            closed = np.eye(n_loops - 1) + M[..., others, :][..., others]
+            coupled = np.linalg.solve(closed, M[..., others, k][..., None])[..., 0]
+            transfer[..., k] -= np.einsum("...i,...i->...", M[..., k, others], coupled)
+    return transfer
+
+
+class _Stability(NamedTuple):
+    r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
+
+    :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
+    the right of the line s = bound + j w, as it is one at infinity. ``aircraft`` are the first factor
+    over the last, (n_paths, n), of the mean and of the paths.
+    """
+
+    s: Vector
+    aircraft: _OfModel
+    responses: _OfModel
+
+    @classmethod
+    def of(cls, linear, loops, settings):
+        s = settings.growth + 1j * np.concatenate([[0.0], _frequencies(settings)])
+        kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
+
+        def factors(A):
+            roots = np.linalg.eigvals(np.asarray(A)[..., kept, :][..., kept])
+            return np.prod((s[:, None] - roots[..., None, :]) / (s[:, None] + 1.0), axis=-1)
+
+        paths = None if linear.paths is None else factors(linear.paths.A)
+        aircraft = _OfModel(factors(np.asarray(linear.A)[None]), paths, [])
+        return cls(s, aircraft, _responses(linear, loops, s))
+
+    def unstable(self, linear, loops) -> _OfModel:
+        """Return which of the mean and of the paths are unstable, (1,) and (n_paths,)."""
+        K = _gains(linear, loops, self.s)
+
+        def found(aircraft, response):
+            if aircraft is None:
+                return None
+            value = aircraft * np.linalg.det(np.eye(len(loops)) - K @ response)
+            angle = np.unwrap(np.angle(value), axis=-1)
+            return np.round((angle[..., 0] - angle[..., -1]) / np.pi) > 0
+
+        mean = found(self.aircraft.mean, self.responses.mean)
+        return _OfModel(mean, found(self.aircraft.paths, self.responses.paths), [])
+
+
+def _margins_of(transfer: Matrix, w: Vector) -> Margins:
+    """Return the margins of loop transfer functions (n_paths, n) at frequencies w [rad/s].
+
+    Of several crossings the smallest phase margin counts, and the smallest rise of the gain.
+    Without a crossing the margin is infinite, and
+    without a crossover its frequency is unknown.
+    """
+    size = 20 * np.log10(np.abs(transfer))
+    log_w = np.log(w)
+    # angles from -180 deg: positive is a margin
+    angle = np.rad2deg(np.unwrap(np.angle(-transfer), axis=-1))
+    places = np.arange(len(w))
+    gains, phases, crossovers, phase_crossovers = [], [], [], []
+    for of_size, of_angle in zip(size, angle, strict=True):
+        at = _crossings(of_size)
+        left = np.interp(at, places, of_angle)
+        left -= 360.0 * np.round(left / 360.0)
+        phase, place = _smallest(left, at)
+        phases.append(phase)
+        crossovers.append(np.exp(np.interp(place, places, log_w)))
+        at = np.concatenate([_crossings(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
+        left = -np.interp(at, places, of_size)
+        gain, place = _smallest(left[left > 0], at[left > 0])
+        gains.append(gain)
+        phase_crossovers.append(np.exp(np.interp(place, places, log_w)))
+    return Margins(
+        gain=np.array(gains),
+        phase=np.array(phases),
+        sensitivity=(1 / np.abs(1 + transfer)).max(axis=-1),
+        crossover=np.array(crossovers),
+        phase_crossover=np.array(phase_crossovers),
+    )
+
+
+def _smallest(values, places):
+    """Return the value nearest to zero and its place; infinity and NaN if there is none."""
+    if not len(values):
+        return np.inf, np.nan
+    best = int(np.argmin(np.abs(values)))
+    return values[best], places[best]
+
+
+def _crossings(values):
+    """Return the places, fractions of an index, where values (n,) cross zero."""
+    signs = values > 0
+    first = np.flatnonzero(signs[:-1] != signs[1:])
+    change = values[first + 1] - values[first]
+    return first - values[first] / change
+
+
+def _turns(turned):
+    """Return the multiples of a turn that unwrapped angles [deg] reach."""
+    return range(int(np.floor(turned.min() / 360.0)), int(np.ceil(turned.max() / 360.0)) + 1)
+
+
+def _marked(found: Margins, unstable) -> Margins:
+    """Return the margins, of unstable loops minus infinity, with an infinite sensitivity."""
+    return found._replace(
+        gain=np.where(unstable, -np.inf, found.gain),
+        phase=np.where(unstable, -np.inf, found.phase),
+        sensitivity=np.where(unstable, np.inf, found.sensitivity),
+    )
+
+
+def _rows(loop, value, paths, excited, settings):
+    """Return the rows of one loop."""
+    required = {
+        "gain": lambda x: x >= settings.gain,
+        "phase": lambda x: x >= settings.phase,
+        "sensitivity": lambda x: x <= settings.sensitivity,
+        "crossover": None,
+    }
+    rows = []
+    for quantity, meets in required.items():
+        row = {
+            "loop": loop.name,
+            "quantity": quantity,
+            "value": float(value._asdict()[quantity][0]),
+        }
+        row |= {"lower": np.nan, "upper": np.nan, "probability": np.nan}
+        if paths is not None:
+            values = paths._asdict()[quantity]
+            known = values[~np.isnan(values)]
+            if len(known):
+                low, high = np.quantile(known, settings.interval, method="nearest")
+                row |= {"lower": float(low), "upper": float(high)}
+            if meets is not None:
+                row["probability"] = float(np.mean(meets(values)))
+        row["excited"] = None if excited is None else excited[quantity]
+        rows.append(row)
+    return rows
+
+
+def _excited(loop, value, response, w, flight, settings):
+    """Return for each quantity whether the flight excited its crossover."""
+    power = _response_over_noise(loop, response, w, flight, settings)
+
+    def is_excited(frequency):
+        return bool(power(frequency) > settings.excited) if np.isfinite(frequency) else None
+
+    of_crossover = is_excited(value.crossover[0])
+    found = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
+    return found | {"gain": is_excited(value.phase_crossover[0])}
+
+
+def _response_over_noise(loop, response, w, flight, settings):
+    """Return the function of a frequency [rad/s] to the power of the rate's response over its noise."""
+    rate = AXES[loop.name][0]
+    logged = FlightTable.of(flight, [loop.control, rate])
+    step = float(np.median(np.diff(logged.time)))
+    length = max(8, int(settings.segment / step))
+    f, of_control = _spectrum(logged, loop.control, step, length)
+    _, of_rate = _spectrum(logged, rate, step, length)
+    n_noise = max(1, int(settings.noise * len(of_rate)))
+    noise = np.median(of_rate[-n_noise:])
+
+    def over_noise(frequency):
+        if frequency > 2 * np.pi * f[-1]:
+            return 0.0
+        size = np.interp(frequency, w, np.abs(response))
+        return size**2 * np.interp(frequency / (2 * np.pi), f, of_control) / noise
+
+    return over_noise
+
+
+def _spectrum(logged, name, step, length):
+    """Return frequencies [Hz] and power of a channel, by Welch's method over the pieces without gaps."""
+    values = logged.column(name)
+    pieces = [values[rows] for rows in logged.segments]
+    pieces = [piece for piece in pieces if len(piece) >= length]
+    if not pieces:
+        raise ValueError(
+            f"Got a flight without a piece of {length * step:g} s, but expected one, for spectra."
+        )
+    powers = []
+    for piece in pieces:
+        f, power = welch(piece, 1 / step, nperseg=length, detrend=_detrended)
+        powers.append(power)
+    return f, np.average(powers, axis=0, weights=[len(piece) for piece in pieces])
+
+
+def _detrended(values):
+    return detrend(values, axis=-1)

@@ -1,0 +1,263 @@
+"""Margins against closed forms and the eigenvalues of closed loops; gains that have them; files of parameters."""
+
+from functools import partial
+from math import comb, factorial
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
+from scipy.optimize import brentq
+from scipy.signal import tf2ss
+
+from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
+from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
+
+AIRCRAFT = Aircraft(
+    name="glider", mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+LEVEL = np.array([-0.03, 0, -0.3, 0, 0.02, 0])
+SLOPES = np.array(
+    [
+        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
+        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
+        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
+        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
+        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
+        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
+    ]
+)
+AIRSPEED, DELAY = 20.0, 0.04
+FULL = {"aileron": 0.42, "elevator": 0.4, "rudder": 0.35}
+UNFILTERED = {"IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0}
+PX4 = UNFILTERED | {
+    "FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_FF": 0.1, "FW_R_TC": 0.4,
+    "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_PR_FF": 0.1, "FW_P_TC": 0.5,
+    "FW_YR_P": 0.3, "FW_YR_I": 0.1, "FW_AIRSPD_TRIM": 16.0,
+}  # fmt: skip
+
+
+def linear_of(slopes=SLOPES, n_paths=0, delay=DELAY):
+    """Return the linear model of an aircraft, whose slopes paths change by some 10 %."""
+
+    def sampler(n_paths, random_state):
+        draws = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8)) * slopes
+        return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
+            draws[:, None], X.shape[1], axis=1
+        )
+
+    model = Aerodynamics(lambda X: LEVEL + X @ slopes.T, NAMES, sampler=sampler)
+    steady = trim(model, AIRCRAFT, AIRSPEED, altitude=100.0)
+    return linearize(model, AIRCRAFT, steady, n_paths=n_paths, delay=delay)
+
+
+@pytest.fixture(scope="module")
+def linear():
+    return linear_of(n_paths=20)
+
+
+@pytest.mark.parametrize(("P", "delay"), [(1.5, 0.02), (0.8, 0.05)])
+def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay):
+    """L = g / (s + a) exp(-s T): at -180 deg atan(w / a) + w T = pi."""
+    only_roll = SLOPES.copy()
+    only_roll[[1, 5]] = 0.0
+    only_roll[3] = [0, 0, -0.4, 0, 0, 0, 0.1, 0]
+    linear = linear_of(only_roll, delay=delay)
+    loops = autopilot_loops(UNFILTERED | {"FW_RR_P": P}, {"aileron": 0.4})
+    a, g = -linear.A.loc["p", "p"], 0.4 * P * linear.B.loc["p", "aileron"]
+    at_180 = brentq(lambda w: np.arctan(w / a) + w * delay - np.pi, 1e-3, np.pi / delay)
+    found = margins(linear, loops)["value"]["roll"]
+    assert_allclose(found["gain"], 20 * np.log10(np.hypot(at_180, a) / g), atol=0.02)
+    crossover = np.sqrt(g**2 - a**2)
+    left = np.pi - np.arctan(crossover / a) - crossover * delay
+    assert_allclose(found["crossover"], crossover, rtol=1e-3)
+    assert_allclose(found["phase"], np.rad2deg(left), atol=0.2)
+
+
+def growth(linear, factors):
+    """Return the growth of the fastest mode of the loops of PX4, with factors on their gains, by Pade's delay."""
+    kept = [name for name in linear.A if name not in ("north", "east", "down", "psi")]
+    A, B = linear.A.loc[kept, kept].to_numpy(), linear.B.loc[kept, [*FULL]].to_numpy()
+    k = PX4["FW_AIRSPD_TRIM"] / (AIRSPEED * np.sqrt(linear.density / 1.225))
+    row = {name: np.eye(len(kept))[kept.index(name)] for name in ("p", "q", "r", "phi", "theta")}
+    of_rate = [
+        row["p"] + row["phi"] / PX4["FW_R_TC"],
+        row["q"] + row["theta"] / PX4["FW_P_TC"],
+        row["r"] - 9.80665 / AIRSPEED * row["phi"],
+    ]
+    commanded = [
+        row["phi"] / PX4["FW_R_TC"],
+        row["theta"] / PX4["FW_P_TC"],
+        -9.80665 / AIRSPEED * row["phi"],
+    ]
+    signs = np.sign([linear.B.loc[rate, name] for rate, name in zip("pqr", FULL, strict=True)])
+    full = signs * factors * np.array([*FULL.values()])
+    gains = np.array(
+        [[PX4.get(f"FW_{axis}R_{gain}", 0.0) for gain in ("P", "I", "FF")] for axis in "RPY"]
+    )
+    K = -full[:, None] * (
+        k**2 * gains[:, :1] * np.array(of_rate) + k * gains[:, 2:] * np.array(commanded)
+    )
+    K_integral = -full * k**2 * gains[:, 1]
+    order = 5
+    terms = [comb(order, k) * factorial(2 * order - k) * DELAY**k for k in range(order + 1)]
+    below = np.array(terms[::-1]) / terms[-1]
+    above = below * (-1.0) ** np.arange(order, -1, -1)
+    late = [tf2ss(above, below) for _ in FULL]
+    Ad, Bd, Cd, Dd = (block_diag(*matrices) for matrices in zip(*late, strict=True))
+    n, n_late = len(kept), len(Ad)
+    integrals = np.diag(K_integral)
+    closed = np.block([
+        [A + B @ Dd @ K, B @ Dd @ integrals, B @ Cd],
+        [np.array(of_rate), np.zeros((3, 3)), np.zeros((3, n_late))],
+        [Bd @ K, Bd @ integrals, Ad],
+    ])  # fmt: skip
+    assert closed.shape == (n + 3 + n_late,) * 2
+    return np.linalg.eigvals(closed).real.max()
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_the_gain_margin_is_where_the_closed_loops_become_unstable(linear, number):
+    """The other loops stay closed. Slow modes do not count."""
+    loops = autopilot_loops(PX4, FULL)
+    found = margins(linear, loops)["value"][loops[number].name]["gain"]
+    assert growth(linear, np.ones(3)) < 0.1
+    factors = np.ones(3)
+    factors[number] = 0.97 * 10 ** (found / 20)
+    assert growth(linear, factors) < 0.1
+    factors[number] = 1.03 * 10 ** (found / 20)
+    assert growth(linear, factors) > 0.1
+    unstable = loops[number].scaled(factors[number])
+    others = [loop for loop in loops if loop.name != unstable.name]
+    assert margins(linear, [unstable, *others])["value"][unstable.name]["gain"] == -np.inf
+
+
+def test_paths_have_intervals_and_probabilities(linear):
+    loops = autopilot_loops(PX4, FULL)
+    found = margins(linear, loops)
+    assert (found["lower"] <= found["value"])["roll"].all()
+    assert (found["value"] <= found["upper"])["roll"].all()
+    assert found["probability"].drop("crossover", level="quantity").between(0, 1).all()
+    assert found["excited"].isna().all()
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.95])
+def test_suggested_gains_are_the_largest_that_have_the_margins(linear, probability):
+    loops = autopilot_loops(PX4, FULL)
+    wanted = {"gain_margin": 8.0, "phase_margin": 50.0, "probability": probability}
+    chosen = suggest_gains(linear, loops, **wanted)
+    for before, after in zip(loops, chosen, strict=True):
+        factor = after.P / before.P
+        assert_allclose([after.I, after.FF], [factor * before.I, factor * before.FF])
+        name = f"FW_{before.name[0].upper()}R_P"
+        assert_allclose(after.parameters[name], factor * PX4[name])
+
+    def share(loops, k):
+        """Part of the paths that have both margins of a loop."""
+        parts = []
+        for path in range(20):
+            single = linear_of_path(linear, path)
+            value = margins(single, loops)["value"][loops[k].name]
+            parts.append(value["gain"] >= 8.0 - 0.01 and value["phase"] >= 50.0 - 0.1)
+        return np.mean(parts)
+
+    larger = [chosen[0], chosen[1].scaled(1.1), chosen[2]]
+    assert share(chosen, 1) >= probability > share(larger, 1)
+
+
+def linear_of_path(linear, number):
+    """Return one path as a linear model."""
+    tables = {}
+    for name in "ABCD":
+        table = getattr(linear, name)
+        array = getattr(linear.paths, name)[number]
+        tables[name] = pd.DataFrame(array, table.index, table.columns)
+    return type(linear)(
+        **tables, airspeed=linear.airspeed, density=linear.density, delay=linear.delay
+    )
+
+
+def test_outputs_of_ardupilot_are_degrees_of_45():
+    """A rate of 1 rad/s at twice the scaling speed: P deg / 45, over four."""
+    parameters = {"RLL_RATE_P": 0.2, "SCALING_SPEED": 15.0, "INS_GYRO_FILTER": 0.0}
+    (roll,) = autopilot_loops(parameters, {"aileron": 0.4})
+    laws = roll.feedback(np.array([1e-6 + 0j]), 30.0, 1.225)
+    assert_allclose(laws["p"], -0.4 * 0.2 * np.rad2deg(1.0) / 45 / 4, rtol=1e-6)
+    assert_allclose(laws["phi"], laws["p"] / 0.5, rtol=1e-5)  # RLL2SRV_TCONST of the firmware
+
+
+def test_the_yaw_damper_of_ardupilot_washes_out_a_steady_rate():
+    parameters = {"RLL_RATE_P": 0.2, "YAW2SRV_DAMP": 0.5, "SCALING_SPEED": 20.0}
+    _, yaw = autopilot_loops(parameters, {"aileron": 0.4, "rudder": 0.3})
+    slow, fast = yaw.feedback(np.array([1e-4j, 5j]), 20.0, 1.225)["r"]
+    assert abs(slow) < 1e-3 * abs(fast)
+    assert_allclose(abs(fast), 0.3 * 0.5 * np.rad2deg(1.0) / 45, rtol=0.01)
+
+
+FILES = {
+    "ground.params": "# Vehicle-Id Component-Id Name Value Type\n1\t1\tFW_RR_P\t0.05\t9\n1\t1\tFW_AIRSPD_TRIM\t15\t9\n",
+    "show.txt": "x + FW_RR_P [123,456] : 0.0500\n  * FW_AIRSPD_TRIM [1,2] : 15.0\n",
+    "mission_planner.param": "FW_RR_P,0.05\nFW_AIRSPD_TRIM,15\n",
+    "mavproxy.parm": "FW_RR_P          0.050000\nFW_AIRSPD_TRIM   15.0  # a remark\n",
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_of_ground_stations_are_read(name, tmp_path):
+    path = tmp_path / name
+    path.write_text(FILES[name])
+    assert read_parameters(path) == {"FW_RR_P": 0.05, "FW_AIRSPD_TRIM": 15.0}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "full", "words"),
+    [
+        ({"MC_ROLLRATE_P": 0.1}, {"aileron": 0.4}, "without gains of a rate loop"),
+        ({"RLL2SRV_P": 1.0}, {"aileron": 0.4}, "before 4.1"),
+        ({"FW_RR_P": 0.0}, {"aileron": 0.4}, "no gains other than zero"),
+        ({"FW_RR_P": 0.1}, {"flap": 0.4}, "expected deflections"),
+        ({"FW_RR_P": 0.1}, {"aileron": 24.0}, "expected deflections"),
+        ({"FW_RR_P": 0.1}, {}, "expected deflections"),
+    ],
+)
+def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
+    with pytest.raises(ValueError, match=words):
+        autopilot_loops(parameters, full)
+
+
+def test_a_file_without_parameters_is_refused(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("the gains are fine\n")
+    with pytest.raises(ValueError, match="without parameters"):
+        read_parameters(path)
+
+
+def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear):
+    (loop,) = autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4})
+    missing = partial(type(loop), **{**vars(loop), "control": "flaperon"})
+    with pytest.raises(ValueError, match="flaperon"):
+        margins(linear, [missing()])
+    with pytest.raises(ValueError, match="each of its own control"):
+        margins(linear, [loop, loop])
+    with pytest.raises(ValueError, match="without paths"):
+        suggest_gains(linear_of(), [loop])
+    with pytest.raises(ValueError, match="seconds, at least 0"):
+        linear_of(delay=-1.0)
+
+
+def test_what_the_log_moved_is_excited(linear):
+    """A sweep up to 12 rad/s and noise of the gyro: the crossover is excited, the phase crossover is not."""
+    time = np.arange(0.0, 60.0, 0.02)
+    aileron = 0.1 * np.sin(time * (1.0 + 11.0 * time / 120.0))
+    rate = np.random.default_rng(0).normal(0.0, 0.01, len(time))
+    flight = pd.DataFrame({"time": time, "aileron": aileron, "p": rate})
+    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 0.65}, {"aileron": 0.42})
+    found = margins(linear, [loop], flight=flight).loc["roll"]
+    assert found["value"]["crossover"] < 11.0
+    assert found["excited"].to_dict() == {
+        "gain": False, "phase": True, "sensitivity": True, "crossover": True
+    }  # fmt: skip
+    with pytest.raises(ValueError, match="aileron"):
+        margins(linear, [loop], flight=flight.drop(columns="aileron"))

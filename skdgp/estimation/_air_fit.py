@@ -174,14 +174,12 @@ class AirFit:
             instruments = slopes[:, :, self.layout.n_derivatives :]
             Z = _projected(D, instruments, self.settings.least_direction)
             record = record.with_answers(e, self.settings)
-        scores = np.einsum("nmk,nm->nk", Z, e)
-        over_samples = ((0, 1), (0, 1))
-        sums.add(
-            places[is_free],
-            scores.sum(axis=0),
-            np.tensordot(Z, D, axes=over_samples),
-            np.tensordot(Z, Z, axes=over_samples),
-        )
+        scores = (e[:, None] @ Z)[:, 0]
+        D_rows = D.reshape(-1, D.shape[2])
+        Z_rows = Z.reshape(D_rows.shape)
+        information = Z_rows.T @ D_rows
+        scatter = Z_rows.T @ Z_rows
+        sums.add(places[is_free], scores.sum(axis=0), information, scatter)
         return FittedRecord(record, linear, run, scores)
 
     def block_scores(self, fitted: list[FittedRecord]) -> Matrix:
@@ -208,7 +206,9 @@ def _projected(slopes: Array, instruments: Array, least: float) -> Array:
     rows = instruments.reshape(-1, instruments.shape[2])
     size = np.linalg.norm(rows, axis=0)
     moved = size > 0
-    U, s, _ = np.linalg.svd(rows[:, moved] / size[moved], full_matrices=False)
-    U = U[:, s > least * s[0]]
-    projected = U @ (U.T @ slopes.reshape(len(U), -1))
-    return projected.reshape(slopes.shape)
+    rows = rows[:, moved] / size[moved]
+    squares, V = np.linalg.eigh(rows.T @ rows)  # squares of singular values
+    is_direction = squares > least**2 * squares[-1]
+    V = V[:, is_direction]
+    by_direction = V.T @ (rows.T @ slopes.reshape(len(rows), -1)) / squares[is_direction, None]
+    return (rows @ (V @ by_direction)).reshape(slopes.shape)

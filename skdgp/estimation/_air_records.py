@@ -126,8 +126,8 @@ def _past_sums(innovation: Matrix, step: float, settings: AirSettings) -> Matrix
 
 
 def _least_squares(X: Matrix, y: Vector) -> Vector:
-    """Return the least-squares coefficients of y by X."""
-    return np.asarray(np.linalg.lstsq(X, y, rcond=None)[0], dtype=float)
+    """Return the least-squares coefficients of y by X, of many rows, by the normal equations."""
+    return np.asarray(np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0], dtype=float)
 
 
 def records_of(

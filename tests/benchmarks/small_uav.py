@@ -5,10 +5,10 @@
 Rigid bodies of 1 to 25 kg fly 3-2-1-1 inputs under a simple controller, in turbulence around a
 steady wind. Ideal sensors have white noise alone; real ones are late, biased and scaled, and log
 commands of late servos; held ones have slower clocks, and each row repeats their last sample;
-vibration adds an aliased oscillation to inertial sensors and holds. The table has for each air the known derivatives inside value +/- 1.96 std,
-the median error and the median half band (medians over aircraft); then the worst aircraft, medians
-of the errors of alpha, with its mean removed, and of the lag of the servos, and how many flights
-did not converge.
+vibration adds an aliased oscillation of inertial sensors. The table has for each air the known
+derivatives inside value +/- 1.96 std, the median error and the median half band (medians over
+aircraft); then the worst aircraft, medians of the errors of alpha, with its mean removed, and of
+the lag of the servos, and how many flights did not converge.
 """
 
 import itertools
@@ -191,8 +191,8 @@ def rotation(angles):
 
 
 def vibration(rng, throttle, dt):
-    """Return accelerations and rates (n, 6) of an oscillation with the speed of the propeller, sampled without a filter."""
-    turns = np.cumsum((90 + 40 * throttle) * dt)  # of 90 to 130 Hz
+    """Return accelerations and rates (n, 6) of an oscillation with the propeller's speed, sampled without a filter."""
+    turns = np.cumsum((rng.uniform(80, 130) + 40 * throttle) * dt)  # [Hz]
     wave = np.sin(2 * np.pi * turns[:, None] + rng.uniform(0, 2 * np.pi, 6))
     return np.sqrt(2) * wave * np.repeat(VIBRATION, 3)
 
@@ -236,7 +236,7 @@ def logged(rows, rng, kind):
 
 
 def truth_of(plane, alpha, load):
-    """Return the known derivatives by name, at the mean angle of attack and load of the thrust where they depend on it."""
+    """Return the known derivatives by name, at the mean angle of attack and load of the thrust."""
     W = plane["derivatives"].copy()
     W[:, [6, 8]] *= 1 + plane["slipstream"] * load
     if plane["stalls"]:

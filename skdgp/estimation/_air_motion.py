@@ -216,9 +216,10 @@ def estimate_air_motion(
     where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
     variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
     gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot
-    answers gusts: this motion excludes the part of the surfaces that past innovations explain.
+    answers gusts: this motion excludes the part of the surfaces that innovations explain.
     Noises maximise the likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound
-    parameters that a flight does not determine. The covariance is
+    parameters that a flight does not determine. Terms beyond the usual ones, such as CY by the
+    ailerons, have narrow priors around zero, as of a symmetric aircraft. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. For nonlinear effects 4 % of each derivative are
     added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.
@@ -235,8 +236,8 @@ def estimate_air_motion(
         samples at 50 to 100 Hz, the first parts of the records are used.
     aircraft : Aircraft
     terms : mapping of str to sequence of str, optional
-        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces. Without CX the axial
-        force is taken as measured, see ``thrust``.
+        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces; by default all but
+        alpha2, which only CX has. Without CX the axial force is taken as measured, see ``thrust``.
     thrust : str or None, default="auto"
         As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
         measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
@@ -373,7 +374,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     covariance = estimate_covariance(fit, sums, fitted)
     last = fit.path[-fit.settings.last_passes :]
     if not converged and len(last) < len(fit.path):
-        covariance = covariance + spread_of(last)
+        covariance = inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
     elif not converged:
         covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
     if not fit.is_known:

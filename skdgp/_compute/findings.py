@@ -38,6 +38,7 @@ class Code(Enum):
     LONE_ROWS = "lone_rows"
     NO_ELEVATOR = "no_elevator"
     ROWS_LEFT_OUT = "rows_left_out"
+    SLOW_CHANNELS = "slow_channels"
 
     # assumptions
     ENGINE_UNEXPLAINED = "engine_unexplained"
@@ -56,6 +57,7 @@ class Code(Enum):
     # transformers
     AIR_NOT_CONVERGED = "air_not_converged"
     AIR_NOT_ESTIMATED = "air_not_estimated"
+    COUPLINGS_FOUND = "couplings_found"
     CONSTANT_REGRESSORS = "constant_regressors"
     GUSTS_UNKNOWN = "gusts_unknown"
     LAGS_CORRECTED = "lags_corrected"
@@ -108,11 +110,13 @@ DOUBTS = frozenset({Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED})
 NOTES = frozenset(
     {
         Code.CONTROLS_KNOWN,
+        Code.COUPLINGS_FOUND,
         Code.ERRORS_SMALL,
         Code.FOLLOWS,
         Code.LAGS_CORRECTED,
         Code.PATHS_RECONSTRUCTED,
         Code.PATHS_SMOOTHED,
+        Code.SLOW_CHANNELS,
     }
 )
 

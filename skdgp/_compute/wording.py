@@ -223,6 +223,14 @@ def _gusts_unknown(finding: Finding) -> str:
     return _filled(text, finding)
 
 
+def _couplings(finding: Finding) -> str:
+    couplings = []
+    for name, (value, std) in finding.numbers["couplings"].items():
+        couplings.append(f"{name} {value:.2g} ± {std:.1g}")
+    text = "Terms beyond the usual ones are significant in the motion of the air: {couplings}."
+    return _filled(text, finding, couplings=couplings)
+
+
 def _paths(finding: Finding) -> str:
     kind = "not reconstructed, only smoothed"
     if finding.code is Code.PATHS_RECONSTRUCTED:
@@ -356,6 +364,9 @@ TEXTS = _by_code(
     lone_rows="Flight {flight!r}: {rows} rows that stand alone between gaps are left out.",
     no_elevator="Got flights without an elevator: its effect goes into the coefficients of "
     "alpha and q, so Cm_q and Cm_alpha may be wrong, even in sign. Give the column elevator.",
+    couplings_found=_couplings,
+    slow_channels="Channels with slower clocks than the log [Hz]: {rates:.3g}. A repeated sample "
+    "counts once, and controls are splines between samples.",
     rows_left_out="Flight {flight!r}: {left_out} of {rows} rows are left out, because "
     "regressors are missing there (by rows: {missing}). Bring slow sensors to the clock of the "
     "others if these are many.",

@@ -32,8 +32,17 @@ def widen(covariance: Matrix, other: Matrix) -> Matrix:
 
 
 def without_estimate(offset: Vector, prior_std: Vector) -> Matrix:
-    """Return the covariance where the search did not converge: the prior's, and the distance from its mean."""
+    """Return the covariance where the search hardly began: the prior's, and the distance from its mean."""
     return np.diag(prior_std**2) + np.outer(offset, offset)
+
+
+def spread_of(path: list[Vector]) -> Matrix:
+    """Return the mean square distance of the last passes of a search (k, p) from its end.
+
+    Errors of a search that did not converge.
+    """
+    offsets = np.array(path) - path[-1]
+    return offsets.T @ offsets / len(offsets)
 
 
 def misfit_of(offset: Vector, prior_std: Vector) -> float:

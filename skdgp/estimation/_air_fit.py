@@ -20,7 +20,7 @@ from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import TURN, Layout, linearized
 from skdgp.estimation._air_noise import NoiseSearch, whitened
-from skdgp.estimation._air_parameters import PATH_ERRORS, WINDS, Parameters, Sums
+from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._air_start import (
     SteadyRegression,
@@ -65,6 +65,7 @@ class AirFit:
         self.is_known = parameters.n_held > 0
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
+        self.path: list[Vector] = []  # of x in the search
         self.winds = []
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
@@ -101,6 +102,7 @@ class AirFit:
             else:
                 fraction = min(settings.longer * fraction, 1.0)
             self.x[sums.free] += fraction * step
+            self.path.append(self.x.copy())
             last = step
             noise_length = np.inf
             if number:
@@ -112,17 +114,13 @@ class AirFit:
             if converged and number > n_before:
                 break
             damping /= 4
-        return converged and self._is_plausible()
-
-    def _is_plausible(self) -> bool:
-        """Return whether errors of the path are as small as attitude and GPS make them."""
-        search = self.noise_search
-        flights = range(len(self.winds))
-        places = [search.prior.places_of(flight, PATH_ERRORS) for flight in flights]
-        return bool(np.exp(search.psi[places]).max() < self.settings.largest_path_error)
+        return converged
 
     def _bounded_step(self, information: Matrix, score: Vector) -> Vector:
-        """Return the step of the free parameters, with a lag that stays at or above zero."""
+        """Return the step of the free parameters, with a lag that stays at or above zero.
+
+        No derivative moves by more than some standard deviations of its prior.
+        """
         step = np.asarray(-np.linalg.solve(information, score), dtype=float)
         lag = self.parameters.names.index("servo_lag")
         place = lag - self.parameters.n_held
@@ -131,6 +129,10 @@ class AirFit:
             step[place] = -self.x[lag]
             gradient = score[free] + information[free, place] * step[place]
             step[free] = -np.linalg.solve(information[np.ix_(free, free)], gradient)
+        if not self.is_known:
+            nd = self.layout.n_derivatives
+            farthest = np.max(np.abs(step[:nd]) / self.parameters.std[:nd])
+            step *= min(1.0, self.settings.largest_step / farthest)
         return step
 
     def run(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
@@ -174,14 +176,12 @@ class AirFit:
             instruments = slopes[:, :, self.layout.n_derivatives :]
             Z = _projected(D, instruments, self.settings.least_direction)
             record = record.with_answers(e, self.settings)
-        scores = np.einsum("nmk,nm->nk", Z, e)
-        over_samples = ((0, 1), (0, 1))
-        sums.add(
-            places[is_free],
-            scores.sum(axis=0),
-            np.tensordot(Z, D, axes=over_samples),
-            np.tensordot(Z, Z, axes=over_samples),
-        )
+        scores = (e[:, None] @ Z)[:, 0]
+        D_rows = D.reshape(-1, D.shape[2])
+        Z_rows = Z.reshape(D_rows.shape)
+        information = Z_rows.T @ D_rows
+        scatter = Z_rows.T @ Z_rows
+        sums.add(places[is_free], scores.sum(axis=0), information, scatter)
         return FittedRecord(record, linear, run, scores)
 
     def block_scores(self, fitted: list[FittedRecord]) -> Matrix:
@@ -208,7 +208,9 @@ def _projected(slopes: Array, instruments: Array, least: float) -> Array:
     rows = instruments.reshape(-1, instruments.shape[2])
     size = np.linalg.norm(rows, axis=0)
     moved = size > 0
-    U, s, _ = np.linalg.svd(rows[:, moved] / size[moved], full_matrices=False)
-    U = U[:, s > least * s[0]]
-    projected = U @ (U.T @ slopes.reshape(len(U), -1))
-    return projected.reshape(slopes.shape)
+    rows = rows[:, moved] / size[moved]
+    squares, V = np.linalg.eigh(rows.T @ rows)  # squares of singular values
+    is_direction = squares > least**2 * squares[-1]
+    V = V[:, is_direction]
+    by_direction = V.T @ (rows.T @ slopes.reshape(len(rows), -1)) / squares[is_direction, None]
+    return (rows @ (V @ by_direction)).reshape(slopes.shape)

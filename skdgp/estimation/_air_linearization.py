@@ -41,6 +41,7 @@ from skdgp.estimation._air_parameters import (
     SHARED,
     STATE_TERMS,
     WINDS,
+    is_coupling,
     stacked,
 )
 from skdgp.estimation._air_records import Record, servo_output, servo_slopes
@@ -98,39 +99,56 @@ class Layout(NamedTuple):
         """Return the places of the derivatives of a coefficient."""
         return np.flatnonzero(self.rows == COEFFICIENTS.index(name))
 
+    @property
+    def are_couplings(self) -> Mask:
+        """Whether each derivative is outside of the classical list."""
+        return np.array([is_coupling(name) for name in self.names[: self.n_derivatives]])
+
     def is_by(self, *terms: str) -> Mask:
         """Return whether each derivative is by one of the state's terms."""
         return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
-
-    def coefficient_slopes(self, terms: Matrix, response: Matrix, changes: Array) -> Array:
-        """Return d coefficients / d parameters and instruments (n, 6, p), at given air velocity.
-
-        From the terms (n, f), their values ``response`` in the motion that surfaces cause, and
-        ``changes`` (n, 6, 2) by lag of the servos and scale of the thrust.
-        """
-        slopes = np.zeros((len(terms), 6, self.n_slopes))
-        place = np.arange(self.n_derivatives)
-        slopes[:, self.rows, place] = terms[:, self.columns]
-        slopes[:, self.rows, len(self.names) + place] = response[:, self.columns]
-        slopes[:, :, self.place("servo_lag", "thrust_scale")] = changes
-        return slopes
 
     def variable_slopes(
         self,
         attitude: Array,
         rates: Matrix,
         air_by_state: Array,
-        coefficient_slopes: Array | float = 0.0,
+        coefficient_changes: Array | float = 0.0,
     ) -> Array:
-        """Return d variables of the model / d states, parameters and instruments, (n, 12, N + p)."""
-        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + self.n_slopes))
+        """Return d variables of the model / d states and constants, (n, 12, N + k), k all parameters but derivatives.
+
+        ``coefficient_changes`` (n, 6, 2) are by lag of the servos and scale of the thrust.
+        """
+        n_constants = len(self.names) - self.n_derivatives
+        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + n_constants))
         slopes[:, AIR, :N_STATES] = air_by_state
         slopes[:, RATES, TURN] = np.eye(3)
-        slopes[:, ERRORS, N_STATES:] = coefficient_slopes
-        by_parameters = slopes[..., N_STATES:]
-        by_parameters[:, AIR, self.place(*WINDS)] = -attitude
-        by_parameters[:, AIR, self.place(*ARM)] = -cross_matrix(rates)
+        by_constants = slopes[..., N_STATES:]
+        by_constants[:, ERRORS, self._constant("servo_lag", "thrust_scale")] = coefficient_changes
+        by_constants[:, AIR, self._constant(*WINDS)] = -attitude
+        by_constants[:, AIR, self._constant(*ARM)] = -cross_matrix(rates)
         return slopes
+
+    def _constant(self, *names: str) -> list[int]:
+        """Return places among the constants."""
+        return [place - self.n_derivatives for place in self.place(*names)]
+
+    def chained(self, by_variables: Array, slopes: Array, terms: Matrix, response: Matrix) -> Array:
+        """Return d values / d z (n, m, N + p), from d values / d variables (n, m, 12).
+
+        By the `variable_slopes`, the terms (n, f) of the derivatives, and their values ``response``
+        in the motion that surfaces cause, of the instruments.
+        """
+        n, m = by_variables.shape[:2]
+        by_constants = by_variables @ slopes
+        by_coefficients = by_variables[:, :, ERRORS][:, :, self.rows]
+        out = np.empty((n, m, N_STATES + self.n_slopes))
+        first, last = N_STATES + self.n_derivatives, N_STATES + len(self.names)
+        out[..., :N_STATES] = by_constants[..., :N_STATES]
+        out[..., N_STATES:first] = by_coefficients * terms[:, None, self.columns]
+        out[..., first:last] = by_constants[..., N_STATES:]
+        out[..., last:] = by_coefficients * response[:, None, self.columns]
+        return out
 
     def model(self, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
         """Return the aircraft's equations of motion at parameters by name."""
@@ -199,23 +217,27 @@ class _Expansion:
         # terms within a step are the mean of the terms at its ends
         terms = self.model.terms(self.start, self.inputs.part(slice(-1)).surfaces)
         end_terms = self.model.terms(end, self.later.surfaces)
-        coefficients = self.layout.coefficient_slopes(
-            0.5 * (terms + end_terms), _means(response), _means(self.changes)
+        variables = self.layout.variable_slopes(
+            self.record.attitude[:-1],
+            self.start[:, RATES],
+            self.air_by_state[:-1],
+            _means(self.changes),
         )
-        slopes = by_start @ self.layout.variable_slopes(
-            self.record.attitude[:-1], self.start[:, RATES], self.air_by_state[:-1], coefficients
-        )
+        terms = 0.5 * (terms + end_terms)
+        slopes = self.layout.chained(by_start, variables, terms, _means(response))
         slopes[:, AIR, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
         return slopes
 
-    def end_slopes(self, end: Matrix, response: Matrix) -> Array:
-        """Return d variables / d z of the same sample, (n - 1, 12, N + p)."""
-        terms = self.model.terms(end, self.later.surfaces)
-        coefficients = self.layout.coefficient_slopes(terms, response[1:], self.changes[1:])
-        attitude = self.record.attitude[1:]
+    def end_variables(self, end: Matrix) -> Array:
+        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + k)."""
         return self.layout.variable_slopes(
-            attitude, end[:, RATES], self.air_by_state[1:], coefficients
+            self.record.attitude[1:], end[:, RATES], self.air_by_state[1:], self.changes[1:]
         )
+
+    def end_slopes(self, end: Matrix, by_variables: Array, response: Matrix) -> Array:
+        """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""
+        terms = self.model.terms(end, self.later.surfaces)
+        return self.layout.chained(by_variables, self.end_variables(end), terms, response[1:])
 
     def readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
         """Return readings (n - 1, m), d readings / d variables, and d readings / d z at given variables."""
@@ -290,16 +312,17 @@ def linearized(
 
     # sensors at its end, from the past alone
     past, by_end, past_slopes = expansion.readings(end)
-    end_slopes = expansion.end_slopes(end, response)
-    noise_slopes = by_end @ end_slopes[..., :N_STATES]
-    end_slopes[:, :6] = step_slopes
-    past_slopes += by_end @ end_slopes
+    noise_slopes = by_end @ expansion.end_variables(end)[..., :N_STATES]
+    by_errors = by_end.copy()
+    by_errors[..., :6] = 0.0
+    past_slopes += by_end[..., :6] @ step_slopes
+    past_slopes += expansion.end_slopes(end, by_errors, response)
 
     # and at the recorded path, with the predicted gusts
     change = _product(expansion.air_by_state[1:], predicted - states[1:])
     known_end = _variables(expansion.air[1:] + change, end[:, RATES])
     known, by_end, known_slopes = expansion.readings(known_end)
-    known_slopes += by_end @ expansion.end_slopes(known_end, response)
+    known_slopes += expansion.end_slopes(known_end, by_end, response)
 
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)

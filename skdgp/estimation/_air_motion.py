@@ -26,6 +26,7 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
+from skdgp._flight.holds import with_own_clocks
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
@@ -35,22 +36,24 @@ from skdgp.estimation._air_covariance import (
     inflate_for_misfit,
     misfit_of_sensors,
     mix_with_prior,
+    spread_of,
     with_model_errors,
     without_estimate,
 )
 from skdgp.estimation._air_fit import AirFit
 from skdgp.estimation._air_linearization import Layout
 from skdgp.estimation._air_parameters import (
+    ALL_TERMS,
     GUST_AXES,
     OWN,
     OWN_NOISES,
     SHARED,
     SHARED_NOISES,
-    TERMS,
     Gusts,
     Parameters,
     coefficient_of,
     derivatives_of,
+    is_coupling,
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
@@ -88,8 +91,8 @@ class AirMotion:
     surfaces : list of str
         Surfaces that move in the flights.
     converged : bool
-        Whether the last steps were small. Otherwise do not use the results; ``std`` then includes
-        the prior's variance and the distance from its mean.
+        Whether the last steps were small. Otherwise ``std`` includes how far the search still
+        moved in its last passes; if it was cut short, the prior's variance.
     seconds : float
         Length of the records [s].
     misfit : float
@@ -167,6 +170,17 @@ class AirMotion:
                 out[:, j] += 2 * alpha * curvature.fillna(0.0)
         return out[..., 0], np.nan_to_num(out[..., 1:])
 
+    def couplings(self, significance: float = 3.0) -> dict[str, tuple[float, float]]:
+        """Return value and standard deviation of derivatives outside of the usual terms.
+
+        Of those that are more than ``significance`` standard deviations from zero.
+        """
+        found = {}
+        for name, value, std in self.derivatives[["value", "std"]].itertuples():
+            if is_coupling(name) and abs(value) > significance * std:
+                found[name] = (float(value), float(std))
+        return found
+
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
         gusts = self._gusts(flight)
@@ -202,9 +216,10 @@ def estimate_air_motion(
     where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
     variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
     gusts correlate with past gusts, and so with D, but hardly with this motion. An autopilot
-    answers gusts: this motion excludes the part of the surfaces that past innovations explain.
+    answers gusts: this motion excludes the part of the surfaces that innovations explain.
     Noises maximise the likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound
-    parameters that a flight does not determine. The covariance is
+    parameters that a flight does not determine. Terms beyond the usual ones, such as CY by the
+    ailerons, have narrow priors around zero, as of a symmetric aircraft. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. For nonlinear effects 4 % of each derivative are
     added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.
@@ -216,12 +231,13 @@ def estimate_air_motion(
     table : DataFrame
         Flights with time, p, q, r, ax, ay, az, phi, theta, psi, v_north, v_east, v_down, airspeed,
         density, surfaces (deflections or commands), thrust or its sources; ``flight`` names the
-        flights. alpha and beta are used where they are. SI, radians. Of flights of more than 12,000
+        flights. alpha and beta are used where they are. SI, radians. Rows may repeat the last
+        sample of a slower channel; surfaces are splines between samples. Of flights of more than 12,000
         samples at 50 to 100 Hz, the first parts of the records are used.
     aircraft : Aircraft
     terms : mapping of str to sequence of str, optional
-        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces. Without CX the axial
-        force is taken as measured, see ``thrust``.
+        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces; by default all but
+        alpha2, which only CX has. Without CX the axial force is taken as measured, see ``thrust``.
     thrust : str or None, default="auto"
         As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
         measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
@@ -243,10 +259,10 @@ def estimate_air_motion(
     check_aircraft(aircraft)
     FlightTable.of(table, [*PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
-    table = _with_elevator_and_aileron(table)
+    table = _with_elevator_and_aileron(with_own_clocks(table))
     if known is None:
         surfaces = [name for name in SURFACES if _moves(table, name)]
-        derivatives = derivatives_of(TERMS if terms is None else terms, surfaces)
+        derivatives = derivatives_of(ALL_TERMS if terms is None else terms, surfaces)
     else:
         surfaces = known.surfaces
         derivatives = _as_prior(known.derivatives)
@@ -355,15 +371,18 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
     misfit = 1.0
-    covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
-    if converged:
-        covariance = estimate_covariance(fit, sums, fitted)
-    if converged and not fit.is_known:
+    covariance = estimate_covariance(fit, sums, fitted)
+    last = fit.path[-fit.settings.last_passes :]
+    if not converged and len(last) < len(fit.path):
+        covariance = inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
+    elif not converged:
+        covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
+    if not fit.is_known:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = with_model_errors(covariance, fit)
     air = smoothed_air(fit, fitted, covariance, n_rows)
-    if converged and not fit.is_known:
+    if not fit.is_known:
         covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
     names = fit.parameters.names
     std = np.sqrt(np.diag(covariance))

@@ -61,9 +61,13 @@ class NoiseSearch:
             weight = len(record.step) / len(linear.step)
             sums.add(places, weight * gradient, weight * fisher)
         information, score = sums.damped(self.settings.noise_damping)
+        before = self.psi[sums.free].copy()
         step = self._limited(np.asarray(-np.linalg.solve(information, score), dtype=float))
-        self.psi[sums.free] += step
-        return sums.squared_length(step)
+        reach = self.settings.noise_reach * self.prior.std
+        moved = self.psi[sums.free] + step
+        low, high = self.prior.mean - reach, self.prior.mean + reach
+        self.psi[sums.free] = np.clip(moved, low[sums.free], high[sums.free])
+        return sums.squared_length(self.psi[sums.free] - before)
 
     def _limited(self, step: Vector) -> Vector:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SURFACES
 from skdgp.estimation._sensors import AIR_NOISE, AIR_SENSOR_ERRORS, RATE_BIASES, WIND_STD, Prior
 
 STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r")
@@ -25,7 +25,10 @@ TERMS: dict[str, tuple[str, ...]] = {
     "Cm": ("0", "alpha", "q", "elevator"),
     "Cn": ("0", "beta", "p", "r", "aileron", "rudder"),
 }
-"""Terms of each coefficient; those of surfaces that a flight lacks are left out."""
+"""Terms of each coefficient with wide priors; those of surfaces that a flight lacks are left out."""
+LINEAR_TERMS = ("0", "alpha", "beta", "p", "q", "r", *SURFACES)
+ALL_TERMS = dict.fromkeys(COEFFICIENTS, LINEAR_TERMS) | {"CX": (*LINEAR_TERMS, "alpha2")}
+"""These and all other linear terms: couplings, whose priors are narrow."""
 DERIVATIVES: Prior = {
     "CX_alpha": (0.2, 1.0), "CX_alpha2": (0.0, 5.0), "CY_beta": (-0.5, 0.5), "CY_p": (0.0, 0.5),
     "CY_r": (0.1, 0.5), "CZ_alpha": (-4.5, 1.5), "CZ_q": (-5.0, 10.0), "CZ_elevator": (-0.2, 0.5),
@@ -34,6 +37,9 @@ DERIVATIVES: Prior = {
 }  # fmt: skip
 """Of small aircraft (Beard & McLain 2012, appendix E; Paw 2009), with wide standard deviations [1/rad]."""
 OTHER_DERIVATIVE = (0.0, 1.0)
+COUPLING_STD = {"CX": 0.05, "CY": 0.05, "CZ": 0.1, "Cl": 0.02, "Cm": 0.05, "Cn": 0.01}
+RATE_COUPLING = 3.0
+"""Standard deviations of couplings, of zero in the mean [1/rad], and their factor for rates; trials on one aircraft."""
 WINDS = ("wind_north", "wind_east", "wind_down")
 PITOT = ("airspeed_scale", "wind_north", "wind_east")
 ARM = ("arm_x", "arm_y", "arm_z")
@@ -62,7 +68,7 @@ SHARED_NOISES: Prior = {
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
     "drive_r": (0.02, 1.0),
-    "surface": (0.05, 1.0),  # error of a surface's position, in its change within a step
+    "surface": (0.05, 2.0),  # error of a surface's position, in its change within a step
     **AIR_NOISE,
 }
 OWN_NOISES: Prior = {
@@ -178,8 +184,23 @@ def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) 
         for term in terms.get(coefficient, ()):
             if term not in missing:
                 name = f"{coefficient}_{term}"
-                priors[name] = DERIVATIVES.get(name, OTHER_DERIVATIVE)
+                priors[name] = _prior_of(coefficient, term)
     return priors
+
+
+def is_coupling(name: str) -> bool:
+    """Return whether a derivative is outside of `TERMS`, so that its prior is narrow."""
+    coefficient, term = name.split("_", 1)
+    return term not in TERMS[coefficient]
+
+
+def _prior_of(coefficient: str, term: str) -> tuple[float, float]:
+    """Return mean and standard deviation of a derivative."""
+    name = f"{coefficient}_{term}"
+    if is_coupling(name):
+        factor = RATE_COUPLING if term in RATES else 1.0
+        return 0.0, factor * COUPLING_STD[coefficient]
+    return DERIVATIVES.get(name, OTHER_DERIVATIVE)
 
 
 def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:

@@ -64,7 +64,7 @@ class Record(NamedTuple):
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
     def with_answers(self, innovation: Matrix, settings: AirSettings) -> Record:
-        """Return the record with the part of its surfaces that innovations (n - 1, m) up to each sample explain.
+        """Return the record with the part of its surfaces that innovations (n - 1, m) explain.
 
         By least squares on sums of the innovations over bins of the past, wider the earlier. Other
         motion of a surface is a first-order process of the surface's own correlation (Cochrane &
@@ -113,21 +113,26 @@ class Record(NamedTuple):
 
 
 def _past_sums(innovation: Matrix, step: float, settings: AirSettings) -> Matrix:
-    """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample."""
+    """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample.
+
+    And of a little later: a surface between samples of a slow clock follows from a later one, too.
+    """
     n = len(innovation) + 1
     reach = max(settings.answer_time / step, 2.0)
     edges = np.unique(np.geomspace(1, reach, settings.answer_bins).round().astype(int))
-    edges = np.append(0, edges)
+    later = np.linspace(-settings.later_time / step, 0, settings.later_bins + 1).round()
+    edges = np.append(np.unique(later.astype(int)), edges)
     before = np.zeros((edges[-1] + 2, innovation.shape[1]))
-    total = np.cumsum(np.concatenate([before, innovation]), axis=0)
+    after = np.zeros((-edges[0], innovation.shape[1]))
+    total = np.cumsum(np.concatenate([before, innovation, after]), axis=0)
     places = np.arange(n) + edges[-1] + 1
     sums = [total[places - early] - total[places - late] for early, late in pairwise(edges)]
     return np.concatenate(sums, axis=1)
 
 
 def _least_squares(X: Matrix, y: Vector) -> Vector:
-    """Return the least-squares coefficients of y by X."""
-    return np.asarray(np.linalg.lstsq(X, y, rcond=None)[0], dtype=float)
+    """Return the least-squares coefficients of y by X, of many rows, by the normal equations."""
+    return np.asarray(np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0], dtype=float)
 
 
 def records_of(

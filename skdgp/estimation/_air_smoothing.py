@@ -17,7 +17,7 @@ from skdgp._flight.channels import RATES as RATE_CHANNELS
 from skdgp._flight.frames import air_data, air_data_slopes
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import FAST, N_STATES, SLOW, TURN, Layout, air_velocity
-from skdgp.estimation._air_model import AIR, RATES
+from skdgp.estimation._air_model import AIR
 from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import smoothed, state_slopes
@@ -64,12 +64,15 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
 def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
     """Return derivatives (n, 9, N + p) by the states, and by the parameters at given states."""
     variables = layout.variable_slopes(record.attitude, record.rates, air_by_state)
+    by_air = air_data_slopes(air) @ variables[:, AIR]
     slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
-    slopes[:, OF_AIR_DATA] = air_data_slopes(air) @ variables[:, AIR]
-    slopes[:, OF_RATES] = variables[:, RATES]
+    slopes[:, OF_AIR_DATA, :N_STATES] = by_air[..., :N_STATES]
+    slopes[:, OF_RATES, TURN] = np.eye(3)
     slopes[:, OF_WIND, SLOW] = np.eye(3)
     slopes[:, OF_WIND, FAST] = np.eye(3)
     by_parameters = slopes[..., N_STATES:]
+    constants = slice(layout.n_derivatives, len(layout.names))
+    by_parameters[:, OF_AIR_DATA, constants] = by_air[..., N_STATES:]
     by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
     return slopes
 

@@ -107,11 +107,11 @@ class SteadyRegression:
         X, C = map(np.concatenate, zip(*equations, strict=True))
         X = X[:, self.layout.columns]  # of each derivative
         x = x.copy()
-        by_air = self.layout.is_by("alpha", "beta")
+        is_held = self.layout.is_by("alpha", "beta") | self.layout.are_couplings
         for row in range(6):
             of_row = self.layout.rows == row
-            held = np.flatnonzero(of_row & by_air)
-            free = np.flatnonzero(of_row & ~by_air)
+            held = np.flatnonzero(of_row & is_held)
+            free = np.flatnonzero(of_row & ~is_held)
             if len(free):
                 residual = C[:, row] - X[:, held] @ x[held]
                 x[free] = np.linalg.lstsq(X[:, free], residual, rcond=None)[0]

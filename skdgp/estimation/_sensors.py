@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_codes
+from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
@@ -81,7 +82,7 @@ AIR_NOISE: Prior = {
     "ay": (0.1, 0.3),
     "az": (0.1, 0.3),
     "gyro": (0.005, 0.3),
-    "airspeed": (0.3, 1.0),
+    "airspeed": (0.3, 0.5),
     "vane": (0.01, 1.0),
 }
 """Priors of the noises of the sensors in `estimate_air_motion` [SI]."""
@@ -151,9 +152,12 @@ class NamedFlight(NamedTuple):
 def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
     """Return name, rows and sensors of every flight in the table, SI units and radians.
 
+    A sample that rows repeat counts once.
+
     Raise ValueError if time does not increase, or one of `PATH_CHANNELS` has no value in a flight.
     """
     checked = FlightTable.of(table)
+    table = without_repeats(table, SENSOR_GROUPS)
     flights = []
     for runs in checked.clock.segments_by_flight:
         rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])

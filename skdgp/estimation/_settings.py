@@ -122,6 +122,9 @@ class AirSettings:
     answer_time: float = 8.0
     # bins of these delays, wider the longer
     answer_bins: int = 16
+    # time that surfaces between samples of a slow clock look ahead [s], and its bins
+    later_time: float = 0.2
+    later_bins: int = 4
     # least singular value of the instruments, relative to the largest
     least_direction: float = 1e-6
 
@@ -130,6 +133,10 @@ class AirSettings:
     attempts: tuple[int, ...] = (0, 6)
     # passes at most of one attempt
     max_passes: int = 45
+    # last passes of a search that did not converge, whose spread is an error
+    last_passes: int = 15
+    # factor of the standard deviations of such a search; trials on flights with vibration
+    unfinished: float = 2.0
     # damping of the first step, over the information (Levenberg 1944); a quarter in each next one
     first_damping: float = 0.3
     # factor of the fraction of a step that is taken, where steps turn back; least fraction; else
@@ -146,8 +153,11 @@ class AirSettings:
     noise_damping: float = 0.02
     # largest step of the logarithm of a noise
     largest_noise_step: float = 0.7
-    # largest air velocity that errors of the path may make, else the estimate is implausible [m/s]
-    largest_path_error: float = 2.0
+    # farthest that the logarithm of a noise moves from its prior mean, in standard deviations: noise of
+    # slow sensors resembles fast gusts
+    noise_reach: float = 2.0
+    # largest step of a derivative, in standard deviations of its prior
+    largest_step: float = 2.0
 
     # length of the sums of scores whose covariance is taken [s]
     block: float = 2.0

@@ -52,7 +52,12 @@ ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depen
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
 
 # warnings of later steps about the same faults, and about constant regressors, which they number
-REPEATED = (Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED, Code.CONSTANT_INPUTS)
+REPEATED = (
+    Code.FAULTS_BRIDGED,
+    Code.FAULTS_EXCLUDED,
+    Code.CONSTANT_INPUTS,
+    Code.SLOW_CHANNELS,
+)
 
 # findings that are assumptions
 ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)

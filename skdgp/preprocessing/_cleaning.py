@@ -23,6 +23,7 @@ from skdgp._flight.faults import (
     usual_spacing,
     without_faults,
 )
+from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
@@ -96,7 +97,8 @@ class FlightCheck(TableTransformer):
 
     Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to 0.25 s
     are interpolated linearly, in channels with a value in nearly every row; longer ones
-    stay NaN, which :class:`RegressorSelector` refuses. Raises ValueError if ``time`` is missing, or
+    stay NaN, which :class:`RegressorSelector` refuses. Where rows repeat the last sample of a slower
+    clock, controls become splines between samples. Raises ValueError if ``time`` is missing, or
     does not increase within a flight; if the table has no channel of docs/notation.md; in
     ``transform`` if an airspeed is not positive.
 
@@ -108,7 +110,8 @@ class FlightCheck(TableTransformer):
     Warns
     -----
     FlightDataWarning
-        In ``transform``, if the log has faults other than gaps in time; one warning of all.
+        In ``transform``, if the log has faults other than gaps in time; one warning of all. If
+        channels have slower clocks, which the warning names.
 
     Examples
     --------
@@ -139,7 +142,14 @@ class FlightCheck(TableTransformer):
             report(finding, FlightDataWarning, stacklevel=4)
         measured = replace(flights, table=without_faults(table, faults))
         check_airspeed(measured.column("airspeed"))
-        return with_columns(measured.table, self._bridged(measured))
+        controls = find_holds(measured, CONTROL_GROUPS)
+        holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
+        if holds:
+            rates = {", ".join(hold.names): hold.rate for hold in holds}
+            finding = Finding(Code.SLOW_CHANNELS, numbers={"rates": rates})
+            report(finding, FlightDataWarning, stacklevel=4)
+        bridged = self._bridged(measured)
+        return with_columns(measured.table, bridged | between_samples(measured, controls))
 
     def _bridged(self, flights: FlightTable) -> dict[str, Vector]:
         """Return the channels that have missing values, with short gaps interpolated."""

@@ -238,6 +238,10 @@ class FlightPathReconstruction(TableTransformer):
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
             return
+        couplings = motion.couplings()
+        if motion.converged and couplings:
+            finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
+            report(finding, stacklevel=4)
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         names = [flight.name for flight in flights_of(table)]

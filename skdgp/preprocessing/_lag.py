@@ -19,6 +19,7 @@ from skdgp._flight.channels import (
     WRAPPED,
 )
 from skdgp._flight.checks import check_columns
+from skdgp._flight.holds import without_repeats
 from skdgp._flight.tables import numeric, unwrapped
 from skdgp.estimation import Lag, LagSettings, estimate_lags, removable, without_lag
 from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
@@ -124,10 +125,11 @@ class LagCorrector(TableTransformer):
         check_columns(table, ["time"])
         time = numeric(table, ["time"])[:, 0]
         lags = self.lags_["applied"]
+        fresh = without_repeats(table, (EULER, EARTH_VELOCITY))
         new = {}
         for group, lag in lags[lags != 0].items():
             for name in present(_columns_of([group]), table):
-                values = unwrapped(table, [name])[:, 0]
+                values = unwrapped(fresh, [name])[:, 0]
                 flight = table.get("flight")
                 noisy = name not in CONTROLS
                 repeats = name not in KINEMATIC

@@ -4,10 +4,11 @@
 
 Rigid bodies of 1 to 25 kg fly 3-2-1-1 inputs under a simple controller, in turbulence around a
 steady wind. Ideal sensors have white noise alone; real ones are late, biased and scaled, and log
-commands of late servos. The table has for each air the known derivatives inside value +/- 1.96 std,
-the median error and the median half band (medians over aircraft); then the worst aircraft, medians
-of the errors of alpha, with its mean removed, and of the lag of the servos, and how many flights
-did not converge.
+commands of late servos; held ones have slower clocks, and each row repeats their last sample;
+vibration adds an aliased oscillation of inertial sensors. The table has for each air the known
+derivatives inside value +/- 1.96 std, the median error and the median half band (medians over
+aircraft); then the worst aircraft, medians of the errors of alpha, with its mean removed, and of
+the lag of the servos, and how many flights did not converge.
 """
 
 import itertools
@@ -26,13 +27,14 @@ from skdgp.preprocessing import estimate_air_motion
 DENSITY, GRAVITY = 1.2, 9.80665
 STEP, EVERY = 0.005, 4  # s of the simulation, steps between logged samples
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
-TERMS = ("level", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder")
+TERMS = ("level", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "abs_beta")
 # [rad], at which the softened lift and moment of some aircraft have lost half their slope
 STALL = 0.3
 
 
 def aircraft(sizes):
-    """Return the sizes of an aircraft of the file beside, with its inertia and its derivatives (6, 9) as matrices."""
+    """Return the sizes of an aircraft of the file beside, with its inertia and its derivatives (6, 10) as matrices."""
+    sizes = {"slipstream": 0.0, "thrust_arm": [0.0, 0.0]} | sizes
     x, y, z, xz = sizes["inertia"]
     W = pd.DataFrame({C: sizes[C] for C in COEFFICIENTS}).reindex(TERMS).fillna(0.0)
     inertia = np.array([[x, 0, xz], [0, y, 0], [xz, 0, z]])
@@ -41,7 +43,12 @@ def aircraft(sizes):
 
 FILE = Path(__file__).with_suffix(".toml")
 AIRCRAFT = {name: aircraft(sizes) for name, sizes in tomllib.loads(FILE.read_text()).items()}
-SENSORS = {"ideal": "ideal sensors", "real": "real sensors, late commands"}
+SENSORS = {
+    "ideal": "ideal sensors",
+    "real": "real sensors, late commands",
+    "held": "own clocks, held",
+    "vibration": "vibration, own clocks, held",
+}
 NORMAL_95, SECONDS = 1.96, 120.0
 AIRS = {  # intensity [m/s], correlation time [s], spectrum
     "calm": (0.0, 1.0, "first order"),
@@ -49,12 +56,16 @@ AIRS = {  # intensity [m/s], correlation time [s], spectrum
     "1 m/s, 1 s": (1.0, 1.0, "Dryden"),
     "1 m/s, 5 s": (1.0, 5.0, "first order"),
     "1 m/s, 2 s": (1.0, 2.0, "von Karman"),
+    "thermals": (0.5, 1.0, "first order with thermals"),
 }
+VIBRATION = (1.5, 0.03)  # m/s^2, rad/s
+SLOW = ("airspeed", "elevator")  # and the other surfaces: 10 Hz
+THERMAL = (1.5, 4.0, 25.0)  # speed [m/s], width [s], and distance [s] of thermals
 
 
 def spectrum(kind, x, axis):
     """Return the spectrum of unit variance over T, at x = omega T, of a longitudinal (axis 0) or other gust."""
-    if kind == "first order" or (kind == "Dryden" and axis == 0):
+    if kind.startswith("first order") or (kind == "Dryden" and axis == 0):
         return 2 / (1 + x**2)
     if kind == "Dryden":
         return (1 + 3 * x**2) / (1 + x**2) ** 2
@@ -68,7 +79,13 @@ def gusts(rng, n, intensity, correlation, kind):
     white = np.fft.rfft(rng.standard_normal((3, 2 * n)))
     shape = np.array([spectrum(kind, x, axis) for axis in range(3)])
     colored = np.fft.irfft(white * np.sqrt(shape * correlation / STEP))[:, :n]
-    return intensity * np.array([1.0, 1.0, 0.7]) * colored.T
+    air = intensity * np.array([1.0, 1.0, 0.7]) * colored.T
+    if kind.endswith("thermals"):
+        speed, width, distance = THERMAL
+        t = np.arange(n) * STEP
+        for middle in np.arange(distance / 2, n * STEP, distance) + rng.uniform(-5, 5):
+            air[:, 2] -= speed * np.exp(-0.5 * ((t - middle) / width) ** 2)
+    return air
 
 
 def pulses(rng, n, axes):
@@ -96,10 +113,14 @@ class Fleet:
         self.inverse = np.linalg.inv(self.inertia)
         self.W = np.array([plane["derivatives"] for plane in planes])
         self.stalls = np.array([plane["stalls"] for plane in planes])
+        self.slipstream = np.array([[plane["slipstream"]] for plane in planes])
+        self.thrust_arm = np.array([plane["thrust_arm"] for plane in planes])
         self.gusts = np.stack([gusts(rng, n, *air) for rng, air in zip(rngs, airs, strict=True)], 1)
         steady = [[3.0, -2.0, 0.0] if air[0] else [0.0, 0.0, 0.0] for air in airs]
         self.gusts += np.array(steady)
-        axes = [3 if plane["derivatives"][:, 8].any() else 2 for plane in planes]
+        axes = [
+            3 if plane["derivatives"][:, TERMS.index("rudder")].any() else 2 for plane in planes
+        ]
         self.pulses = np.stack([pulses(rng, n, k) for rng, k in zip(rngs, axes, strict=True)], 1)
         self.legs = [(rng.choice([-0.5, 0.0, 0.5], n), rng.uniform(0.85, 1.2, n)) for rng in rngs]
 
@@ -133,13 +154,17 @@ class Fleet:
         V = np.sqrt((air**2).sum(axis=1))
         alpha, beta = np.arctan2(air[:, 2], air[:, 0]), np.arcsin(air[:, 1] / V)
         soft = np.where(self.stalls, STALL * np.tanh(alpha / STALL), alpha)
-        X = np.empty((len(V), 9))
-        X[:, 0], X[:, 1], X[:, 2], X[:, 6:] = 1.0, soft, beta, surfaces
+        X = np.empty((len(V), len(TERMS)))
+        X[:, 0], X[:, 1], X[:, 2], X[:, 6:9], X[:, 9] = 1.0, soft, beta, surfaces, abs(beta)
         X[:, 3:6] = w * self.lengths / (2 * V[:, None])
-        C = np.einsum("nij,nj->ni", self.W, X) * (0.5 * DENSITY * V**2 * self.wing_area)[:, None]
         throttle = np.clip(0.4 + 0.08 * (speed - V), 0.05, 1)
         thrust = throttle * self.thrust * (1 - V / (2.3 * self.airspeed))
+        qS = 0.5 * DENSITY * V**2 * self.wing_area
+        wash = self.slipstream * (thrust / qS)[:, None]
+        X[:, 6:9] *= 1 + wash * [1, 0, 1]
+        C = np.einsum("nij,nj->ni", self.W, X) * qS[:, None]
         C[:, 0] += thrust
+        C[:, 3:5] += self.thrust_arm * thrust[:, None]
         f = C[:, :3] / self.mass[:, None]
         H = np.einsum("nij,nj->ni", self.inertia, w)
         dw = np.einsum("nij,nj->ni", self.inverse, C[:, 3:] * self.lengths - cross(w, H))
@@ -165,14 +190,27 @@ def rotation(angles):
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def logged(rows, rng, real):
-    """Return the table of one flight (n, 29), with the noise of sensors, and the errors of real ones."""
-    n, dt = len(rows), STEP * EVERY
+def vibration(rng, throttle, dt):
+    """Return accelerations and rates (n, 6) of an oscillation with the propeller's speed, sampled without a filter."""
+    turns = np.cumsum((rng.uniform(80, 130) + 40 * throttle) * dt)  # [Hz]
+    wave = np.sin(2 * np.pi * turns[:, None] + rng.uniform(0, 2 * np.pi, 6))
+    return np.sqrt(2) * wave * np.repeat(VIBRATION, 3)
+
+
+def logged(rows, rng, kind):
+    """Return the table of one flight (n, 29), with the noise of sensors, and other errors of its kind."""
+    n, dt, every, held = len(rows), STEP * EVERY, 1, 1
     t = np.arange(n) * dt
     f, spin, air, thrust, throttle, ground = np.split(rows[:, :14], [3, 6, 9, 10, 11], axis=1)
     rates, angles, commands = rows[:, 17:20], rows[:, 20:23], rows[:, 26:29]
     surfaces, airspeed = rows[:, 23:26], air[:, 0]
-    if real:
+    if kind == "vibration":
+        shake = vibration(rng, throttle[:, 0], dt)
+        f, rates = f + shake[:, :3], rates + shake[:, 3:]
+    if kind in ("held", "vibration"):
+        every, held = 10, 5
+        ground = np.stack([np.interp(t - 0.15, t, v) for v in ground.T], axis=1)
+    if kind == "real":
         arm = rng.uniform(-1, 1, 3) * [0.03, 0.005, 0.02]
         f = f + cross(spin, arm + 0 * f) + cross(rates, cross(rates, arm + 0 * f))
         f, rates = f + 0.08 * rng.standard_normal(3), rates + 0.003 * rng.standard_normal(3)
@@ -180,7 +218,6 @@ def logged(rows, rng, real):
             angles[:, k] += std * gusts(rng, n * EVERY, 1.0, correlation, "first order")[::EVERY, 0]
         every, late = rng.integers(5, 11), rng.uniform(0.1, 0.2)
         ground = np.stack([np.interp(t - late, t, v) for v in ground.T], axis=1)
-        ground = ground[np.arange(n) // every * every]
         airspeed = airspeed * (1 + 0.03 * rng.uniform(-1, 1))
         thrust, surfaces = thrust * (1 + 0.1 * rng.uniform(-1, 1)), commands
     noisy = {
@@ -192,16 +229,19 @@ def logged(rows, rng, real):
     table = {"time": t, "density": DENSITY}
     for names, (values, std) in noisy.items():
         values = values + std * rng.standard_normal(values.shape)
+        clock = every if names[0] == "v_north" else held if names[0] in SLOW else 1
+        values = values[np.arange(n) // clock * clock]
         table |= dict(zip(names, values.T, strict=True))
     return pd.DataFrame(table)
 
 
-def truth_of(plane, alpha):
-    """Return the known derivatives by name, at the mean angle of attack where they depend on it."""
+def truth_of(plane, alpha, load):
+    """Return the known derivatives by name, at the mean angle of attack and load of the thrust."""
     W = plane["derivatives"].copy()
+    W[:, [6, 8]] *= 1 + plane["slipstream"] * load
     if plane["stalls"]:
         W[:, 1] *= 1 - np.tanh(alpha / STALL) ** 2
-    known = pd.DataFrame(W, COEFFICIENTS, TERMS).iloc[1:, 1:].stack()
+    known = pd.DataFrame(W, COEFFICIENTS, TERMS).iloc[1:, 1:9].stack()
     return {f"{C}_{term}": value for (C, term), value in known.items() if value}
 
 
@@ -209,11 +249,13 @@ def score(table, plane, lag):
     """Return z, errors and half bands of the derivatives, then other figures, of one flight."""
     sizes = {name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
     alpha = table.pop("alpha_true")
+    qS = 0.5 * DENSITY * table["airspeed"] ** 2 * plane["wing_area"]
+    load = (table["thrust_x"] / qS).mean()
     try:
         found = estimate_air_motion(table, Aircraft(**sizes))
     except ValueError:  # it says that it diverged
         return {"z": [], "error": [], "half": [], "converged": False}
-    truth = truth_of(plane, alpha.mean())
+    truth = truth_of(plane, alpha.mean(), load)
     known = [name for name in truth if name in found.derivatives.index]
     value, std = found.derivatives.loc[known, ["value", "std"]].to_numpy().T
     exact = np.array([truth[name] for name in known])
@@ -260,10 +302,9 @@ def main(words=None):
     flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, SECONDS, lags).fly()
     kept = Kept(options, "small_uav")
     for k, case in enumerate(cases):
-        real = case[0] == "real"
-        table = logged(flown[:, k], rngs[k], real)
+        table = logged(flown[:, k], rngs[k], case[0])
         key = dict(zip(("sensors", "aircraft", "air", "seed"), case, strict=True))
-        kept.run(key, score, table, planes[k], lags[k] if real else 0.0)
+        kept.run(key, score, table, planes[k], lags[k] if case[0] == "real" else 0.0)
     runs = pd.DataFrame([*kept.memory.values()])
     columns = {SENSORS[kind]: column(some) for kind, some in runs.groupby("sensors", sort=False)}
     rows = pd.DataFrame(columns).reset_index(names="air").to_dict("records")

@@ -19,6 +19,7 @@ from skdgp.estimation._air_covariance import (
     misfit_of,
     mix_with_prior,
     sandwich,
+    spread_of,
     widen,
     without_estimate,
 )
@@ -332,6 +333,11 @@ def test_parameters_without_evidence_have_the_variance_of_their_prior():
     assert_allclose(mixed[0, :2], [COVARIANCE[0, 0], 0.0])
     assert_allclose(mixed[1], [0.0, 4.0, 0.0])
     assert_allclose(mixed[2, 2], 0.64 * COVARIANCE[2, 2] + 0.36 * 9.0)
+
+
+def test_a_search_that_still_moves_has_the_spread_of_its_last_passes():
+    path = [np.array([1.0, 5.0]), np.array([3.0, 1.0]), np.array([2.0, 3.0])]
+    assert_allclose(spread_of(path), np.array([[2.0, -4.0], [-4.0, 8.0]]) / 3)
 
 
 def test_without_an_estimate_the_distance_from_the_prior_counts():

@@ -1,0 +1,152 @@
+"""Clocks of single channels: rows in which a log repeats the last sample of a slower channel.
+
+A log of one clock repeats the last sample of a channel with a lower rate (zero-order hold). Taken for
+fresh ones, repeated samples are late by half a period on average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
+
+from skdgp._compute.typing import Indices, Mask, Matrix, Vector
+from skdgp._flight.channels import ALL_SURFACES, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, VANES
+from skdgp._flight.tables import FlightTable
+
+CONTROL_GROUPS: tuple[Sequence[str], ...] = (ALL_SURFACES, ("throttle",), ("propeller_speed",))
+SENSOR_GROUPS: tuple[Sequence[str], ...] = (
+    ("airspeed",), VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY,
+)  # fmt: skip
+"""Channels of one message, which have one clock."""
+
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """Settings of the search for repeated samples; guesses."""
+
+    # least period of a slow channel [rows]
+    least_period: float = 1.9
+    # longest period [s]; a GPS of 1 Hz
+    longest_period: float = 1.1
+    # changes that show a clock
+    least_changes: int = 20
+    # largest distance of a change from the clock of the one before, over the period
+    jitter: float = 0.25
+    # least fraction of changes on the clock; noise changes a channel in every row
+    on_clock: float = 0.95
+    # least fraction of changes after one period: a sequence of steps pauses more often
+    successive: float = 0.7
+    # least fraction of rows with values: sparse channels repeat none
+    sampled: float = 0.9
+
+
+HOLDS = HoldSettings()
+
+
+class Hold(NamedTuple):
+    """Channels that repeat their samples."""
+
+    names: list[str]
+    rate: float  # of the samples [Hz]
+    repeated: Mask  # (n,) rows that repeat a sample
+
+
+def find_holds(
+    flights: FlightTable, groups: Iterable[Sequence[str]], settings: HoldSettings = HOLDS
+) -> list[Hold]:
+    """Return the channels that repeat their samples, group by group."""
+    holds = []
+    for group in groups:
+        channels = flights.numeric_channels(group)
+        if not channels:
+            continue
+        values = np.column_stack(list(channels.values()))
+        repeated = np.zeros(len(values), dtype=bool)
+        rates = []
+        for run in flights.segments:
+            fresh = fresh_rows(values[run], settings)
+            seconds = float(np.ptp(flights.time[run]))
+            if fresh is None or seconds > settings.longest_period * len(fresh):
+                continue
+            repeated[run] = True
+            repeated[run.start + fresh] = False
+            rates.append(len(fresh) / seconds)
+        if rates:
+            holds.append(Hold(list(channels), float(np.median(rates)), repeated))
+    return holds
+
+
+def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None:
+    """Return the rows of fresh samples of channels (n, k) of one clock, None unless they repeat samples.
+
+    The channels change after multiples of a steady period of two or more rows. A sample may equal
+    the one before: between changes the clock goes on.
+    """
+    is_sampled = np.isfinite(values).any(axis=0)
+    values = values[:, is_sampled]
+    whole = np.isfinite(values).all(axis=1)
+    if not is_sampled.any() or whole.mean() < settings.sampled:
+        return None
+    changes = 1 + np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1))
+    if len(changes) < settings.least_changes:
+        return None
+    gaps = np.diff(changes)
+    usual = np.median(gaps)
+    period = gaps[np.abs(gaps - usual) <= max(1.0, settings.jitter * usual)].mean()
+    if period < settings.least_period:
+        return None
+    n_periods = np.maximum(np.rint(gaps / period), 1)
+    on_clock = np.abs(gaps - n_periods * period) <= settings.jitter * period + 0.1
+    if on_clock.mean() < settings.on_clock or np.mean(n_periods == 1) < settings.successive:
+        return None
+    before = np.arange(changes[0] - period, -0.5, -period)[::-1]
+    between = [
+        np.linspace(first, last, int(n), endpoint=False)
+        for first, last, n in zip(changes[:-1], changes[1:], n_periods, strict=True)
+    ]
+    after = np.arange(changes[-1], len(values) - 0.5, period)
+    return np.unique(np.rint(np.concatenate([before, *between, after])).astype(int))
+
+
+def without_repeats(table: pd.DataFrame, groups: Iterable[Sequence[str]]) -> pd.DataFrame:
+    """Return a table with time, with NaN in rows that repeat a sample."""
+    for hold in find_holds(FlightTable.of(table), groups):
+        fresh = {name: table[name].mask(hold.repeated) for name in hold.names}
+        table = table.assign(**fresh)
+    return table
+
+
+def between_samples(flights: FlightTable, holds: Iterable[Hold]) -> dict[str, Vector]:
+    """Return channels that repeat samples, as cubic splines between these.
+
+    A straight line has 8 to 14 % less of the motion above 1 Hz than a surface that is sampled at
+    10 Hz, a spline 0 to 3 %.
+    """
+    columns: dict[str, Vector] = {}
+    for hold in holds:
+        for name in hold.names:
+            values = flights.column(name)
+            columns[name] = values.copy()
+            for run in flights.segments:
+                rows = np.arange(run.start, run.stop)
+                is_sample = ~hold.repeated[run] & np.isfinite(values[run])
+                between = rows[hold.repeated[run] & np.isfinite(values[run])]
+                if not len(between) or is_sample.sum() < 2:
+                    continue
+                samples = rows[is_sample]
+                spline = CubicSpline(flights.time[samples], values[samples])
+                first, last = flights.time[samples[[0, -1]]]
+                columns[name][between] = spline(np.clip(flights.time[between], first, last))
+    return columns
+
+
+def with_own_clocks(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with time, controls between their samples and sensors NaN where they repeat one."""
+    flights = FlightTable.of(table)
+    controls = between_samples(flights, find_holds(flights, CONTROL_GROUPS))
+    return without_repeats(table.assign(**controls), SENSOR_GROUPS)

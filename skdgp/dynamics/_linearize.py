@@ -26,7 +26,7 @@ from skdgp._flight.frames import (
     euler_to_quaternion,
     quaternion_to_euler,
 )
-from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, by_name, check_settled
@@ -99,6 +99,7 @@ def linearize(
     random_state: Seed = 0,
     thrust: str | None = "auto",
     air: Any = None,
+    perturbation: str | None = "flown",
 ) -> LinearModel:
     r"""Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
@@ -121,6 +122,9 @@ def linearize(
         Of the paths.
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
+    perturbation : {"flown", None}
+        Slopes of the model over the flown perturbation, or local ones, as for
+        :func:`skdgp.dynamics.stability_derivatives`.
 
     Returns
     -------
@@ -154,7 +158,7 @@ def linearize(
     roll              19.51     1.00
     spiral             0.05    -1.00
     """
-    motion = Motion(model, aircraft, thrust=thrust, air=air)
+    motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
     inputs = list(motion.controls)
     engine = thrust_control(aircraft, thrust)

@@ -450,6 +450,8 @@ REASONS = _by_code(
     paths_reconstructed=_paths_reason,
     paths_smoothed=_paths_reason,
     wrong_signs="wrong sign of {names}",
+    bands_too_narrow="the bands do not hold on the test flights: {coverages:.0%} of the "
+    "measured values",
     constant_better_in_moments="a constant predicts {names: } of the test flights better",
     errors_small="errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",
     errors_too_large=_errors_too_large,

@@ -24,6 +24,7 @@ from skdgp.inference import (
     KnownSlopes,
     Paths,
     PosteriorWithErrors,
+    check_spread,
     function_errors,
     mean_errors,
     misfit_variance,
@@ -591,14 +592,32 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             return self._squeeze(value)
         return self._squeeze(value), self._squeeze(deviation)
 
-    def predict_gradient(self, X: Matrix) -> Array:
-        """Return the slopes of the mean at X (n, d), d mean / d regressor.
+    def predict_gradient(self, X: Matrix, spread: Any = None) -> Array:
+        r"""Return the slopes of the mean at X (n, d), d mean / d regressor.
 
         They are (n, P, d), or (n, d) for one-dimensional targets. The slopes of `sample_paths` show
-        their spread.
+        their spread. With standard deviations ``spread`` (d,) of the regressors they are
+
+        .. math:: E[\partial f / \partial x], \quad x \sim N(X, \mathrm{diag}(s^2)),
+
+        the slopes of the best linear approximation over this perturbation (statistical
+        linearisation: Gelb 1974, section 6.2). Raises ValueError unless they are d finite numbers
+        from 0 on.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from skdgp import DependentGPRegressor
+        >>> x = np.linspace(-2.0, 2.0, 60)[:, None]
+        >>> model = DependentGPRegressor(n_latent=1, random_state=0).fit(x, np.tanh(3 * x[:, 0]))
+        >>> local, averaged = model.predict_gradient([[0.0]]), model.predict_gradient([[0.0]], [0.5])
+        >>> bool(averaged[0, 0] < 0.7 * local[0, 0])
+        True
         """
         X = self._check_regressors(X)
-        return self._squeeze(self.posterior_.gradient(X) * self.scale_[:, None])
+        if spread is not None:
+            spread = check_spread(spread, X.shape[1])
+        return self._squeeze(self.posterior_.gradient(X, spread) * self.scale_[:, None])
 
     def function_errors(self) -> FunctionErrors | None:
         """Return the errors of the function that the posterior alone does not hold, part of every prediction.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -102,6 +102,11 @@ class Aerodynamics:
         () to the regressors (n, d) that the model was learned from, or to None.
     training_seconds : float, optional
         Duration of the flights of these rows [s].
+    perturbation : array-like of shape (d,), optional
+        Standard deviation of each regressor around the trims that were flown.
+    averaged : callable, optional
+        Function of standard deviations (d,) to ``slopes`` and ``sampler`` whose slopes are
+        expectations over a normal perturbation.
     n_paths : int, optional
         Number of paths of functions drawn from a posterior: see `sample`.
 
@@ -140,6 +145,8 @@ class Aerodynamics:
     narrowing: Callable | None = None
     training_rows: Callable | None = None
     training_seconds: float | None = None
+    perturbation: Any = None
+    averaged: Callable | None = None
     n_paths: int | None = None
 
     def __post_init__(self) -> None:
@@ -177,6 +184,24 @@ class Aerodynamics:
         if self.slopes is None:
             return self._differences(X)
         return self._evaluated(self.slopes, X, 6, X.shape[-1])
+
+    def over(self, perturbation: str | None) -> Aerodynamics:
+        r"""Return the model with slopes over a perturbation, "flown" for that of the training flights.
+
+        Slopes, those of functions drawn from the posterior too, are then
+        :math:`E[\partial C / \partial x]` for normal regressors with the standard deviations
+        ``perturbation``: those of the best linear approximation there (statistical linearisation:
+        Gelb 1974, section 6.2). None is the model with local slopes, as is a model that knows no
+        perturbation. Raises ValueError for others.
+        """
+        if perturbation not in ("flown", None):
+            raise ValueError(
+                f"Got perturbation={perturbation!r}, but expected 'flown', or None for local slopes."
+            )
+        if perturbation is None or self.perturbation is None or self.averaged is None:
+            return replace(self, perturbation=None, averaged=None)
+        slopes, sampler = self.averaged(self.perturbation)
+        return replace(self, slopes=slopes, sampler=sampler)
 
     def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
@@ -225,8 +250,8 @@ class PosteriorRegressor(Protocol):
     def predict(self, X: Any) -> Array:
         """Return the outputs at X (n, d)."""
 
-    def predict_gradient(self, X: Any) -> Array:
-        """Return the slopes (n, P, d)."""
+    def predict_gradient(self, X: Any, spread: Any = None) -> Array:
+        """Return the slopes (n, P, d), or their expectations over a perturbation with deviations (d,)."""
 
     def sample_paths(self, n_paths: int, random_state: Any) -> Any:
         """Return functions drawn from the posterior."""
@@ -423,6 +448,8 @@ class _LearnedCoefficients:
             mean,
             slopes=self.slopes,
             sampler=self.sample,
+            perturbation=flown_perturbation(self.training_rows(), seconds),
+            averaged=self.averaged,
             drift=self.drift(),
             function_errors=self.function_errors,
             narrowing=self.narrowing,
@@ -430,19 +457,27 @@ class _LearnedCoefficients:
             training_seconds=seconds,
         )
 
-    def slopes(self, X: Array) -> Array:
-        """Return the slopes (n, 6, d) of the mean."""
-        return self.regressor.predict_gradient(self.scaled(X))[:, self.order] / self.scale
+    def averaged(self, perturbation: Array) -> tuple[Callable, Callable]:
+        """Return the slopes of the mean and the sampler, with slopes over a perturbation (d,)."""
+        spread = perturbation / np.abs(self.scale)
+        return partial(self.slopes, spread=spread), partial(self.sample, spread=spread)
 
-    def sample(self, n_paths: int, random_state: Any) -> tuple[Callable, Callable]:
-        """Return values and slopes of functions drawn from the posterior."""
+    def slopes(self, X: Array, spread: Array | None = None) -> Array:
+        """Return the slopes (n, 6, d) of the mean, over a perturbation of the inputs of the regressor (d,)."""
+        slopes = self.regressor.predict_gradient(self.scaled(X), spread)
+        return slopes[:, self.order] / self.scale
+
+    def sample(
+        self, n_paths: int, random_state: Any, spread: Array | None = None
+    ) -> tuple[Callable, Callable]:
+        """Return values and slopes of functions drawn from the posterior, slopes as of `slopes`."""
         paths = self.regressor.sample_paths(n_paths, random_state)
 
         def values(X: Array) -> Array:
             return paths.each(self.scaled(X))[..., self.order]
 
         def slopes(X: Array) -> Array:
-            return paths.gradient(self.scaled(X))[..., self.order, :] / self.scale
+            return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale
 
         return values, slopes
 
@@ -475,6 +510,18 @@ class _LearnedCoefficients:
         # the discrepancy is an error of the function, which its paths have
         reduced = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
         return Drift(reduced[self.order], memory[self.order])
+
+
+def flown_perturbation(rows: Array, seconds: float | None, window: float = 20.0) -> Array:
+    """Return the standard deviations (d,) of regressors (n, d) in recording order around their trims.
+
+    They are about the means of windows [s], in which a trim lasts, while each axis moves in some.
+    Without a duration there is one window.
+    """
+    n_windows = 1 if seconds is None else max(1, round(seconds / window))
+    parts = np.array_split(rows, min(n_windows, max(1, len(rows) // 10)))
+    deviations = np.concatenate([part - part.mean(axis=0) for part in parts])
+    return deviations.std(axis=0)
 
 
 def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:

@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
-from skdgp.dynamics._aerodynamics import Aerodynamics
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
@@ -37,6 +37,7 @@ def stability_derivatives(
     thrust: str | None = "auto",
     air: Any = None,
     added: ArrayLike | None = None,
+    perturbation: str | None = "flown",
 ) -> pd.DataFrame:
     r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
 
@@ -68,13 +69,20 @@ def stability_derivatives(
     added : array-like of shape (k, d), optional
         Regressors of rows that are flown next, as :func:`skdgp.design.plan` chooses them. Standard
         deviations are then those expected of a model learned from these rows too.
+    perturbation : {"flown", None}
+        Derivatives are :math:`E[\partial C / \partial x]` for :math:`x \sim N(x_0, \mathrm{diag}(s^2))`,
+        the slopes of the best linear approximation over a perturbation (statistical linearisation:
+        Gelb 1974, section 6.2). "flown": s is the standard deviation of each regressor around the
+        trims of the training flights. None: local slopes, as always of a model that knows no
+        flights. Values of the coefficients are those at the flight in both cases.
 
     Returns
     -------
     DataFrame
         A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``),
         with columns ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``,
-        ``regressor``, and ``per``, the unit of the regressor. Several points have an outer level
+        ``regressor``, and ``per``, the unit of the regressor. ``perturbation`` is s in this unit,
+        absent for local slopes (``attrs["slopes"]`` tells which). Several points have an outer level
         ``point``, and columns ``airspeed``, ``alpha``, ``beta``. ``std`` is the standard deviation
         over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too. Of
         a model learned from flights its square is the sum of the squares of
@@ -119,7 +127,7 @@ def stability_derivatives(
     >>> table.loc[["CL", "CL_alpha", "CD", "Cm_q", "Cm_elevator"], "value"].round(3).to_dict()
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
-    motion = Motion(model, aircraft, thrust=thrust, air=air)
+    motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     if added is not None:
         added = _check_added(added, motion.aerodynamics)
     states, controls, is_single = _points(motion, point, controls)
@@ -132,15 +140,19 @@ def stability_derivatives(
             "Got coefficients or slopes that are not finite: the model is not defined there."
         )
     columns: dict[str, np.ndarray] = {}
+    if frame.perturbation is not None:
+        columns["perturbation"] = np.broadcast_to(frame.perturbation[:, None], values.shape)
     if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
-        columns = _deviations(motion, now, frame, n_paths, random_state, added)
+        columns |= _deviations(motion, now, frame, n_paths, random_state, added)
     if aircraft.deviations:
         columns |= _errors_of_aircraft(motion, now, frame)
     tables = []
     for k, value in enumerate(values):
         of_point = {name: column[k].ravel() for name, column in columns.items()}
         tables.append(frame.table(value.ravel(), of_point))
-    return tables[0] if is_single else _with_points(tables, now)
+    table = tables[0] if is_single else _with_points(tables, now)
+    table.attrs["slopes"] = "local" if frame.perturbation is None else "over the perturbation"
+    return table
 
 
 def _with_points(tables: list[pd.DataFrame], now: Instant) -> pd.DataFrame:
@@ -272,6 +284,11 @@ class _Frame:
                 length = motion.aircraft.lengths[LENGTHS[name]]
                 usual = rate_factor(name, length, now.airspeed)
                 self.scale[:, k] = motion.factor(k, now.airspeed) / usual
+        # of the conventional quantities, (n, 1 + d), NaN of the coefficients
+        self.perturbation = None
+        if motion.aerodynamics.perturbation is not None:
+            spread = motion.aerodynamics.perturbation / self.scale
+            self.perturbation = np.insert(spread, 0, np.nan, axis=1)
         units = {name: channel.unit for name, channel in CHANNELS.items()}
         self.units = units | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
         self.names = ["", *self.columns]

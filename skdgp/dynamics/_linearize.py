@@ -26,7 +26,7 @@ from skdgp._flight.frames import (
     euler_to_quaternion,
     quaternion_to_euler,
 )
-from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, by_name, check_settled
@@ -122,6 +122,7 @@ def linearize(
     thrust: str | None = "auto",
     air: Any = None,
     delay: float = 0.0,
+    perturbation: str | None = "flown",
 ) -> LinearModel:
     r"""Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
@@ -147,6 +148,9 @@ def linearize(
     delay : float
         Of the commands [s], from computing and sampling, for
         :func:`skdgp.control.margins`. It is no state.
+    perturbation : {"flown", None}
+        Slopes of the model over the flown perturbation, or local ones, as for
+        :func:`skdgp.dynamics.stability_derivatives`.
 
     Returns
     -------
@@ -184,7 +188,7 @@ def linearize(
         raise ValueError(
             f"Got delay={delay!r}, but expected a finite number of seconds, at least 0."
         )
-    motion = Motion(model, aircraft, thrust=thrust, air=air)
+    motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
     now = motion.at(state, controls)
     inputs = list(motion.controls)

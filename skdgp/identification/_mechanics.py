@@ -115,7 +115,9 @@ def _linear(
     """Return the linear model of the same rows."""
     model = as_aerodynamics(pipeline)
     intercepts, slopes = linear_terms(fitted)
-    unknown: dict[str, Any] = dict.fromkeys(("sampler", "drift", "narrowing", "function_errors"))
+    unknown: dict[str, Any] = dict.fromkeys(
+        ("sampler", "drift", "narrowing", "function_errors", "perturbation", "averaged")
+    )
     return replace(
         model,
         function=lambda X: intercepts + X @ slopes,

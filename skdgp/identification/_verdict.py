@@ -52,7 +52,7 @@ def judge(
     uses = (
         _prediction(table),
         _simulation(mechanics, fit.regressors),
-        _control(mechanics, table["normalized_rmse"], faults),
+        _control(mechanics, table, faults),
     )
     better, worse = _against_least_squares(table)
     warnings = [*faults, *_scored(table, evaluations, worse)]
@@ -172,7 +172,7 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     )
 
 
-def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Finding]) -> Use:
+def _control(mechanics: FlightMechanics, table: pd.DataFrame, faults: Sequence[Finding]) -> Use:
     """Return whether the model serves to design a controller."""
     purpose = "design a controller"
     if faults:
@@ -187,6 +187,12 @@ def _control(mechanics: FlightMechanics, errors: pd.Series, faults: Sequence[Fin
     wide = widths[~(widths <= THRESHOLDS.band)]
     if len(wide):
         return _use(purpose, "no", Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict())
+    errors = table["normalized_rmse"]
+    coverages = table["interval_coverage"]
+    narrow = coverages[~(coverages >= THRESHOLDS.held)]
+    if len(narrow):
+        numbers = {"coverages": narrow.to_dict()}
+        return Use(purpose, "no", (Finding(Code.BANDS_TOO_NARROW, numbers=numbers),))
     known = {"width": widths.max(), "widest": widths.idxmax()}
     controls_known = Finding(Code.CONTROLS_KNOWN, numbers=known)
     beyond = list(mechanics.trim.beyond)

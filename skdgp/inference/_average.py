@@ -133,9 +133,9 @@ class AveragePosterior(Posterior):
         predictions = [member.predict(Xs, return_variance) for member in self.members]
         return moments(self.mixture, predictions, return_variance)
 
-    def gradient(self, Xs: Matrix) -> Array:
-        """Return d mean / d x at Xs, (n, P, d)."""
-        return moments(self.mixture, [member.gradient(Xs) for member in self.members])
+    def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
+        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
+        return moments(self.mixture, [member.gradient(Xs, spread) for member in self.members])
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""

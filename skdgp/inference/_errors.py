@@ -174,6 +174,9 @@ class LinearPaths(PathBundle):
     def take(self, index):
         return LinearPaths(self.weights[index], self.centre)
 
+    def averaged(self, spread):
+        return self
+
     def doubles(self, same_points):
         return len(self.weights) * sum(self.weights.shape[1:])
 
@@ -222,9 +225,9 @@ class PosteriorWithErrors(Posterior):
         mean, variance = self.posterior.predict(Xs, return_variance=True)
         return mean, variance + self.errors.variance(Xs)
 
-    def gradient(self, Xs: Matrix) -> Array:
-        """Return d mean / d x at Xs, (n, P, d)."""
-        return self.posterior.gradient(Xs)
+    def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
+        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
+        return self.posterior.gradient(Xs, spread)
 
     def covariance(self, Xs: Matrix) -> Matrix:
         """Return the joint covariance at Xs, (P n, P n), output-major."""

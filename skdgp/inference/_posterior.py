@@ -72,8 +72,8 @@ class Posterior(ABC):
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
 
     @abstractmethod
-    def gradient(self, Xs: Matrix) -> Array:
-        """Return d mean / d x at Xs, (n, P, d)."""
+    def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
+        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
 
     @abstractmethod
     def covariance(self, Xs: Matrix) -> Matrix:
@@ -144,10 +144,11 @@ class SinglePosterior(Posterior):
         return mean
 
     @few_threads
-    def gradient(self, Xs: Matrix) -> Array:
-        """Return d mean / d x at Xs, (n, P, d)."""
+    def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
+        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
         width = np.shape(Xs)[1]
-        (slopes,) = self._in_batches(lambda X: [self.mean_function.slopes(X[None])[0]], Xs, width)
+        mean = self.mean_function if spread is None else self.mean_function.averaged(spread)
+        (slopes,) = self._in_batches(lambda X: [mean.slopes(X[None])[0]], Xs, width)
         return slopes
 
     def _moments(self, X):
@@ -308,6 +309,17 @@ class ExactTerm(ExactPosterior):
         self.alpha = whole.alpha
 
 
+def check_spread(spread: Any, n_features: int) -> Vector:
+    """Return the standard deviations of a perturbation of the regressors, (d,)."""
+    checked = np.asarray(spread, dtype=float)
+    if checked.shape != (n_features,) or not (np.isfinite(checked) & (checked >= 0)).all():
+        raise ValueError(
+            f"Got spread={spread!r}, but expected {n_features} finite numbers from 0 on: a standard "
+            "deviation for each regressor."
+        )
+    return checked
+
+
 class Paths:
     """Sample paths of the posterior, functions X (n, d) -> (n, P), that are evaluated together.
 
@@ -354,14 +366,19 @@ class Paths:
         """Return the values of each path at its own points X (n_paths, n, d), in the shape of a call."""
         return self._values(self._check_points(X, 3))
 
-    def gradient(self, X: Matrix) -> np.ndarray:
+    def gradient(self, X: Matrix, spread: Vector | None = None) -> np.ndarray:
         """Return the slopes of all paths at X (n, d), or of each path at its own points X (n_paths, n, d).
 
-        The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets.
+        The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets. With
+        ``spread`` (d,) they are expectations over a normal perturbation of X, as of
+        ``predict_gradient``.
         """
         X = self._check_points(X, 3) if np.ndim(X) == 3 else self._check_points(X, 2)[None]
         with threads_for(X.shape[1]):
-            return self._squeeze(self.bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
+            bundle = self.bundle
+            if spread is not None:
+                bundle = bundle.averaged(check_spread(spread, self.n_features))
+            return self._squeeze(bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
 
     def _values(self, X):
         with threads_for(X.shape[1]):

@@ -14,7 +14,8 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.special import logsumexp
+from scipy.special import logsumexp, ndtri
+from scipy.stats.qmc import Sobol
 
 from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
@@ -49,6 +50,14 @@ class PathBundle(ABC):
     def doubles(self, same_points: bool) -> int:
         """Return the working memory for one point of each function, in doubles."""
 
+    def averaged(self, spread: Vector) -> PathBundle:
+        """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
+
+        Their slopes are those of the best linear approximation over this perturbation (Stein's
+        lemma). By default they are means over fixed draws of e.
+        """
+        return MeanPaths(self, spread * normal_nodes(len(spread)))
+
     def __add__(self, other: PathBundle) -> SumPaths:
         return SumPaths(self, other)
 
@@ -78,6 +87,42 @@ def _in_chunks(function, X, doubles):
     return np.concatenate(chunks, axis=1)
 
 
+def normal_nodes(d: int, log2_size: int = 6) -> Matrix:
+    """Return points (n, d) with their mirror images, which fill the standard normal distribution evenly."""
+    uniform = Sobol(d, seed=0).random_base2(log2_size)
+    nodes = ndtri(np.clip(uniform, 1e-6, 1.0 - 1e-6))
+    return np.concatenate([nodes, -nodes])
+
+
+class MeanPaths(PathBundle):
+    """Means of paths over points moved by ``moves`` (m, d)."""
+
+    def __init__(self, paths: PathBundle, moves: Matrix):
+        self.paths = paths
+        self.moves = moves
+
+    def take(self, index):
+        return MeanPaths(self.paths.take(index), self.moves)
+
+    def averaged(self, spread):
+        return MeanPaths(self.paths.averaged(spread), self.moves)
+
+    def doubles(self, same_points):
+        return self.paths.doubles(same_points)
+
+    def each(self, X):
+        return self._mean(self.paths.each, X)
+
+    def gradient(self, X):
+        return self._mean(self.paths.gradient, X)
+
+    def _mean(self, function, X):
+        total = function(X + self.moves[0])
+        for move in self.moves[1:]:
+            total += function(X + move)
+        return total / len(self.moves)
+
+
 class SumPaths(PathBundle):
     """Sums of the paths of independent processes."""
 
@@ -87,6 +132,9 @@ class SumPaths(PathBundle):
 
     def take(self, index):
         return SumPaths(self.first.take(index), self.second.take(index))
+
+    def averaged(self, spread):
+        return SumPaths(self.first.averaged(spread), self.second.averaged(spread))
 
     def doubles(self, same_points):
         return max(self.first.doubles(same_points), self.second.doubles(same_points))
@@ -110,6 +158,9 @@ class RescaledPaths(PathBundle):
     def take(self, index):
         return RescaledPaths(self.paths.take(index), self.factor)
 
+    def averaged(self, spread):
+        return RescaledPaths(self.paths.averaged(spread), self.factor)
+
     def doubles(self, same_points):
         return self.paths.doubles(same_points)
 
@@ -131,6 +182,9 @@ class MixedPaths(PathBundle):
         self.bundles = bundles
         self.member = member
         self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
+
+    def averaged(self, spread):
+        return MixedPaths([bundle.averaged(spread) for bundle in self.bundles], self.member)
 
     def doubles(self, same_points):
         needed = zip(self.bundles, self.rows, strict=True)
@@ -166,26 +220,29 @@ class Basis(Protocol):
         ``weights`` (S, c) belong to the functions in the columns of each output.
         """
 
+    def averaged(self, spread: Vector) -> Basis | None:
+        """Return the expected functions over a perturbation as of `PathBundle.averaged`, None without a formula."""
 
-class FeaturePaths(PathBundle):
-    """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
 
-    def __init__(self, features: Features, coefficients: Matrix) -> None:
-        self.features = features
-        self.coefficients = coefficients
-        self._basis, variables = features.basis()
-        self._columns = consecutive(variables)
-        self._weights = [np.ascontiguousarray(coefficients[:, places]) for places in variables]
+class BasisPaths(PathBundle):
+    """Functions of a basis times weights (S, c) of each output, for the functions in its columns."""
 
-    def __reduce__(self):
-        # Pickle the coefficients only: they are smaller than the weights of all columns.
-        return FeaturePaths, (self.features, self.coefficients)
+    def __init__(self, basis: Basis, weights: list[Matrix], columns: list[slice]) -> None:
+        self._basis = basis
+        self._weights = weights
+        self._columns = columns
 
     def take(self, index):
-        return FeaturePaths(self.features, self.coefficients[index])
+        return BasisPaths(self._basis, [w[index] for w in self._weights], self._columns)
+
+    def averaged(self, spread):
+        basis = self._basis.averaged(spread)
+        if basis is None:
+            return super().averaged(spread)
+        return BasisPaths(basis, self._weights, self._columns)
 
     def doubles(self, same_points):
-        return (1 if same_points else len(self.coefficients)) * self._columns[-1].stop
+        return (1 if same_points else len(self._weights[0])) * self._columns[-1].stop
 
     def each(self, X):
         A = self._basis(X.reshape(-1, X.shape[-1]))
@@ -195,6 +252,24 @@ class FeaturePaths(PathBundle):
 
     def gradient(self, X):
         return self._basis.slopes(X, self._weights, self._columns)
+
+
+class FeaturePaths(BasisPaths):
+    """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
+
+    def __init__(self, features: Features, coefficients: Matrix) -> None:
+        self.features = features
+        self.coefficients = coefficients
+        basis, variables = features.basis()
+        weights = [np.ascontiguousarray(coefficients[:, places]) for places in variables]
+        super().__init__(basis, weights, consecutive(variables))
+
+    def __reduce__(self):
+        # Pickle the coefficients only: they are smaller than the weights of all columns.
+        return FeaturePaths, (self.features, self.coefficients)
+
+    def take(self, index):
+        return FeaturePaths(self.features, self.coefficients[index])
 
 
 def contract(A: Array, c: Matrix) -> Array:
@@ -224,6 +299,11 @@ class Waves(PathBundle):
 
     def take(self, index):
         return Waves(self.omega[index], self.phase[index], self.weights[index])
+
+    def averaged(self, spread):
+        # the characteristic function of the normal distribution
+        damping = np.exp(-0.5 * spread**2 @ self.omega**2)
+        return Waves(self.omega, self.phase, self.weights * damping[..., None])
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
@@ -431,6 +511,9 @@ class FeatureBasis:
             slopes.append(np.moveaxis(of_output, 0, -1))
         return np.stack(slopes, axis=2)
 
+    def averaged(self, spread: Vector) -> None:
+        return None
+
 
 class LinearBasis:
     """Linear functions x^T slopes + constant, with ``slopes`` (d, C)."""
@@ -446,6 +529,9 @@ class LinearBasis:
         slopes = [w @ self.matrix[:, places].T for w, places in zip(weights, columns, strict=True)]
         of_outputs = np.stack(slopes, axis=1)[:, None]
         return np.repeat(of_outputs, X.shape[1], axis=1)
+
+    def averaged(self, spread: Vector) -> LinearBasis:
+        return self
 
 
 class ValueFeatures(Features):

@@ -106,6 +106,16 @@ class GaussianBasis:
             slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
         return np.stack(slopes, axis=2)
 
+    def averaged(self, spread: Vector) -> GaussianBasis:
+        r"""Return the expected functions at x + e, :math:`e_k \sim N(0, s_k^2)`: wider Gaussian functions.
+
+        With the variance :math:`\Sigma^{-1} + s^2` for :math:`\Sigma^{-1}` the integral of each is
+        the same (Rasmussen & Williams 2006, equation A.6).
+        """
+        wider = 1.0 + self.precision * spread**2
+        gain = self.gain / np.sqrt(wider.prod(axis=1))
+        return GaussianBasis(gain, self.precision / wider, self.centres)
+
     def moments(self, X: Matrix, G: Matrix) -> Moments:
         """Return the moments of weights G (n, C) about the centre of each function."""
         d = X.shape[1]

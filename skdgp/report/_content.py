@@ -32,6 +32,9 @@ class Thresholds(NamedTuple):
     # to 0.3 count as good agreement (Jategaonkar 2006, chapter 11).
     error: float = 0.5
     coverage: float = 0.90  # smallest share of measured values in a 95 % band (guess)
+    # Smallest share of measured values in a 95 % band of each coefficient for a controller: bands of
+    # derivatives are of the same model (guess)
+    held: float = 0.80
     # Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
     # half the gain.
     band: float = 0.5

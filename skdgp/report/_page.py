@@ -132,7 +132,8 @@ _THRESHOLDS = (
     f"with the recorded controls from measured states: root mean square errors of at most "
     f"{THRESHOLDS.error:g} of the spread of each state, or 3 times the noise of its sensor. Design "
     f"a controller: 95 % bands of at most ±{THIN}{100 * THRESHOLDS.band:.0f}{THIN}% for the "
-    f"derivatives by the controls and the frequencies of the fast modes."
+    f"derivatives by the controls and the frequencies of the fast modes, and bands that hold at "
+    f"least {100 * THRESHOLDS.held:.0f} % of the measured values of each coefficient."
 )
 OF_AIRCRAFT = (
     "± of aircraft: the effect of errors of its sizes, which all derivatives of a moment or force "
@@ -369,12 +370,29 @@ def _mechanics(mechanics: FlightMechanics) -> str:
         parts.append(_trim(mechanics.trim))
     if len(mechanics.derivatives):
         tables = [_derivatives(mechanics, plane) for plane in GROUPED]
+        parts.append(_slopes(mechanics.derivatives))
         parts.append(f'<div class="pair">{"".join(tables)}</div>')
     if "std_aircraft" in mechanics.derivatives:
         parts.append(_note(OF_AIRCRAFT))
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
     return section("Trim, derivatives and modes", *parts)
+
+
+def _slopes(derivatives: pd.DataFrame) -> str:
+    """Return what the derivatives are slopes of: over which perturbation, or at the point."""
+    if "perturbation" not in derivatives:
+        return _note("Derivatives are local slopes.")
+    of_regressors = derivatives[derivatives["regressor"] != ""].drop_duplicates("regressor")
+    sizes = []
+    for _, row in of_regressors.iterrows():
+        sizes.append(
+            f"{row['regressor']} {number(row['perturbation'], '.2g')} {row['per']}".strip()
+        )
+    return _note(
+        "Derivatives are slopes of the best linear approximation over normal perturbations with "
+        "the standard deviations flown around the trims: " + text(", ".join(sizes)) + "."
+    )
 
 
 def _trim(trim: Trim) -> str:

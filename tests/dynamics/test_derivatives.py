@@ -107,6 +107,38 @@ def of_slopes(draws):
 
 
 class TestDeviations:
+    def test_are_over_the_flown_perturbation_unless_local_ones_are_asked_for(self, state):
+        """As the regressor says, in the units of the table: means and deviations of functions."""
+        rng = default_rng(0)
+        X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q", "elevator"])
+        Y = np.sin(8 * X.to_numpy()) @ rng.normal(size=(3, 6))
+        Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
+        model = DependentGPRegressor(n_latent=1, structure="joint", max_iter=5, random_state=0)
+        model.fit(X, Y)
+        flight = model, BRUMBY, state, CONTROLS
+        table = stability_derivatives(*flight, n_paths=50)
+        spread = X.std(ddof=0).to_numpy()
+        at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]
+        at = pd.DataFrame(at, columns=X.columns)
+        rows = table.index[table["regressor"] != ""][: 6 * 3]
+        units = np.array([1.0, 2 * 36.0 / BRUMBY.chord, 1.0])
+        for values, slopes in [
+            (table.loc[rows, "value"], model.predict_gradient(at, spread)[0]),
+            (
+                table.loc[rows, "std"],
+                model.sample_paths(50, 0).gradient(at, spread)[:, 0].std(axis=0, ddof=1),
+            ),
+        ]:
+            assert_allclose(values, (slopes * units).ravel(), rtol=1e-9)
+        assert_allclose(table.loc[rows[:3], "perturbation"], spread / units)
+        assert table.attrs["slopes"] == "over the perturbation"
+        local = stability_derivatives(*flight, n_paths=0, perturbation=None)
+        assert local.attrs["slopes"] == "local"
+        assert "perturbation" not in local
+        assert_allclose(local.loc[rows, "value"], (model.predict_gradient(at)[0] * units).ravel())
+        with pytest.raises(ValueError, match="'flown', or None for local slopes"):
+            stability_derivatives(*flight, perturbation="large")
+
     @pytest.fixture
     def uncertain(self):
         """CX and CZ err together, so that drag is surer than either."""
@@ -147,7 +179,8 @@ class TestDeviations:
         time = 0.1 * np.arange(len(X))
         model = DependentGPRegressor(n_latent=1, **options).fit(X, Y, time=time)
         n_paths = 300
-        table = stability_derivatives(model, BRUMBY, state, CONTROLS, n_paths=n_paths)
+        flight = model, BRUMBY, state, CONTROLS
+        table = stability_derivatives(*flight, n_paths=n_paths, perturbation=None)
         at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]
         mean = model.predict_gradient(pd.DataFrame(at, columns=X.columns))
         std = slope_std(
@@ -169,7 +202,8 @@ class TestDeviations:
         # the linear model flies the same functions: pitch acceleration by q, without alpha_dot
         plain = as_aerodynamics(model)
         plain.function_errors = None
-        damping = linearize(plain, BRUMBY, state, CONTROLS, n_paths=n_paths).paths.A[:, 10, 10]
+        linear = linearize(plain, *flight[1:], n_paths=n_paths, perturbation=None)
+        damping = linear.paths.A[:, 10, 10]
         now = Motion(model, BRUMBY).at(state, CONTROLS)
         X = np.broadcast_to(now.regressors, (n_paths, 1, 3))
         by_q = plain.sample(n_paths, 0).gradient(X)[:, 0, :, 1]

@@ -324,6 +324,12 @@ class TestControl:
         assert use(found, "design a controller")[0] == fit
         assert ("a constant predicts Cm" in use(found, "design a controller")[1]) == (error > 1)
 
+    @pytest.mark.parametrize(("inside", "fit"), [(True, "yes"), (False, "no")])
+    def test_needs_bands_that_hold_in_every_coefficient(self, inside, fit):
+        found = verdict([evaluation(inside=[True, inside, True, True, True, True])])
+        assert use(found, "design a controller")[0] == fit
+        assert ("bands do not hold" in use(found, "design a controller")[1]) == (not inside)
+
     def test_no_steady_flight(self):
         found = verdict(trim=None, notes=(NO_TRIM,))
         assert use(found, "design a controller") == ("no", "no steady flight was found at 20 m/s")

@@ -1,0 +1,97 @@
+"""Slopes over a perturbation: expectations of local slopes, by quadrature, for every posterior and its paths."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.polynomial.hermite_e import hermegauss
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from sklearn.gaussian_process.kernels import RationalQuadratic
+
+from skdgp import DependentGPRegressor
+
+SPREAD = np.array([0.4, 0.15])
+POINT = np.array([[0.2, -0.1]])
+SWITCHES = {
+    "average": {},
+    "average in time": {"time": True},
+    "joint": {"structure": "joint"},
+    "joint, sparse": {"structure": "joint", "inference": "sparse", "n_inducing": 20},
+    "sparse in time": {"inference": "sparse", "n_inducing": 20, "time": True},
+    "additive": {"structure": "additive"},
+    "trend in time": {"structure": "trend", "time": True},
+    "no trend": {"structure": "joint", "trend": None},
+}
+
+
+def data(n=80):
+    rng = default_rng(3)
+    X = rng.uniform(-1, 1, (n, 2))
+    Y = np.stack([np.sin(3 * X[:, 0]) + X[:, 1], X[:, 0] * X[:, 1] - X[:, 0] ** 2], axis=1)
+    return X, Y + 0.05 * rng.normal(size=Y.shape)
+
+
+def fitted(time=False, **settings):
+    X, Y = data()
+    model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=5, **settings)
+    return model.fit(X, Y, time=np.arange(len(X)) * 0.1 if time else None)
+
+
+def nodes():
+    """Return points (m, 2) and weights (m,) of Gauss-Hermite quadrature over the perturbation."""
+    z, w = hermegauss(30)
+    moves = np.stack(np.meshgrid(z, z), axis=-1).reshape(-1, 2) * SPREAD
+    return POINT + moves, np.outer(w, w).ravel() / w.sum() ** 2
+
+
+@pytest.fixture(scope="module", params=SWITCHES)
+def model(request):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return fitted(**SWITCHES[request.param])
+
+
+def test_of_the_mean_are_expectations(model):
+    points, weights = nodes()
+    expected = np.tensordot(weights, model.predict_gradient(points), axes=1)
+    assert_allclose(model.predict_gradient(POINT, SPREAD)[0], expected, rtol=1e-6, atol=1e-8)
+    local = model.predict_gradient(POINT)
+    assert_allclose(model.predict_gradient(POINT, [0.0, 0.0]), local, rtol=1e-9, atol=1e-12)
+
+
+def test_of_paths_are_expectations_around_those_of_the_mean(model):
+    points, weights = nodes()
+    paths = model.sample_paths(300, random_state=1)
+    averaged = paths.gradient(POINT, SPREAD)[:, 0]
+    few = model.sample_paths(4, random_state=1)
+    expected = np.tensordot(few.gradient(points), weights, axes=([1], [0]))
+    assert_allclose(few.gradient(POINT, SPREAD)[:, 0], expected, atol=1e-6)
+    error = averaged.std(axis=0) / np.sqrt(len(averaged))
+    mean = model.predict_gradient(POINT, SPREAD)[0]
+    assert (np.abs(averaged.mean(axis=0) - mean) < 4.5 * error + 1e-12).all()
+
+
+def test_are_those_of_the_best_linear_approximation():
+    """Stein's lemma: least squares on values at many draws of the perturbation has these slopes."""
+    model = fitted(structure="joint")
+    draws = POINT + SPREAD * default_rng(0).normal(size=(40_000, 2))
+    columns = np.column_stack([np.ones(len(draws)), draws])
+    slopes = np.linalg.lstsq(columns, model.predict(draws), rcond=None)[0][1:].T
+    assert_allclose(model.predict_gradient(POINT, SPREAD)[0], slopes, atol=0.02)
+
+
+def test_of_a_kernel_without_a_formula_are_means_over_draws():
+    X, Y = data()
+    model = DependentGPRegressor(RationalQuadratic(), optimizer=None, structure="joint").fit(X, Y)
+    points, weights = nodes()
+    expected = np.tensordot(weights, model.predict_gradient(points), axes=1)
+    assert_allclose(model.predict_gradient(POINT, SPREAD)[0], expected, atol=0.05)
+
+
+@pytest.mark.parametrize("spread", [[0.1], [0.1, -0.1], [0.1, np.nan]])
+def test_need_a_standard_deviation_for_each_regressor(spread):
+    model = fitted(structure="trend")
+    for slopes in (model.predict_gradient, model.sample_paths(2).gradient):
+        with pytest.raises(ValueError, match="a standard deviation for each regressor"):
+            slopes(POINT, spread)

@@ -32,6 +32,7 @@ class Thresholds(NamedTuple):
     # to 0.3 count as good agreement (Jategaonkar 2006, chapter 11).
     error: float = 0.5
     coverage: float = 0.90  # smallest share of measured values in a 95 % band (guess)
+    widest: float = 0.99  # larger share, which marks bands as too wide (guess)
     # Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
     # half the gain.
     band: float = 0.5

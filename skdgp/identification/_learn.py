@@ -91,6 +91,7 @@ def learn(
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
+        conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:

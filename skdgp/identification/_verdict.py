@@ -126,7 +126,7 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
     by_rudder = derivatives["value"].reindex([*OPPOSITE])
-    if by_rudder.prod(skipna=False) > 0:
+    if (by_rudder > 0).all() or (by_rudder < 0).all():
         wrong = wrong.combine_first(by_rudder.iloc[:1])
     if wrong.empty:
         return []

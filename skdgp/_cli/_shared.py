@@ -227,6 +227,7 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
 
 
 CLEAR = "\r\x1b[K"
+LINE_SECONDS = 5.0  # between two lines of progress without a terminal
 STAGES = {"fit": "all outputs", "members": "components of the average"}
 
 
@@ -240,6 +241,7 @@ class Console:
         self._shows_progress = self.stream.isatty()
         self._began = time.monotonic()
         self._shown = -period
+        self._printed = self._began  # time of the last line without a terminal
 
     def __enter__(self) -> Console:
         self._warnings = warnings.catch_warnings()
@@ -285,6 +287,10 @@ class Console:
             self._show(f"fit · {name} · {n_evaluations} evaluations{value} · {seconds}")
 
     def _show(self, line):
+        """Show a line in place of the last one; without a terminal print one at most every five seconds."""
+        if not self.stream.isatty() and time.monotonic() - self._printed >= LINE_SECONDS:
+            self._printed = time.monotonic()
+            self._write(f"{line}\n")
         if self._shows_progress:
             self._shown = time.monotonic()
             self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])

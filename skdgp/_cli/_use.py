@@ -330,6 +330,12 @@ def export(run: Run) -> None:
     options = run.options
     run.console.stage("reading")
     model = read_model(options)
+    if model.get("uses", {}).get("simulate") == "no":
+        warn(
+            "The report of this model says that it does not simulate flights: use the export to "
+            "predict coefficients, not in a simulator.",
+            stacklevel=2,
+        )
     run.console.stage(f"exporting to {options.to}")
     full = dict(options.full)
     writers: dict[str, Writer] = {}
@@ -350,6 +356,8 @@ def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
     lines = []
     for name, size in numbers["files"].items():
         lines.append(f"{size / 1024:>9.1f} kB  {Path(folder, name)}")
+    if numbers["to"] == "c":
+        lines.append(f"{numbers['size'] / 1024:>9.1f} kB  compiled, at most: the size of --max-kb")
     if numbers.get("loss"):
         loss = pd.DataFrame.from_dict(numbers["loss"], orient="index")
         lines += ["", "loss, root mean square, in posterior deviations", _table(loss)]

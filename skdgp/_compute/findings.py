@@ -82,8 +82,11 @@ class Code(Enum):
 
     # scores
     BANDS_TOO_NARROW = "bands_too_narrow"
+    BANDS_TOO_WIDE = "bands_too_wide"
+    BY_CONSTRUCTION = "by_construction"
     CONSTANT_BETTER_IN_FLIGHTS = "constant_better_in_flights"
     CONSTANT_BETTER_IN_MOMENTS = "constant_better_in_moments"
+    DIVERGING = "diverging"
     ERRORS_SMALL = "errors_small"
     ERRORS_TOO_LARGE = "errors_too_large"
     LEAST_SQUARES_BETTER = "least_squares_better"
@@ -96,6 +99,7 @@ class Code(Enum):
     NO_DERIVATIVES = "no_derivatives"
     NO_TRIM = "no_trim"
     TRIM_BEYOND = "trim_beyond"
+    IMPLAUSIBLE_SIZES = "implausible_sizes"
     WRONG_SIGNS = "wrong_signs"
 
     # simulation

@@ -378,8 +378,9 @@ TEXTS = _by_code(
     sizes_estimated=_sizes_estimated,
     sizes_sources="Estimated by: {sources}.",
     thrust_in_coefficients="Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
-    "propeller and its speed give the thrust, so it is part of the coefficients, with throttle and "
-    "airspeed as regressors: CX is thrust less drag, which the model does not tell apart.",
+    "propeller and its speed give the thrust, so it is part of the coefficients: CX is thrust less "
+    "drag, which the model does not tell apart. Of throttle and airspeed those are regressors that "
+    "lower the errors of a linear model on held-out parts of the flights.",
     already_learned="The model learned from a flight {flight!r}: if it is this one, its "
     "errors say nothing about others.",
     held_out_flight="No test flight was named: the last flight, {flight}, is held out of the "
@@ -428,6 +429,7 @@ TEXTS = _by_code(
     fit_not_converged="The fit has not converged: raise max_iter.",
     bands_too_narrow="95 % bands are too narrow: they hold {coverages:.0%} of the measured "
     "values.",
+    bands_too_wide="95 % bands are too wide: they hold {coverages:.1%} of the measured values.",
     constant_better_in_flights="In {worse} of {tested} test flights a constant predicts better "
     "(error above 1): {flights:short}.",
     least_squares_better="Least squares is better in {worse} of {coefficients} coefficients: "
@@ -436,8 +438,11 @@ TEXTS = _by_code(
     no_trim="No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
     "state, and there are no modes.",
     not_simulated="{error}",
+    implausible_sizes="No aircraft has such effects: {values:+.2g}. Look at the place and the signs "
+    "of the accelerometers, and at gusts without vanes.",
     wrong_signs="Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
-    "the signs of the log's surfaces and rates, and at gusts without vanes.",
+    "the signs of the log's surfaces and rates, at the place and the signs of the accelerometers, "
+    "and at gusts without vanes.",
 )  # fmt: skip
 
 REASONS = _by_code(
@@ -449,6 +454,11 @@ REASONS = _by_code(
     paths_not_converged="a reconstruction did not converge",
     paths_reconstructed=_paths_reason,
     paths_smoothed=_paths_reason,
+    bands_too_wide="95 % bands are too wide",
+    by_construction="{names: and } cannot be judged without {vanes: and }: the angles follow from "
+    "the same accelerometers",
+    diverging="the error is {error:.3g} of the spread, so a constant predicts better",
+    implausible_sizes="implausible {names}",
     wrong_signs="wrong sign of {names}",
     bands_too_narrow="the bands do not hold on the test flights: {coverages:.0%} of the "
     "measured values",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._excitation import Signal, Wavetrain, wavetrain
-from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.design._check import std_at
@@ -41,6 +41,8 @@ from skdgp.dynamics import (
     linearize,
 )
 
+# Controls whose effects only their own motion teaches
+CONTROLS = (*SURFACES, "throttle")
 # Axes that are no deflections
 UNBOUNDED = ("thrust", "propeller_speed")
 # Facts of the trim in plan.json
@@ -222,7 +224,7 @@ def plan(
     _check_options(seconds, axes, limits or {}, settings)
     check_names(axes, trim.controls, "controls of the trim")
     _warn_unlimited(envelope, aerodynamics)
-    goal = _check_goal(goal, aerodynamics)
+    goal = _check_goal(goal, aerodynamics, axes)
     amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
     # a quarter of Lanchester's phugoid, sqrt(2) pi V / g
     quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
@@ -248,6 +250,7 @@ def plan(
         added = np.concatenate([rows[k] for k in chosen])
         errors = _errors(model, aircraft, trim, thrust, added)
     flown = [available[k] for k in chosen]
+    goal = _promised_goal(goal, aerodynamics, flown)
     return Plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
@@ -307,11 +310,14 @@ def _derivative_places(model: Aerodynamics) -> dict[str, int]:
     return places
 
 
-def _check_goal(goal: Sequence[str] | None, model: Aerodynamics) -> list[str]:
-    """Return the names of a goal, by default all derivatives; raise ValueError if the model cannot tell of one."""
+def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[str]) -> list[str]:
+    """Return the names of a goal, by default all derivatives but those by controls that are not moved.
+
+    Raises ValueError if the model cannot tell of one.
+    """
     places = _derivative_places(model)
     if goal is None:
-        return list(places)
+        return _without({*CONTROLS} - {*axes}, places, model)
     if isinstance(goal, str) or not len(goal) or not {*goal} <= places.keys():
         raise ValueError(
             f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: "
@@ -327,6 +333,29 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics) -> list[str]:
                 f"another goal."
             )
     return list(goal)
+
+
+def _without(controls: set[str], goal: Iterable[str], model: Aerodynamics) -> list[str]:
+    """Return the derivatives of a goal that are not by any of these controls."""
+    places = _derivative_places(model)
+    return [name for name in goal if model.regressors[places[name]] not in controls]
+
+
+def _promised_goal(
+    goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]
+) -> list[str]:
+    """Return the derivatives of a goal that the chosen manoeuvres teach; warn of the others."""
+    moved = {axis for item in flown for axis in item.inputs}
+    taught = _without({*CONTROLS} - moved, goal, model)
+    lost = [name for name in goal if name not in taught]
+    if lost:
+        warn(
+            f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower "
+            "the errors of the goal more, or the limits leave no room: nothing is promised for them. "
+            "Give more seconds, wider limits, or these derivatives alone as the goal.",
+            stacklevel=3,
+        )
+    return taught
 
 
 def _amplitudes(

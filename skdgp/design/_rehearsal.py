@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
 
+from skdgp._compute.messages import notify
 from skdgp._excitation import ROUNDING, Steps, Wavetrain
 from skdgp.design._envelope import Envelope, option_of
 from skdgp.design._library import Inputs, PlanSettings, duration_of, scaled
@@ -68,6 +69,7 @@ class Rehearsal:
         inside = []
         cause = ""
         while scales:
+            notify(f"planning: size of {len(scales)} manoeuvres", 0, np.nan)
             sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
             for name, flight in self.flights(sized).items():
                 factors = self._factors(sized[name], flight, centre)

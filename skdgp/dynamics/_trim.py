@@ -73,6 +73,9 @@ class TrimSettings:
 
     # Largest acceleration of a trim [m/s^2, rad/s^2]
     tolerance: float = 1e-6
+    # Largest acceleration that remains in a trim where no better one is found [m/s^2, rad/s^2]: no
+    # aircraft's sensor shows it (guess)
+    accepted: float = 1e-3
     # Start of alpha, as fractions of the range between its limits
     starts: tuple[float, ...] = (0.5, 0.25, 0.75, 0.05)
     # Step of an unknown, relative if it is above 1, for differences of the residual
@@ -367,6 +370,8 @@ class SteadyFlight:
                 best = solution
             if np.abs(best.fun).max() < self.settings.tolerance:
                 return best.x
+        if np.abs(best.fun).max() < self.settings.accepted:
+            return best.x
         raise ValueError(self._no_trim(best, airspeed))
 
     def _start(self, airspeed: float, fraction: float) -> Array:

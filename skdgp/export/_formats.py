@@ -72,8 +72,9 @@ def export_model(
     Returns
     -------
     dict
-        ``files``, paths, and ``loss`` by a smaller size of each coefficient: root mean square
-        changes of "mean" and "std", in posterior standard deviations.
+        ``files``, paths; ``size``, the bytes that ``max_kb`` limits; and ``loss`` by a smaller size
+        of each coefficient: root mean square changes of "mean" and "std", in posterior standard
+        deviations.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
@@ -96,5 +97,6 @@ def export_model(
         )
     return {
         "files": write(Path(folder), portable),
+        "size": bytes_needed,
         "loss": portable.provenance.get("reduction", {}),
     }

@@ -113,14 +113,13 @@ class Identification:
     @cached_property
     def mechanics(self) -> FlightMechanics:
         """Trim, derivatives and modes at the median flight condition, and how long a simulation follows flights."""
-        training = self.fit.training
         return flight_mechanics(
             self.pipeline,
             self.aircraft,
             list(self.train.values()),
             [flight.table for flight in self.evaluations],
             self.settings,
-            None if training is None else training.least_squares,
+            self.fit.training,
         )
 
     @cached_property
@@ -186,6 +185,7 @@ class Identification:
                 aircraft=self.aircraft,
                 options=self.settings,
                 fit=self.fit.to_dict(),
+                uses={use.purpose: use.fit for use in self.verdict.uses},
                 flights=list(self.train),
             )
         write_together(path, writers)

@@ -79,7 +79,9 @@ def learn(
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
     began = time.monotonic()
-    X = pipeline.fit_regressors(table, targets)
+    # a list of regressors is the user's choice
+    choose_engine = flights.lacks_thrust and isinstance(regressors, str)
+    X = pipeline.fit_regressors(table, targets, choose_engine=choose_engine)
     seconds = round(time.monotonic() - began, 3)
     training = TrainingRecord(
         samples=int(targets.notna().any(axis=1).sum()),
@@ -89,6 +91,7 @@ def learn(
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
+        conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
@@ -132,8 +135,6 @@ def _pipeline_for(
         pipeline.set_params(flightpathreconstruction__thrust=flights.loads["thrust"])
         if flights.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
-    if flights.lacks_thrust and isinstance(regressors, str):  # a set, which has the throttle
-        pipeline.set_params(regressorselector__extra=["airspeed"])
     if flights.has_full_throws:
         pipeline.control_units_ = dict.fromkeys(ALL_SURFACES, FULL_THROW)
     return pipeline

@@ -26,7 +26,7 @@ from skdgp.dynamics import (
 from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._learn import linear_terms
 from skdgp.identification._pipeline import reconstruction_of
-from skdgp.report import FlightMechanics
+from skdgp.report import FlightMechanics, TrainingRecord
 
 
 def flight_mechanics(
@@ -35,14 +35,20 @@ def flight_mechanics(
     train: Sequence[pd.DataFrame],
     test: Sequence[pd.DataFrame],
     settings: dict,
-    least_squares: Mapping[str, Mapping[str, float]] | None = None,
+    training: TrainingRecord | None = None,
 ) -> FlightMechanics:
     """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
 
     Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of
     the flights.
     """
-    flown = pd.concat(train or test).median(numeric_only=True)
+    # a model that existed before is judged where it was learned
+    known = training.conditions if training is not None and not train else {}
+    if known:
+        flown = pd.Series(known, dtype=float)
+    else:
+        flown = pd.concat(train or test).median(numeric_only=True)
+    least_squares = None if training is None else training.least_squares
     airspeed = float(flown["airspeed"])
     thrust = settings["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}

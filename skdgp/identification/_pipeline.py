@@ -11,11 +11,13 @@ import numpy as np
 import pandas as pd
 from sklearn import get_config
 from sklearn.base import clone
+from sklearn.linear_model import Ridge
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.messages import without_warnings
+from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
@@ -32,6 +34,12 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
+# Regressors of a thrust that nothing gives
+ENGINE_REGRESSORS = ("throttle", "airspeed")
+# Least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
+LEAST_GAIN = 0.02
+# Smaller errors of a linear model, over the spread, are equal
+LEAST_ERROR = 0.01
 
 
 def make_identification_pipeline(
@@ -168,6 +176,62 @@ def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
     return step if is_used else None
 
 
+def engine_regressors(
+    selector: RegressorSelector, table: pd.DataFrame, targets: Any, n_blocks: int = 5
+) -> list[str]:
+    """Return a set of regressors, with those of throttle and airspeed that an unknown thrust needs.
+
+    Each choice of the two is judged by the errors of a linear model on blocks of consecutive rows
+    that are held out in turn, over the spread of each coefficient. Their geometric mean
+    decides: a regressor that explains the thrust in CX may lead the others astray. Of equal choices
+    the one with the fewest regressors is taken.
+
+    Parameters
+    ----------
+    selector : RegressorSelector
+        Of the set.
+    table : DataFrame
+        Flights before the selection.
+    targets : array-like (n, P)
+        Coefficients, NaN where not to be learned from.
+    n_blocks : int
+    """
+    everything = clone(selector).set_params(extra=[*selector.extra, "airspeed"])
+    with without_warnings():
+        names = list(everything.fit(table).regressors_)
+    Y = np.asarray(targets, dtype=float)
+    everything_known = np.column_stack([table[names].to_numpy(float), Y])
+    is_learned = np.isfinite(everything_known).all(axis=1)
+    Y = Y[is_learned]
+    fixed = [name for name in names if name not in ENGINE_REGRESSORS]
+    if len(Y) < n_blocks * len(names):  # too few to judge
+        return names
+    blocks = np.arange(len(Y)) * n_blocks // len(Y)
+    best: tuple[float, list[str]] = (np.inf, names)
+    for added in ([], ["throttle"], ["airspeed"], [*ENGINE_REGRESSORS]):
+        chosen = [*fixed, *(name for name in added if name in names)]
+        X = table.loc[is_learned, chosen].to_numpy(float)
+        error = _held_out_error(X, Y, blocks)
+        if error < (1 - LEAST_GAIN) * best[0]:
+            best = error, chosen
+    return best[1]
+
+
+def _held_out_error(X: Matrix, Y: Matrix, blocks: Indices) -> float:
+    """Return the error of linear models of Y (n, P) on blocks of rows held out in turn, over the spread of Y.
+
+    The geometric mean of the outputs.
+    """
+    errors = np.empty_like(Y)
+    for block in np.unique(blocks):
+        held_out = blocks == block
+        model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
+        errors[held_out] = model.predict(X[held_out]) - Y[held_out]
+    spread = np.std(Y, axis=0)
+    relative = np.sqrt(np.mean(errors**2, axis=0))[spread > 0] / spread[spread > 0]
+    return float(np.exp(np.mean(np.log(np.maximum(relative, LEAST_ERROR)))))
+
+
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
@@ -209,13 +273,24 @@ class FlightPipeline(Pipeline):
             self.fit_regressors(X, y, **params)
         return self
 
-    def fit_regressors(self, X: pd.DataFrame, y: Any, **params: Any) -> Matrix:
-        """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights."""
+    def fit_regressors(
+        self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False, **params: Any
+    ) -> Matrix:
+        """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights.
+
+        ``choose_engine``: of throttle and airspeed the set of regressors gets those of
+        `engine_regressors`.
+        """
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        steps = self[:-1]
-        transformed = np.asarray(steps.fit_transform(X, y))
-        self.steps = [*steps.steps, (name, last)]  # a memory fits clones
+        place = list(self.named_steps).index("regressorselector")
+        before = self[:place]
+        made = before.fit_transform(X, y)
+        if choose_engine:
+            self.set_params(regressorselector__regressors=engine_regressors(self[place], made, y))
+        steps = self[place:-1]
+        transformed = np.asarray(steps.fit_transform(made, y))
+        self.steps = [*before.steps, *steps.steps, (name, last)]  # a memory fits clones
         last.fit(transformed, y, **self._known_slopes(transformed, y) | self._clock(X) | parameters)
         self._learn_turbulence(X)
         return transformed

@@ -27,6 +27,12 @@ SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
+# The rudder's side force is opposite to its yawing moment, as it acts behind the centre of gravity
+OPPOSITE = ("CY_rudder", "Cn_rudder")
+# Largest effects on drag by non-dimensional rates: textbooks neglect them (guess)
+LARGEST = {"CD_q": 5.0, "CD_p": 5.0, "CD_r": 5.0}
+# Vanes without which a coefficient is predicted from angles that its own accelerometer gave
+VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # kinds of modes that a controller of attitude works in
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
 MOMENTS = ("Cl", "Cm", "Cn")
@@ -48,9 +54,10 @@ def judge(
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table = scores(evaluations)["measured"]
     doubts = _doubts(fit, findings)
-    faults = [*doubts, *_wrong_signs(mechanics.derivatives)]
+    derivatives = mechanics.derivatives
+    faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
     uses = (
-        _prediction(table),
+        _prediction(table, _by_construction(evaluations, fit)),
         _simulation(mechanics, fit.regressors),
         _control(mechanics, table, faults),
     )
@@ -86,10 +93,30 @@ def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _with_doubts(use: Use, doubts: Sequence[Finding]) -> Use:
-    """Return a judgement with the doubts; no use is then judged with "yes"."""
-    if use.fit != "yes" or not doubts:
+    """Return a judgement with the doubts: no use is then judged with "yes", or only "no" if an estimate failed."""
+    if use.fit not in ("yes", "partly") or not doubts:
+        return use
+    if any(map(_is_failure, doubts)):
+        return Use(use.purpose, "no", (*use.findings, *doubts))
+    if use.fit == "partly":
         return use
     return Use(use.purpose, "partly", (*use.findings, *doubts))
+
+
+def _is_failure(doubt: Finding) -> bool:
+    """Return whether the air was estimated and the estimate did not converge, so that alpha and beta are wrong."""
+    cause = doubt.numbers.get("cause")
+    return cause is not None and cause.code is Code.AIR_NOT_CONVERGED
+
+
+def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[str, str]:
+    """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
+    missing = {}
+    for coefficient, vane in VANES_OF.items():
+        lacking = [vane not in flight.table for flight in evaluations]
+        if vane in fit.regressors and all(lacking):
+            missing[coefficient] = vane
+    return missing
 
 
 def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
@@ -98,10 +125,26 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
         return []
     signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
+    by_rudder = derivatives["value"].reindex([*OPPOSITE])
+    if (by_rudder > 0).all() or (by_rudder < 0).all():
+        wrong = wrong.combine_first(by_rudder.iloc[:1])
     if wrong.empty:
         return []
     numbers = {"values": wrong.to_dict(), "names": list(wrong.index)}
     return [Finding(Code.WRONG_SIGNS, numbers=numbers)]
+
+
+def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
+    """Return the finding of derivatives that are surely larger than on any aircraft, if any."""
+    if derivatives.empty or "std" not in derivatives:
+        return []
+    values = derivatives.loc[derivatives.index.isin(LARGEST), ["value", "std"]]
+    least = values["value"].abs() - 1.96 * values["std"]
+    large = values.loc[least > pd.Series(LARGEST).reindex(values.index), "value"]
+    if large.empty:
+        return []
+    numbers = {"values": large.to_dict(), "names": list(large.index)}
+    return [Finding(Code.IMPLAUSIBLE_SIZES, numbers=numbers)]
 
 
 def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -119,9 +162,22 @@ def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
     return Use(purpose, fit, (Finding(code, numbers=numbers),))
 
 
-def _prediction(table: pd.DataFrame) -> Use:
-    """Return whether the model predicts coefficients."""
+def _prediction(table: pd.DataFrame, missing: dict[str, str]) -> Use:
+    """Return whether the model predicts coefficients, of which those that lack a vane cannot be judged."""
     purpose = "predict coefficients"
+    if table["normalized_rmse"].mean() > 1:
+        return _use(purpose, "no", Code.DIVERGING, error=table["normalized_rmse"].mean())
+    judged = _judged(purpose, table.drop(index=list(missing)))
+    if not missing:
+        return judged
+    numbers = {"names": list(missing), "vanes": list(missing.values())}
+    finding = Finding(Code.BY_CONSTRUCTION, numbers=numbers)
+    fit = "partly" if judged.fit == "yes" else judged.fit
+    return Use(purpose, fit, (*judged.findings, finding))
+
+
+def _judged(purpose: str, table: pd.DataFrame) -> Use:
+    """Return the judgement of coefficients by their errors and bands."""
     errors = table["normalized_rmse"]
     coverages = table["interval_coverage"]
     is_large = ~(errors <= THRESHOLDS.error)
@@ -241,4 +297,7 @@ def _scored(
     if len(narrow):
         numbers = {"coverages": narrow.to_dict()}
         findings.append(Finding(Code.BANDS_TOO_NARROW, numbers=numbers))
+    wide = coverages[coverages > THRESHOLDS.widest]
+    if len(wide):
+        findings.append(Finding(Code.BANDS_TOO_WIDE, numbers={"coverages": wide.to_dict()}))
     return findings

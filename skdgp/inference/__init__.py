@@ -33,6 +33,7 @@ from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
+from skdgp.inference._likelihood import leave_one_out_error as leave_one_out_error
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings

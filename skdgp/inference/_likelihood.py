@@ -338,6 +338,23 @@ def log_likelihood(
         return value, -np.concatenate([np.sum(by_theta, axis=0), by_noise])
 
 
+def leave_one_out_error(kernel: MultiOutputKernel, noise: Vector, data: Data) -> float:
+    r"""Return the root mean square error of predictions of each value from all others, over its output's spread.
+
+    The errors are :math:`[K^{-1} y]_k / [K^{-1}]_{kk}` (Rasmussen & Williams 2006, equation 5.12).
+    """
+    y = np.concatenate(data.y)
+    with threads_for(data.n_values):
+        L = jittered_cholesky(lambda: covariance(kernel, noise, data))
+        inverse = cholesky_inverse(L)
+        alpha = dsymv(1.0, inverse, y, lower=1)
+    errors = alpha / np.diag(inverse)
+    spread = np.concatenate([np.full(len(part), np.std(part)) for part in data.y])
+    is_varied = spread > 0
+    relative = errors[is_varied] / spread[is_varied]
+    return float(np.sqrt(np.mean(relative**2))) if len(relative) else 0.0
+
+
 def _value(L, y):
     """Return equation 20."""
     white = triangular_solve(L, y)  # y^T K^-1 y = white^T white

@@ -44,6 +44,8 @@ class Optimum(NamedTuple):
     n_iter: int
     remaining: float  # expected rise of the likelihood in as many iterations again [nats]
     converged: bool  # stopped because the likelihood no longer rose
+    earlier: np.ndarray | None = None  # best point some evaluations before the end
+    n_since: int = 0  # number of evaluations since then
 
 
 class _Loss:
@@ -57,6 +59,7 @@ class _Loss:
         self.value = -np.inf
         self.latest = -np.inf
         self.best_values: list[float] = []  # after each evaluation
+        self.best_points: list[Vector] = []
 
     def __call__(self, theta):
         if self.stop.is_set():
@@ -76,6 +79,7 @@ class _Loss:
             self.value = value
         self.latest = value
         self.best_values.append(self.value)
+        self.best_points.append(self.theta)
         notify(self.stage, len(self.best_values), self.value)
         return -value, -gradient
 
@@ -144,7 +148,9 @@ def maximize(
         if not keeps_best():
             raise
         stop.set()
-    return Optimum(loss.theta, loss.value, *end)
+    n_since = min(settings.recent, len(loss.best_points)) - 1
+    earlier = loss.best_points[-1 - n_since] if n_since > 0 else None
+    return Optimum(loss.theta, loss.value, *end, earlier, max(n_since, 0))
 
 
 class _End(NamedTuple):

@@ -23,7 +23,12 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._likelihood import Data, coupled_outputs, log_likelihood
+from skdgp.inference._likelihood import (
+    Data,
+    coupled_outputs,
+    leave_one_out_error,
+    log_likelihood,
+)
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
 from skdgp.inference._posterior import ExactPosterior
@@ -73,6 +78,8 @@ class SearchSettings:
     noise_steps: int = 10
     #: Expected rise of the likelihood for each value up to which a search has converged [nats]
     irrelevant_rise: float = 0.05
+    #: Expected change of the leave-one-out error, over itself, up to which a search has converged
+    irrelevant_change: float = 0.02
     #: Of each maximisation
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(grid=2.0**-14))
 
@@ -391,7 +398,9 @@ class _JointSearch(NamedTuple):
             data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
             noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
             bounds = np.concatenate([bounds, input_bounds])
-        best, noise, end = self._climb(start, noise, bounds, data, options.max_iter - n_iter)
+        n_left = options.max_iter - n_iter
+        best, noise, end = self._climb(start, noise, bounds, data, n_left)
+        converged = end.converged or self._gains_nothing(best, noise, data, end, n_left)
         # noise that does not raise the likelihood is none; fewer iterations saw exact regressors
         is_worse = options.input_noise and end.value < of_exact_regressors
         if is_worse and self.known.input_std is None and not self.stop.is_set():
@@ -409,7 +418,6 @@ class _JointSearch(NamedTuple):
             input_std = self.known.input_std
             if input_std is None:
                 input_std = self.scale * np.sqrt(noise[P:])
-        irrelevant = options.settings.irrelevant_rise * data.n_values
         return Hyperparameters(
             best,
             noise[:P],
@@ -417,9 +425,26 @@ class _JointSearch(NamedTuple):
             n_iter=n_iter + end.n_iter,
             interrupted=self.stop.is_set(),
             remaining=end.remaining,
-            converged=bool(end.converged or end.remaining <= irrelevant),
+            converged=converged,
             log_likelihood=end.value,
         )
+
+    def _gains_nothing(self, kernel, noise, data, end, n_iter) -> bool:
+        """Return whether as many iterations again are expected to change likelihood or errors by nothing relevant.
+
+        The error by leaving one value out is extrapolated from its change in the last evaluations: the
+        likelihood may rise for long by widths that hardly change predictions.
+        """
+        settings = self.options.settings
+        if end.remaining <= settings.irrelevant_rise * data.n_values:
+            return True
+        if end.earlier is None or self.stop.is_set():
+            return False
+        objective = Objective(kernel, data, len(noise))
+        earlier = leave_one_out_error(*objective.at(end.earlier), data)
+        latest = leave_one_out_error(kernel, noise, data)
+        change = abs(latest - earlier) * n_iter / end.n_since
+        return change <= settings.irrelevant_change * latest
 
     def _start(self, kernel):
         return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)

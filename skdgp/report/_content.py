@@ -35,6 +35,7 @@ class Thresholds(NamedTuple):
     # Smallest share of measured values in a 95 % band of each coefficient for a controller: bands of
     # derivatives are of the same model (guess)
     held: float = 0.80
+    widest: float = 0.99  # larger share, which marks bands as too wide (guess)
     # Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
     # half the gain.
     band: float = 0.5

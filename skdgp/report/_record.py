@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from skdgp._compute.findings import Code, Finding
@@ -26,6 +26,9 @@ class TrainingRecord:
         By coefficient ``intercept`` and slopes of the linear model of the same rows.
     flights : mapping of str to int
         Rows of each training flight.
+    conditions : mapping of str to float
+        Medians of the columns of the training flights, where derivatives are judged; empty of
+        models that do not know them.
     """
 
     samples: int
@@ -35,14 +38,15 @@ class TrainingRecord:
     thrust: Sequence[str]
     least_squares: Mapping[str, Mapping[str, float]]
     flights: Mapping[str, int]
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainingRecord | None:
         """Return the record in plain values, as of a model file; None if these lack it."""
-        names = [field.name for field in fields(cls)]
-        if not values.keys() >= {*names}:
+        names = {entry.name for entry in fields(cls)}
+        if not values.keys() >= names - {"conditions"}:
             return None
-        return cls(**{name: values[name] for name in names})
+        return cls(**{name: values[name] for name in names & values.keys()})
 
 
 @dataclass(frozen=True, kw_only=True)

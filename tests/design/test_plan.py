@@ -312,3 +312,13 @@ def test_what_a_model_does_not_know_is_said(model, uav, point):
     old.flown = FLOWN | {"altitude": (100.0, 100.0)}
     assert Envelope().unlimited(old) == ["altitude"]
     assert not Envelope(altitude=0.0).unlimited(old)
+
+
+def test_nothing_is_promised_for_controls_that_do_not_move(model, uav, point):
+    found = plan(model, uav, point, **OPTIONS | {"goal": None})
+    by_controls = found.errors.index.str.endswith(("_aileron", "_rudder"))
+    assert len(found.errors) > 6
+    assert not by_controls.any()
+    with pytest.warns(UserWarning, match="no manoeuvre that moves the controls of Cn_rudder"):
+        asked = plan(model, uav, point, **OPTIONS | {"goal": ["Cm_q", "Cn_rudder"]})
+    assert list(asked.errors.index) == ["Cm_q"]

@@ -175,3 +175,34 @@ class TestLeastSquares:
         )
         baseline = result.evaluations[0].baseline
         assert_allclose(baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("of_throttle", "of_airspeed", "expected"),
+    [(0.0, 0.0, set()), (1.0, 0.0, {"throttle"}), (1.0, 0.5, {"throttle", "airspeed"})],
+)
+def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coefficients(
+    of_throttle, of_airspeed, expected
+):
+    rng = default_rng(0)
+    n = 400
+    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
+    # slow drifts, which lead a model of blocks astray if nothing stands behind them
+    drifts = np.cumsum(rng.normal(size=(n, 2)), axis=0) / 20
+    flight = pd.DataFrame(rng.normal(size=(n, 8)), columns=names).assign(
+        time=0.05 * np.arange(n), airspeed=20 + drifts[:, 0], throttle=drifts[:, 1]
+    )
+    effects = rng.normal(size=(8, 6))
+    Y = pd.DataFrame(flight[names] @ effects + 0.1 * rng.normal(size=(n, 6)))
+    Y[0] += 20 * of_throttle * flight["throttle"] + 20 * of_airspeed * flight["airspeed"]
+    model = make_identification_pipeline(
+        Aircraft.estimate(3.0, 1.8),
+        reconstruction="passthrough",
+        cutoff=None,
+        lags=None,
+        regressor=DependentGPRegressor(structure="trend", random_state=0),
+    ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
+    model.fit_regressors(flight, Y, choose_engine=True)
+    chosen = model["regressorselector"].regressors_
+    assert {"throttle", "airspeed"} & {*chosen} == expected
+    assert len(chosen) == 8 + len(expected)

@@ -96,7 +96,7 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         baseline=measured + linear * noise,
         std=np.full((n, 6), 0.01),
         measured_std=error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6)),
-        table=pd.DataFrame({"time": time}),
+        table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
         rows=np.arange(n),
         regressors=measured,
     )
@@ -360,6 +360,54 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
     assert "yes" in {use.fit for use in verdict().uses}
     assert found.findings[1:] == (ALONE["a"],)
     assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
+
+
+def test_effects_that_no_aircraft_has_forbid_a_controller():
+    table = mechanics().derivatives
+    for name, value, wrong in [
+        ("CD_q", 31.6, True),
+        ("CD_q", 0.5, False),
+        ("CY_rudder", -0.1, True),  # of the sign of Cn_rudder
+        ("CY_rudder", 0.1, False),
+    ]:
+        added = pd.DataFrame({"value": [value], "std": [value / 4]}, index=[name])
+        found = verdict(derivatives=pd.concat([table, added]))
+        assert (use(found, "design a controller")[0] == "no") is wrong
+        if wrong:
+            assert f"{name} {value:+.2g}" in found.warnings[0]
+            assert "the accelerometers" in found.warnings[0]
+
+
+def test_without_vanes_forces_that_agree_by_construction_are_not_judged():
+    """Alpha and beta follow from the accelerometers that give CZ and CY."""
+    flight = evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])
+    blind = replace(flight, table=flight.table[["time"]])
+    fit, reason = use(verdict([blind]), "predict coefficients")
+    assert fit == "partly"
+    assert reason.startswith("only CX Cl Cm. Cn: error 0.70 of its spread")
+    assert "CZ and CY cannot be judged without alpha and beta" in reason
+    no_angles = {"regressors": ["p_hat", "elevator"]}
+    assert "judged" not in use(verdict([blind], fit=no_angles), "predict coefficients")[1]
+
+
+def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
+    cause = Finding(Code.AIR_NOT_CONVERGED)
+    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
+    found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])], findings=[doubt])
+    assert {use.fit for use in found.uses} == {"no"}
+
+
+def test_predictions_that_diverge_are_of_no_use():
+    found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 187.3])])
+    fit, reason = use(found, "predict coefficients")
+    assert fit == "no"
+    assert reason == "the error is 31.3 of the spread, so a constant predicts better"
+
+
+def test_bands_that_hold_everything_are_too_wide():
+    flight = evaluation(error=0.1)
+    wide = replace(flight, measured_std=3 * flight.measured_std)
+    assert verdict([wide]).warnings[0].startswith("95 % bands are too wide: they hold CX 100.0 %")
 
 
 @pytest.mark.parametrize("where", ["fit", "test"])

@@ -15,6 +15,7 @@ from skdgp.inference import (
     ExactPosterior,
     PosteriorSettings,
     TileSettings,
+    leave_one_out_error,
     log_likelihood,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -53,6 +54,19 @@ class TestLikelihood:
         value, gradient = likelihood(problem, eval_gradient=True)
         assert value == pytest.approx(at(theta))
         assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
+
+    def test_leave_one_out_error_is_that_of_leaving_one_value_out(self, problem):
+        """Over the spread of each output; the conditional mean of one value given the others."""
+        outputs = np.repeat(np.arange(len(problem.data.y)), [len(y) for y in problem.data.y])
+        errors = []
+        for k, value in enumerate(problem.y):
+            others = np.arange(len(problem.y)) != k
+            weights = np.linalg.solve(problem.K[np.ix_(others, others)], problem.K[others, k])
+            spread = np.std(problem.y[outputs == outputs[k]])
+            errors.append((value - weights @ problem.y[others]) / spread)
+        expected = np.sqrt(np.mean(np.square(errors)))
+        found = leave_one_out_error(problem.kernel, problem.noise, problem.data)
+        assert found == pytest.approx(expected)
 
     @pytest.mark.parametrize("silent", [0, 1, 2])
     def test_an_output_without_values_has_no_gradient_by_its_noise(self, one_problem, silent):

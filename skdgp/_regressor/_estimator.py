@@ -95,9 +95,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         from at most 1800 values. "auto" is "exact" up to 1000 observed values of a time series, and
         "sparse" for more. Without ``time`` it is "exact" up to 6000, but above 1500 "sparse" where
         the inducing inputs leave at most 0.003 of the noise variance unexplained (Burt, Rasmussen &
-        van der Wilk 2020), so that errors are within 1 % of exact ones. Of more than 6000 it is
-        "sparse" where up to four times as many inducing inputs leave at most 0.3, else "exact" on
-        6000 of the values. The result is in ``inference_``.
+        van der Wilk 2020), so that errors are within 1 % of exact ones. Of N > 6000 it is "sparse"
+        where up to four times as many inducing inputs leave at most 0.003 (N / 6000)^2, or 0.3,
+        else "exact" on 6000 of the values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference; "auto" may take more.
     input_noise : {"auto", "learned"}, array (d,) or None

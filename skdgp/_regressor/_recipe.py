@@ -57,7 +57,7 @@ class RegressorSettings:
     #: Largest prior variance that inducing variables leave unexplained, over the noise variance,
     #: where exact inference on all values is possible: errors are within 1 % of exact ones
     least_neglected: float = 0.003
-    #: The same where it is possible on some of the values
+    #: The same where it is possible on a small part of the values; it grows with their number squared
     most_neglected: float = 0.3
     #: Numbers of inducing inputs that inference="auto" tries before that, over ``n_inducing``
     times_inducing: tuple[int, ...] = (1, 2, 4)
@@ -271,13 +271,17 @@ class Recipe:
         """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
         settings = self.settings
         is_auto = self.inference == "auto"
+        most = settings.most_neglected
+        if is_auto:
+            grown = settings.least_neglected * (samples.data.n_values / settings.exact_values) ** 2
+            most = min(grown, most)
         for times in settings.times_inducing if is_auto else (1,):
             n_inducing = times * self.n_inducing
             fit = self._sparse(learned, samples, n_inducing, rng)
             if not self._can_neglect(fit.learned):
                 return fit, samples
             neglected = fit.posterior.neglected_variance
-            if neglected <= settings.most_neglected:
+            if neglected <= most:
                 return fit, samples
             if 2 * fit.posterior.size > settings.exact_values:
                 break  # exact inference takes less time

@@ -598,10 +598,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         They are (n, P, d), or (n, d) for one-dimensional targets. The slopes of `sample_paths` show
         their spread. With standard deviations ``spread`` (d,) of the regressors they are
 
-        .. math:: E[\partial f / \partial x], \quad x \sim N(X, \mathrm{diag}(s^2)),
+        .. math:: E[\partial f / \partial x_k], \quad x_k \sim N(X_k, s_k^2),
 
-        the slopes of the best linear approximation over this perturbation (statistical
-        linearisation: Gelb 1974, section 6.2). Raises ValueError unless they are d finite numbers
+        the slopes of the best linear approximation over a perturbation of each regressor alone
+        (statistical linearisation: Gelb 1974, section 6.2). Raises ValueError unless they are d finite numbers
         from 0 on.
 
         Examples

@@ -189,10 +189,10 @@ class Aerodynamics:
         r"""Return the model with slopes over a perturbation, "flown" for that of the training flights.
 
         Slopes, those of functions drawn from the posterior too, are then
-        :math:`E[\partial C / \partial x]` for normal regressors with the standard deviations
-        ``perturbation``: those of the best linear approximation there (statistical linearisation:
-        Gelb 1974, section 6.2). None is the model with local slopes, as is a model that knows no
-        perturbation. Raises ValueError for others.
+        :math:`E[\partial C / \partial x_k]` for each regressor, normal with the standard deviation
+        in ``perturbation``, while the others stay: those of the best linear approximation there
+        (statistical linearisation: Gelb 1974, section 6.2). None is the model with local slopes, as
+        is a model that knows no perturbation. Raises ValueError for others.
         """
         if perturbation not in ("flown", None):
             raise ValueError(

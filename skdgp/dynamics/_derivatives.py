@@ -70,11 +70,12 @@ def stability_derivatives(
         Regressors of rows that are flown next, as :func:`skdgp.design.plan` chooses them. Standard
         deviations are then those expected of a model learned from these rows too.
     perturbation : {"flown", None}
-        Derivatives are :math:`E[\partial C / \partial x]` for :math:`x \sim N(x_0, \mathrm{diag}(s^2))`,
-        the slopes of the best linear approximation over a perturbation (statistical linearisation:
-        Gelb 1974, section 6.2). "flown": s is the standard deviation of each regressor around the
-        trims of the training flights. None: local slopes, as always of a model that knows no
-        flights. Values of the coefficients are those at the flight in both cases.
+        Derivatives are :math:`E[\partial C / \partial x_k]` for :math:`x_k \sim N(x_{0k}, s_k^2)`, the
+        slopes of the best linear approximation over a perturbation of each regressor alone
+        (statistical linearisation: Gelb 1974, section 6.2). "flown": s is the
+        standard deviation of each regressor around the trims of the training flights. None: local
+        slopes, as always of a model that knows no flights. Values of the coefficients are those at
+        the flight in both cases.
 
     Returns
     -------

@@ -134,7 +134,7 @@ class AveragePosterior(Posterior):
         return moments(self.mixture, predictions, return_variance)
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
-        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
+        """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
         return moments(self.mixture, [member.gradient(Xs, spread) for member in self.members])
 
     def covariance(self, Xs: Matrix) -> np.ndarray:

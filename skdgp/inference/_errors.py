@@ -226,7 +226,7 @@ class PosteriorWithErrors(Posterior):
         return mean, variance + self.errors.variance(Xs)
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
-        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
+        """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
         return self.posterior.gradient(Xs, spread)
 
     def covariance(self, Xs: Matrix) -> Matrix:

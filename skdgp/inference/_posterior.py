@@ -73,7 +73,7 @@ class Posterior(ABC):
 
     @abstractmethod
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
-        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
+        """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
 
     @abstractmethod
     def covariance(self, Xs: Matrix) -> Matrix:
@@ -145,10 +145,16 @@ class SinglePosterior(Posterior):
 
     @few_threads
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
-        """Return d mean / d x at Xs, (n, P, d), or its expectation over a normal perturbation of ``spread`` (d,)."""
+        """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
         width = np.shape(Xs)[1]
-        mean = self.mean_function if spread is None else self.mean_function.averaged(spread)
-        (slopes,) = self._in_batches(lambda X: [mean.slopes(X[None])[0]], Xs, width)
+        mean = self.mean_function
+
+        def of_batch(X: Matrix) -> list[Array]:
+            if spread is None:
+                return [mean.slopes(X[None])[0]]
+            return [mean.averaged_slopes(X[None], spread)[0]]
+
+        (slopes,) = self._in_batches(of_batch, Xs, width)
         return slopes
 
     def _moments(self, X):
@@ -370,15 +376,16 @@ class Paths:
         """Return the slopes of all paths at X (n, d), or of each path at its own points X (n_paths, n, d).
 
         The result is (n_paths, n, P, d), or (n_paths, n, d) for one-dimensional targets. With
-        ``spread`` (d,) they are expectations over a normal perturbation of X, as of
-        ``predict_gradient``.
+        ``spread`` (d,) they are expectations over a normal perturbation of each regressor
+        alone, as of ``predict_gradient``.
         """
         X = self._check_points(X, 3) if np.ndim(X) == 3 else self._check_points(X, 2)[None]
         with threads_for(X.shape[1]):
-            bundle = self.bundle
-            if spread is not None:
-                bundle = bundle.averaged(check_spread(spread, self.n_features))
-            return self._squeeze(bundle.slopes(X) * np.reshape(self.scale, (-1, 1)))
+            if spread is None:
+                slopes = self.bundle.slopes(X)
+            else:
+                slopes = self.bundle.averaged_slopes(X, check_spread(spread, self.n_features))
+            return self._squeeze(slopes * np.reshape(self.scale, (-1, 1)))
 
     def _values(self, X):
         with threads_for(X.shape[1]):

@@ -53,10 +53,20 @@ class PathBundle(ABC):
     def averaged(self, spread: Vector) -> PathBundle:
         """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
 
-        Their slopes are those of the best linear approximation over this perturbation (Stein's
-        lemma). By default they are means over fixed draws of e.
+        By default they are means over fixed draws of e.
         """
         return MeanPaths(self, spread * normal_nodes(len(spread)))
+
+    def averaged_slopes(self, X: Array, spread: Vector) -> np.ndarray:
+        """Return the slope by each regressor, expected over a normal perturbation of it alone, (S, n, P, d).
+
+        It is that of the best linear approximation over this perturbation (Stein's lemma), and the
+        slope of the expected function.
+        """
+        slopes = []
+        for k, alone in enumerate(np.diag(spread)):
+            slopes.append(self.averaged(alone).slopes(X)[..., k])
+        return np.stack(slopes, axis=-1)
 
     def __add__(self, other: PathBundle) -> SumPaths:
         return SumPaths(self, other)

@@ -390,8 +390,10 @@ def _slopes(derivatives: pd.DataFrame) -> str:
             f"{row['regressor']} {number(row['perturbation'], '.2g')} {row['per']}".strip()
         )
     return _note(
-        "Derivatives are slopes of the best linear approximation over normal perturbations with "
-        "the standard deviations flown around the trims: " + text(", ".join(sizes)) + "."
+        "Derivatives are slopes of the best linear approximation over a normal perturbation of "
+        "each regressor, with the standard deviation flown around the trims: "
+        + text(", ".join(sizes))
+        + "."
     )
 
 

@@ -36,6 +36,7 @@ from skdgp._flight.channels import (
     MIXED,
     RATES,
     SPECIFIC_FORCE,
+    VANES,
 )
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_matrix
@@ -266,24 +267,25 @@ def gravity(flight: Signals) -> Regression:
 def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression:
     """Return a rate or specific force, and its effects.
 
-    Responses over V^2 are linear in angles, rates over V and surfaces. A specific force stands for an
-    angle that was not measured.
+    Responses over V^2 are linear in angles, rates over V and surfaces. Where an angle was not
+    measured, all are changes from one window to the next, in which it hardly moves. A specific force
+    would not stand for it: ahead of the centre of gravity it holds the angular acceleration.
     """
     window = flight.settings.response_window
     airspeed = flight["airspeed"]
     columns = []
     for effect in effects:
-        stand_in = STAND_INS.get(effect, "")
         if effect in RATES and effect in flight:
             columns.append(airspeed * flight[effect])
         elif effect in flight:
             columns.append(airspeed**2 * flight[effect])
-        elif stand_in in flight:
-            columns.append(flight[stand_in])
     columns.append(airspeed**2)
-    x, *others = [flight.integral(column, window) for column in columns]
     grows = flight.change if name in RATES else flight.integral
-    y = grows(flight[name], window)
+    signals = [grows(flight[name], window)]
+    signals += [flight.integral(column, window) for column in columns]
+    if any(effect in VANES and effect not in flight for effect in effects):
+        signals = [flight.change(signal, window) for signal in signals]
+    y, x, *others = signals
     return Regression(y, x, others)
 
 
@@ -306,8 +308,6 @@ GUSTY: Interval = (-0.5, 1.5)
 POSITIVE: Interval = (0.0, np.inf)
 NEGATIVE: Interval = (-np.inf, 0.0)
 EXPECTED = {EQUAL: "1", GUSTY: "0 to 1", POSITIVE: "a positive one", NEGATIVE: "a negative one"}
-# specific forces that grow with the angles
-STAND_INS = {"alpha": "az", "beta": "ay"}
 # lags that are tried [s], > 0 where y is late against x
 NO_LAG = (0.0,)
 KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)

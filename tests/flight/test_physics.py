@@ -102,6 +102,18 @@ def vibrating(flight, size=3.0):
     return shaken
 
 
+def ahead(flight, arm=1.8):
+    """Return a flight whose accelerometers are ``arm`` [m] ahead of the centre of gravity."""
+    rates = flight[["p", "q", "r"]].to_numpy()
+    step = float(np.median(np.diff(flight["time"])))
+    p, q, r = rates.T
+    _, q_dot, r_dot = signal.savgol_filter(rates, 11, 2, 1, step, axis=0).T
+    added = np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
+    moved = flight.copy()
+    moved[FORCES] += arm * added
+    return moved
+
+
 # Factors of channels, the channels that are found, and the slope that shows it (None: of a known sign)
 SCALED = [
     ({"alpha": -1}, "alpha", None),
@@ -236,6 +248,7 @@ CLEAN = {
     "slow servos": lambda flight: held(flight, {"elevon_left elevon_right rudder throttle": 5}),
     "late GPS": lambda flight: late(flight, 0.2, "v_north v_east v_down"),
     "no vanes": lambda flight: flight.drop(columns=["alpha", "beta"]),
+    "no vanes, accelerometers ahead": lambda flight: ahead(flight).drop(columns=["alpha", "beta"]),
 }
 
 
@@ -243,6 +256,13 @@ CLEAN = {
 @pytest.mark.parametrize("name", ["lateral", "latlon"])
 def test_good_flights_have_none(flights, logged, name):
     assert contradictions(CLEAN[logged](flights[name])) == []
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_reversed_rudder_is_found_without_vanes(flight, moved):
+    log = ahead(flight) if moved else flight
+    found = contradictions(opposite(log.drop(columns=["alpha", "beta"]), "rudder"))
+    assert channels_of(found) == {"rudder"}
 
 
 def test_good_flights_together_have_none(flights):

@@ -92,7 +92,7 @@ def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None
     whole = np.isfinite(values).all(axis=1)
     if not is_sampled.any() or whole.mean() < settings.sampled:
         return None
-    changes = 1 + np.flatnonzero(np.any(np.diff(values, axis=0) != 0, axis=1))
+    changes = 1 + np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
     if len(changes) < settings.least_changes:
         return None
     gaps = np.diff(changes)

@@ -30,7 +30,9 @@ QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", 
 def assert_only_stopped(messages):
     """Assert that nothing is said but of few rows and that a search stopped at its limit, which depends on rounding."""
     expected = "The fit stopped at max_iter", "Got 40 rows for 9 regressors"
-    assert [each for each in messages if not any(words in each for words in expected)] == []
+    # without a terminal, a command that takes long prints the stage that it is in
+    said = [each for each in messages if not re.fullmatch(r"[a-z ]+( · .*)?", each)]
+    assert [each for each in said if not any(words in each for words in expected)] == []
 
 
 @pytest.fixture

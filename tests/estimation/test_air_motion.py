@@ -216,7 +216,7 @@ def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
     names = [name for name in found.derivatives.index if name in flown.index and name[:2] != "CX"]
     value, std, _ = found.derivatives.loc[names].to_numpy().T
     assert_array_less(abs(flown.loc[names, "value"] - value), 0.5 * std)
-    assert_array_less(0.95 * std, flown.loc[names, "std"])  # of 500 paths, 3 %
+    assert_array_less(0.92 * std, flown.loc[names, "std"])  # of 500 paths, 3 %
 
 
 def test_calm_flight_without_inputs_has_wide_bands():

@@ -235,6 +235,9 @@ def _p_value(weights: Vector, covariance: Matrix, n_blocks: int) -> float:
 
 
 def combined(p_values: Sequence[float]) -> float:
-    """Return Cauchy's combination of p-values, NaN if one is."""
-    angles = np.pi * (0.5 - np.asarray(p_values, dtype=float))
+    """Return Cauchy's combination of the p-values that are known, NaN if none is."""
+    known = [p for p in p_values if np.isfinite(p)]
+    if not known:
+        return float("nan")
+    angles = np.pi * (0.5 - np.asarray(known))
     return float(0.5 - np.arctan(np.mean(np.tan(angles))) / np.pi)

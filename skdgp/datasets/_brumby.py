@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -125,7 +126,7 @@ def brumby_derivatives(regressors: ArrayLike) -> Array:
     return np.swapaxes(derivatives, -1, -2)
 
 
-def brumby_motion() -> Motion:
+def brumby_motion(coefficients: Callable[[Array], Array] = brumby_coefficients) -> Motion:
     """Return how the Brumby moves; alpha_dot and beta_dot lag by one call, as in the steps of the example flights."""
     names = [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
-    return Motion(Aerodynamics(brumby_coefficients, names), BRUMBY, lagged=True)
+    return Motion(Aerodynamics(coefficients, names), BRUMBY, lagged=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -174,21 +174,32 @@ def _flights(
     gust_seed, *sensor_seeds = seeds
     rng = np.random.default_rng(gust_seed)
     record, instant = fly_plans(FLIGHT_PLANS, duration, turbulence, rng)
-    logged, true = _columns(record, instant)
+    logs = flight_logs(record, instant, sensor_noise, sensor_seeds)
     tables = {}
-    for k, plan in enumerate(FLIGHT_PLANS):
-        rng = np.random.default_rng(sensor_seeds[k])
-        exact = pd.DataFrame({name: true[name][:, k] for name in TRUTH})
-        truth = exact.add_suffix(TRUTH_SUFFIX)
-        table = measure(truth, sensor_noise, rng)
-        table["flight"] = plan.name
-        for name, values in logged.items():
-            table[name] = values[:, k]
-        tables[plan.name] = pd.concat([table[list(MEASURED)], truth], axis=1)
+    for plan, log in zip(FLIGHT_PLANS, logs, strict=True):
+        log.insert(1, "flight", plan.name)
+        tables[plan.name] = log
     test = tables.pop(TEST_FLIGHT)
     train = pd.concat(tables.values(), ignore_index=True)
     kinds = {"flight": "category"}
     return train.astype(kinds), test.astype(kinds)
+
+
+def flight_logs(
+    record: Record, instant: Instant, sensor_noise: float, seeds: Sequence[Any]
+) -> list[pd.DataFrame]:
+    """Return the log of each flight of `fly_plans`, measured columns and truth, with a seed of its sensors."""
+    logged, true = _columns(record, instant)
+    logs = []
+    for k, seed in enumerate(seeds):
+        exact = pd.DataFrame({name: true[name][:, k] for name in TRUTH})
+        truth = exact.add_suffix(TRUTH_SUFFIX)
+        table = measure(truth, sensor_noise, np.random.default_rng(seed))
+        for name, values in logged.items():
+            table[name] = values[:, k]
+        measured = [name for name in MEASURED if name != "flight"]
+        logs.append(pd.concat([table[measured], truth], axis=1))
+    return logs
 
 
 def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -241,10 +252,12 @@ def fly_plans(
     duration: float,
     turbulence: float,
     rng: np.random.Generator,
+    coefficients: Callable[[Array], Array] = brumby_coefficients,
 ) -> tuple[Record, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
+    ``coefficients`` is the true aerodynamics.
     """
     step = SIMULATION.step
     n_settling = round(SIMULATION.settling / step)
@@ -253,7 +266,7 @@ def fly_plans(
     wind = np.array([plan.wind for plan in plans])
     gusts = _gusts(plans, 2 * n_times + 1, turbulence, rng)
     air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
-    motion = brumby_motion()
+    motion = brumby_motion(coefficients)
     controls = FlightControls(plans, time, step)
     states = _initial_states(controls, wind)
     flown = fly_record(motion, controls, air, Clock(step, n_times - 1), states)

@@ -1,5 +1,6 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
+from skdgp.identification._changed import Changes, ChangeSettings, changed, changes_of
 from skdgp.identification._evaluate import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
@@ -12,9 +13,13 @@ from skdgp.identification._pipeline import (
 )
 
 __all__ = [
+    "ChangeSettings",
+    "Changes",
     "FlightPipeline",
     "Identification",
     "ModelFileError",
+    "changed",
+    "changes_of",
     "check_identified",
     "flight_regressors",
     "identify",

@@ -1,0 +1,243 @@
+"""Whether an aircraft has changed since a model of it was learned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+from scipy.stats import f as f_distribution
+from sklearn.pipeline import Pipeline
+from sklearn.utils import Bunch
+
+from skdgp._compute.statistics import autocorrelation_time
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._display.page import section
+from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.identification._evaluate import usable_flights_of_model
+from skdgp.identification._flights import named_flights
+from skdgp.identification._pipeline import flight_regressors, regressor_names
+
+WHOLE = "whole"
+
+
+@dataclass(frozen=True)
+class ChangeSettings:
+    """Settings of the test for a change, chosen."""
+
+    # blocks of a flight that are wanted, and at least so many more than there are weights
+    n_blocks: int = 60
+    spare_blocks: int = 12
+    # length of a block in autocorrelation times of the residuals, if enough blocks remain
+    block_times: float = 4.0
+    # shortest block in autocorrelation times; in a shorter flight nothing can be told
+    fewest_times: float = 1.0
+    # rows at which the covariance of the function is evaluated
+    n_rows: int = 100
+    # p-value below which the summary says that the aircraft has changed
+    level: float = 0.05
+
+
+SETTINGS = ChangeSettings()
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Test of flights for a change of the aircraft, by `changed`.
+
+    Attributes
+    ----------
+    p_values : DataFrame
+        By flight: of CX CY CZ Cl Cm Cn and of the whole. Probability of residuals at least as far
+        from zero if the aircraft has not changed; NaN where the flight is too short.
+    derivatives : DataFrame
+        By flight and derivative such as Cm_alpha: the likely ``change`` and its ``std``. The change
+        of a coefficient itself, at the mean of the training flights, has its name alone.
+    level : float
+        p-value below which the summary says that the aircraft has changed.
+    """
+
+    name: ClassVar[str] = "changed"
+    p_values: pd.DataFrame
+    derivatives: pd.DataFrame
+    level: float = SETTINGS.level
+
+    def largest(self, flight: str, n: int = 3) -> pd.DataFrame:
+        """Return the n changes of a flight that are most standard deviations from zero."""
+        table = self.derivatives.loc[flight]
+        deviations = (table["change"] / table["std"]).abs()
+        return table.loc[deviations.sort_values(ascending=False).index[:n]]
+
+    def summary(self) -> list[str]:
+        """Return a line for each flight."""
+        lines = []
+        for flight, p in self.p_values.iterrows():
+            whole = p[WHOLE]
+            if not np.isfinite(whole):
+                lines.append(f"flight {flight}: too short to tell whether the aircraft has changed")
+                continue
+            text = f"flight {flight}: no change of the aircraft found (p = {whole:.2g})"
+            if whole < self.level:
+                parts = []
+                for name, row in self.largest(str(flight)).iterrows():
+                    parts.append(f"{name} {row['change']:+.2g} +- {row['std']:.1g}")
+                text = f"flight {flight}: the aircraft has changed (p = {whole:.2g}): likely "
+                text += ", ".join(parts) + ", +- one standard deviation"
+            lines.append(text)
+        return lines
+
+    def section(self) -> str:
+        """Return its section of the report, HTML."""
+        paragraphs = [f"<p>{escape(line)}</p>" for line in self.summary()]
+        table = self.p_values.to_html(float_format="{:.2g}".format, border=0)
+        return section("Has the aircraft changed?", *paragraphs, table)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        derivatives = {}
+        for flight in self.p_values.index:
+            derivatives[flight] = self.derivatives.loc[flight].to_dict("index")
+        return {"p_values": self.p_values.to_dict("index"), "derivatives": derivatives}
+
+
+def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) -> Changes:
+    r"""Return whether the aircraft of a model has changed in new flights.
+
+    The residuals r of a coefficient, measured less predicted, are fitted by least squares on the
+    regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
+    likely change of its derivatives. Without a change their covariance is
+
+    .. math:: C = \frac{B - 1}{B} \sum_b w_b w_b^T + G Q^T K Q G, \quad
+              w_b = G (I - Q_b^T Q_b G)^{-1} Q_b^T e_b.
+
+    The first part is the jackknife over B blocks of the flight, which are longer than the residuals
+    e of this fit are correlated (Bell & McCaffrey 2002): rougher air widens it. The second part is
+    the uncertainty K of the model's function. With k weights and :math:`\nu = B - 1`,
+    :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
+    :math:`F(k, \nu - k + 1)`. The p-values of the coefficients are combined into the whole by
+    Cauchy's combination, which allows for their dependence (Liu & Xie 2020).
+
+    Raises ValueError as `validate` does.
+
+    Parameters
+    ----------
+    model : Bunch
+        As of :func:`load_model`.
+    flights : as of :func:`identify`
+        Flights that the model did not learn from.
+    settings : ChangeSettings
+
+    Returns
+    -------
+    Changes
+    """
+    loads = {"thrust": "auto", "external_forces": []} | model.get("options", {})
+    loads = {name: loads[name] for name in ("thrust", "external_forces")}
+    tables = usable_flights_of_model(model.pipeline, named_flights(flights))
+    samples = {}
+    for name, table in tables.items():
+        measured = aerodynamic_coefficients(table, model.aircraft, **loads).to_numpy()
+        X, _ = flight_regressors(model.pipeline, table)
+        samples[name] = X, measured - model.pipeline[-1].predict(X)
+    return changes_of(model.pipeline, samples, settings)
+
+
+def changes_of(
+    pipeline: Pipeline,
+    samples: dict[str, tuple[Matrix, Matrix]],
+    settings: ChangeSettings = SETTINGS,
+) -> Changes:
+    """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight."""
+    p_values = {}
+    tables = {}
+    scale = np.append(1.0, pipeline["standardscaler"].scale_)
+    bare = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
+    for flight, (X, residuals) in samples.items():
+        is_measured = np.isfinite(residuals).all(axis=1)
+        X = X[is_measured]
+        residuals = residuals[is_measured]
+        uncertainty = _function_covariance(pipeline[-1], X, settings)
+        row = {}
+        changes = {}
+        for i, coefficient in enumerate(COEFFICIENTS):
+            weights, scatter, n_blocks = block_weights(X, residuals[:, i], settings)
+            C = scatter + uncertainty[i]
+            row[coefficient] = _p_value(weights, C, n_blocks)
+            std = np.sqrt(np.diag(C))
+            names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
+            for name, change, error in zip(names, weights / scale, std / scale, strict=True):
+                changes[name] = {"change": change, "std": error}
+        row[WHOLE] = combined(list(row.values()))
+        p_values[flight] = row
+        tables[flight] = pd.DataFrame.from_dict(changes, orient="index")
+    derivatives = pd.concat(tables, names=["flight", "derivative"])
+    table = pd.DataFrame.from_dict(p_values, orient="index")
+    return Changes(table, derivatives, settings.level)
+
+
+def _terms(X: Matrix) -> Matrix:
+    """Return Q = (1, x), (n, d + 1)."""
+    return np.column_stack([np.ones(len(X)), X])
+
+
+def _function_covariance(regressor: Any, X: Matrix, settings: ChangeSettings) -> Array:
+    """Return G Q^T K Q G of each output, (P, d + 1, d + 1), from evenly spaced rows of X (n, d)."""
+    n_rows = min(settings.n_rows, len(X))
+    rows = np.linspace(0, len(X) - 1, n_rows).astype(int)
+    mean, cov = regressor.predict(X[rows], return_cov=True, include_input_noise=False)
+    n_outputs = mean.shape[1]
+    blocks = cov.reshape(n_outputs, n_rows, n_outputs, n_rows)
+    fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
+    return np.stack([fitting @ blocks[i, :, i] @ fitting.T for i in range(n_outputs)])
+
+
+def block_weights(
+    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS
+) -> tuple[Vector, Matrix, int]:
+    """Return weights (d + 1,) of least squares, their jackknife covariance and the number of blocks.
+
+    The number is 0, and the covariance NaN, if the rows (n, d) are too few for blocks that are
+    longer than the correlation of the residuals.
+    """
+    Q = _terms(X)
+    n, k = Q.shape
+    G = np.linalg.pinv(Q.T @ Q, hermitian=True)
+    weights = G @ (Q.T @ residual)
+    e = residual - Q @ weights
+    correlated = autocorrelation_time(residual)
+    wanted = max(settings.block_times * correlated, n / settings.n_blocks)
+    length = min(wanted, n / (k + settings.spare_blocks))
+    if length < max(settings.fewest_times * correlated, 2.0):
+        return weights, np.full((k, k), np.nan), 0
+    n_blocks = int(n / length)
+    of_blocks = []
+    for rows in np.array_split(np.arange(n), n_blocks):
+        left_out = np.eye(k) - Q[rows].T @ Q[rows] @ G
+        score = Q[rows].T @ e[rows]
+        of_blocks.append(G @ (np.linalg.pinv(left_out) @ score))
+    errors = np.array(of_blocks)
+    return weights, errors.T @ errors * (n_blocks - 1) / n_blocks, n_blocks
+
+
+def _p_value(weights: Vector, covariance: Matrix, n_blocks: int) -> float:
+    """Return the probability of weights as far from zero, NaN without blocks."""
+    if n_blocks == 0:
+        return float("nan")
+    k = len(weights)
+    freedom = n_blocks - 1
+    wald = weights @ np.linalg.pinv(covariance, hermitian=True) @ weights
+    statistic = wald * (freedom - k + 1) / (freedom * k)
+    return float(f_distribution.sf(statistic, k, freedom - k + 1))
+
+
+def combined(p_values: Sequence[float]) -> float:
+    """Return Cauchy's combination of the p-values that are known, NaN if none is."""
+    known = [p for p in p_values if np.isfinite(p)]
+    if not known:
+        return float("nan")
+    angles = np.pi * (0.5 - np.asarray(known))
+    return float(0.5 - np.arctan(np.mean(np.tan(angles))) / np.pi)

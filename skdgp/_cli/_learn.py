@@ -16,7 +16,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.design import PlanCheck
 from skdgp.dynamics import KINDS, Aircraft, Propeller
-from skdgp.identification import Identification
+from skdgp.identification import Identification, changes_of
 from skdgp.identification import identify as learn
 from skdgp.identification import validate as judge
 from skdgp.io import inspect_log
@@ -215,7 +215,8 @@ def validate(run: Run) -> None:
     """Judge a model on flights that it has not seen, as identify does on its test flights.
 
     Its coefficients are compared with the measured ones, and the aircraft is simulated from measured
-    states, restarted every --horizons seconds. Prints the scores, and with -o writes report.html
+    states, restarted every --horizons seconds. Prints the scores and whether the aircraft has
+    changed since the flights of the model, and with -o writes report.html
     and metrics.json into DIR, all or none. With --plan also the standard deviations of derivatives that the
     plan promised, beside this model's, which learned from its flight.
 
@@ -233,13 +234,17 @@ def validate(run: Run) -> None:
         result = judge(
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
         )
+        samples = {}
+        for flight in result.evaluations:
+            samples[flight.name] = flight.regressors, flight.measured - flight.mean
+        supplements: list[Any] = [changes_of(model.pipeline, samples)]
         if options.plan is not None:
             thrust = result.settings["thrust"]
             check = PlanCheck.from_file(
                 options.plan, model.pipeline, result.aircraft, thrust=thrust
             )
-            result = replace(result, supplements=[check])
-        _finish(run, result)
+            supplements.append(check)
+        _finish(run, replace(result, supplements=supplements))
 
 
 LEARNING: dict[str, dict[str, Any]] = {

@@ -68,7 +68,7 @@ class Changes:
 
     def largest(self, flight: str, n: int = 3) -> pd.DataFrame:
         """Return the n changes of a flight that are most standard deviations from zero."""
-        table = self.derivatives.loc[flight]
+        table: Any = self.derivatives.loc[flight]
         deviations = (table["change"] / table["std"]).abs()
         return table.loc[deviations.sort_values(ascending=False).index[:n]]
 

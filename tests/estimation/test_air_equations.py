@@ -147,7 +147,9 @@ def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
     pushes, later = default_rng(0).standard_normal((2, 1999))
     answer = np.convolve(np.append(0, pushes), 0.9 ** np.arange(50))[:2000]
     record.inputs.surfaces[:, 0] = answer
-    record.inputs.surfaces[:, 1] = np.append(later[12:], np.zeros(13))  # beyond what is looked ahead
+    record.inputs.surfaces[:, 1] = np.append(
+        later[12:], np.zeros(13)
+    )  # beyond what is looked ahead
     answers = record.with_answers(np.column_stack([pushes, later]), AirSettings()).answers
     assert np.std(answer - answers[:, 0]) < 0.15 * np.std(answer)
     assert np.std(answers[:, 1]) < 0.2 * np.std(later)

@@ -29,6 +29,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
 from skdgp.io._dataflash import read_dataflash
+from skdgp.io._instances import choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -110,6 +111,7 @@ class Source(NamedTuple):
     time: Vector
     values: Matrix
     note: str = ""
+    remark: str = ""
 
     @property
     def rate(self) -> float:
@@ -200,7 +202,7 @@ def find_sources(
         source = _source(part, rule)
         if source is None:
             continue
-        problem = _problem(source, rule)
+        problem = _problem(source, rule, validity_fields(part, rule))
         if problem:
             useless.append(problem)
             continue
@@ -208,6 +210,7 @@ def find_sources(
         if not first.rate >= settings.least_rate and source.rate >= settings.least_rate:
             chosen[rule.columns] = source
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
+    useless += [source.remark for source in sources if source.remark]
     for name, control in controls.items():
         surface = _surface(part, name, control)
         if len(surface.time) > 1:
@@ -219,17 +222,13 @@ def find_sources(
 
 def _source(log: Log, rule: Rule) -> Source | None:
     """Return the valid samples of a rule's source, or None if the log has none of its fields."""
-    name = log.find(rule.topic)
-    topic = log.topics[name] if name else NOTHING
-    if name is None or not all(field in topic for field in rule.fields):
+    choice = choose(log, rule)
+    if choice is None:
         return None
-    values = rule.convert(topic.columns(rule.fields))
-    valid = np.isfinite(values).all(axis=1)
-    for field in rule.valid:
-        if field in topic:
-            valid &= topic[field] > 0
-    words = f"{name}.{_field_words(rule.fields)}"
-    return Source(rule.columns, words, topic.time[valid], values[valid], rule.note)
+    names = " and ".join(choice.names[:3])
+    notes = ", ".join(filter(None, (rule.note, choice.note)))
+    words = f"{names}.{_field_words(rule.fields)}"
+    return Source(rule.columns, words, choice.time, choice.values, notes, choice.remark)
 
 
 def _field_words(fields: tuple[str, ...]) -> str:
@@ -240,10 +239,10 @@ def _field_words(fields: tuple[str, ...]) -> str:
     return " ".join(fields)
 
 
-def _problem(source: Source, rule: Rule) -> str:
+def _problem(source: Source, rule: Rule, fields: list[str]) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
-        return f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})"
+        return f"{source.name} is never valid ({' '.join(fields) or 'no number'})"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
     is_impossible = (source.values < low) | (source.values > high)

@@ -28,6 +28,7 @@ from skdgp.io._log import (
     Rule,
     Servo,
     Topic,
+    Use,
     centi,
     damage,
     density_at,
@@ -55,6 +56,8 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances, in logs that do not say which field does
 INSTANCES = ("I", "Instance", "C")
+# of AHRS_EKF_TYPE
+EKF2 = 2
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -74,24 +77,42 @@ def _attitude(degrees: Matrix) -> Matrix:
 
 MODELLED = "estimated on board, not measured by a vane"
 STANDARD = "standard atmosphere at the measured pressure"
+# the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
+LANE_3 = (Use("XKF4", "PI"),)
+LANE_2 = (Use("NKF4", "PI"),)
+PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"))
+BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
+# a position in three dimensions
+FIX = (("Status", 3, 6),)
+# lanes have their own IMU, in the order of their numbers
+IMU = (*LANE_3, *LANE_2)
+# further instances of sensors before the messages had a number
+ALIASES = {
+    "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
+    "NKF1": ("NKF6",), "NKF2": ("NKF7",), "XKF1": ("XKF6",), "XKF2": ("XKF7",),
+}  # fmt: skip
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ")),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ")),
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=IMU),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=IMU),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
-    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health")),
+    Rule(
+        (EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health"), used=PRIMARY, preferred=("U",)
+    ),
     Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
     Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
-    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD")),
-    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD")),
-    Rule(EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course),
-    Rule(POSITION, "XKF1", ("PN", "PE", "PD")),
-    Rule(POSITION, "NKF1", ("PN", "PE", "PD")),
+    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD"), used=LANE_3),
+    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD"), used=LANE_2),
+    Rule(
+        EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course, within=FIX, preferred=("U",)
+    ),
+    Rule(POSITION, "XKF1", ("PN", "PE", "PD"), used=LANE_3),
+    Rule(POSITION, "NKF1", ("PN", "PE", "PD"), used=LANE_2),
     Rule(("altitude",), "POS", ("Alt",)),
-    Rule(("altitude",), "GPS", ("Alt",)),
-    Rule(("density",), "BARO", ("Press",), density_at, note=STANDARD),
-    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE")),
-    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE")),
+    Rule(("altitude",), "GPS", ("Alt",), within=FIX, preferred=("U",)),
+    Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD, used=BAROMETER),
+    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE"), used=LANE_3),
+    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE"), used=LANE_2),
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
@@ -139,7 +160,7 @@ def read_dataflash(path: Path) -> Log:
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=RULES,
+        rules=_rules(topics, parameters),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
@@ -147,7 +168,15 @@ def read_dataflash(path: Path) -> Log:
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
         controls=controls_of(topics.get("RCOU", NOTHING), parameters),
+        aliases=ALIASES,
     )
+
+
+def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE)."""
+    if parameters.get("AHRS_EKF_TYPE") != EKF2 or "NKF1" not in topics:
+        return RULES
+    return tuple(rule for rule in RULES if rule.topic not in ("XKF1", "XKF2"))
 
 
 class _Messages:

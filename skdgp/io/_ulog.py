@@ -29,6 +29,7 @@ from skdgp.io._log import (
     Rule,
     Servo,
     Topic,
+    Use,
     damage,
     from_rpm,
     instance_name,
@@ -78,23 +79,47 @@ def _xyz(name):
 HORIZONTAL = ("v_north", "v_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
+# -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
+MEASURED = (("airspeed_source", 1, 3), ("selected_airspeed_index", 1, 3))
+PITOT = tuple(
+    Use("airspeed_validated", field, first=1, is_measurement=True) for field, _, _ in MEASURED
+)
+LANE = (Use("estimator_selector_status", "primary_instance"),)
+
+
+def _device(name):
+    """Return where the identifier of the sensor in use is logged."""
+    topics = ("sensor_selection", "estimator_selector_status")
+    return tuple(Use(topic, f"{name}_device_id", match="device_id") for topic in topics)
+
+
+LOCAL = "estimator_local_position"
 RULES = (
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
     Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(RATES, "sensor_gyro", ("x", "y", "z")),
+    Rule(RATES, "sensor_gyro", ("x", "y", "z"), used=_device("gyro")),
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
-    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z")),
+    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
     Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
-    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid=PITOT_VALID),
-    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",)),
+    Rule(QUATERNION, "estimator_attitude", tuple(f"q[{i}]" for i in range(4)), used=LANE),
+    Rule(
+        ("airspeed",),
+        "airspeed_validated",
+        ("true_airspeed_m_s",),
+        valid=PITOT_VALID,
+        within=MEASURED,
+    ),
+    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
     Rule(HORIZONTAL, "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
+    Rule(HORIZONTAL, LOCAL, ("vx", "vy"), valid=("v_xy_valid",), used=LANE),
     Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
     Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID),
     Rule(("v_down",), "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
+    Rule(("v_down",), LOCAL, ("vz",), valid=("v_z_valid",), used=LANE),
     Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
     Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=GPS_VALID),
     Rule(("north", "east"), "vehicle_local_position", ("x", "y"), valid=("xy_valid",)),
@@ -106,6 +131,12 @@ RULES = (
     Rule(("density",), "vehicle_air_data", ("rho",)),
     Rule(("wind_north", "wind_east"), "wind", ("windspeed_north", "windspeed_east")),
     Rule(("wind_north", "wind_east"), "wind_estimate", ("windspeed_north", "windspeed_east")),
+    Rule(
+        ("wind_north", "wind_east"),
+        "estimator_wind",
+        ("windspeed_north", "windspeed_east"),
+        used=LANE,
+    ),
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),

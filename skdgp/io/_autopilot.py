@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -45,6 +46,7 @@ from skdgp.io._log import (
     reversed_of,
     with_throws,
 )
+from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
@@ -112,6 +114,8 @@ class Source(NamedTuple):
     values: Matrix
     note: str = ""
     remark: str = ""
+    # times [s] of resets that the log does not let correct
+    cuts: tuple[float, ...] = ()
 
     @property
     def rate(self) -> float:
@@ -131,6 +135,7 @@ class Part(NamedTuple):
     topics: dict[str, Topic]
     table: pd.DataFrame
     segments: list[slice]
+    cuts: Vector
 
 
 class FlightLog(NamedTuple):
@@ -177,7 +182,9 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
                 table, origins = to_table(sources)
                 origin |= origins
                 useless += unused
-                parts.append(Part(topics, table, find_segments(table, log, topics, speed)))
+                segments = find_segments(table, log, topics, speed)
+                cuts = np.unique([cut for source in sources for cut in source.cuts])
+                parts.append(Part(topics, table, segments, cuts))
     if not parts:
         raise FlightReadError(
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
@@ -228,7 +235,9 @@ def _source(log: Log, rule: Rule) -> Source | None:
     names = " and ".join(choice.names[:3])
     notes = ", ".join(filter(None, (rule.note, choice.note)))
     words = f"{names}.{_field_words(rule.fields)}"
-    return Source(rule.columns, words, choice.time, choice.values, notes, choice.remark)
+    return Source(
+        rule.columns, words, choice.time, choice.values, notes, choice.remark, tuple(choice.cuts)
+    )
 
 
 def _field_words(fields: tuple[str, ...]) -> str:
@@ -384,9 +393,11 @@ def flight_table(
     pieces = []
     for part in flown.parts:
         if airborne is False:
-            pieces.append(part.table)
-        else:
-            pieces += [_trimmed(part.table.iloc[rows], settings) for rows in part.segments]
+            pieces += _cut(part.table, part.cuts)
+            continue
+        for rows in part.segments:
+            for piece in _cut(part.table.iloc[rows], part.cuts):
+                pieces.append(_trimmed(piece, settings))
     flights: list[pd.DataFrame] = []
     for piece in pieces:
         if len(piece):
@@ -399,6 +410,18 @@ def flight_table(
             "(--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
         )
     return pd.concat(flights, ignore_index=True)
+
+
+def _cut(table: pd.DataFrame, cuts: Vector, settings: ResetSettings = RESETS) -> list[pd.DataFrame]:
+    """Return the pieces of a table between resets, whose neighbouring rows are left out."""
+    time = table["time"].to_numpy()
+    pieces = []
+    edges = [-np.inf, *cuts.tolist(), np.inf]
+    for begin, end in pairwise(edges):
+        rows = (time >= begin + settings.margin) & (time < end - settings.margin)
+        if rows.any():
+            pieces.append(table[rows])
+    return pieces
 
 
 def _airborne_speed(log: Log, settings: FlightSettings = FLIGHT) -> float:

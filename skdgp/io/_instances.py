@@ -9,11 +9,14 @@ import numpy as np
 from skdgp._compute.typing import Indices, Mask, Matrix, Vector
 from skdgp._flight.clock import CLOCK
 from skdgp.io._clock import usual_step
-from skdgp.io._log import Instance, Log, Rule, Topic, Use
+from skdgp.io._log import QUATERNION, Instance, Log, Rule, Topic, Use
+from skdgp.io._resets import correct_resets
 
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
 USED_WEIGHT = 2
+# beyond any counter of resets, of which instances have one each
+COUNTERS = 1e6
 # of a choice where the log says that no instance was used
 NONE = -1
 
@@ -43,6 +46,7 @@ class Choice(NamedTuple):
     values: Matrix
     note: str
     remark: str
+    cuts: list[float]
 
 
 def last_before(time: Vector, at: Vector) -> Indices:
@@ -89,21 +93,41 @@ def choose(log: Log, rule: Rule) -> Choice | None:
     chosen = _chosen(readings, places, times, is_measurement)
     time = []
     values = []
+    counters = []
+    deltas = []
     for place, each in enumerate(readings):
         is_chosen = chosen[last_before(times, each.time)] == place
         rows = each.valid & is_chosen
         time.append(each.time[rows])
         values.append(each.values[rows])
+        counters.append(_counter(each.instance.topic, rule)[rows] + COUNTERS * place)
+        deltas.append(_deltas(each.instance.topic, rule)[rows])
     names = _names(readings, chosen)
     remarks = [_remark(readings, chosen, times, rule, use)]
     remarks += [_unmeasured(each, rule) for each in readings]
     order = np.argsort(np.concatenate(time), kind="stable")
+    sorted_time = np.concatenate(time)[order]
+    samples = np.concatenate(values)[order]
+    cuts = []
+    if rule.resets or rule.is_estimate:
+        resets = correct_resets(
+            " ".join(rule.columns),
+            sorted_time,
+            samples,
+            np.concatenate(counters)[order],
+            np.concatenate(deltas)[order] if rule.resets[1:] else None,
+            rule.columns == QUATERNION,
+        )
+        samples = resets.values
+        cuts = resets.cuts
+        remarks.append(resets.remark)
     return Choice(
         names,
-        np.concatenate(time)[order],
-        np.concatenate(values)[order],
+        sorted_time,
+        samples,
         _note(readings, use),
         "; ".join(filter(None, remarks)),
+        cuts,
     )
 
 
@@ -116,6 +140,21 @@ def _readings(instance: Instance, rule: Rule) -> Readings:
         if field in topic:
             preferred |= topic[field] > 0
     return Readings(instance, topic.time, values, valid, preferred)
+
+
+def _counter(topic: Topic, rule: Rule) -> Vector:
+    """Return the counter of the estimator's resets, 0 where it is not logged."""
+    if not rule.resets or rule.resets[0] not in topic:
+        return np.zeros(len(topic))
+    return topic[rule.resets[0]]
+
+
+def _deltas(topic: Topic, rule: Rule) -> Matrix:
+    """Return the changes by the last reset, NaN where they are not logged."""
+    fields = rule.resets[1:]
+    if not fields or not all(field in topic for field in fields):
+        return np.full((len(topic), max(len(fields), 1)), np.nan)
+    return topic.columns(fields)
 
 
 def _used(

@@ -149,6 +149,8 @@ class Rule(NamedTuple):
         Where the log says which instance the autopilot used; the first that is logged counts.
     preferred : tuple of str
         Fields that are positive of an instance that is preferred among healthy ones.
+    resets : tuple of str
+        Counter of an estimator's resets, and the fields of the changes of the columns by the last.
     """
 
     columns: tuple[str, ...]
@@ -160,6 +162,12 @@ class Rule(NamedTuple):
     within: tuple[tuple[str, float, float], ...] = ()
     used: tuple[Use, ...] = ()
     preferred: tuple[str, ...] = ()
+    resets: tuple[str, ...] = ()
+
+    @property
+    def is_estimate(self) -> bool:
+        """Whether each instance is an estimator, which differ by more than noise."""
+        return self.topic in ("XKF1", "NKF1")
 
 
 class Servo(NamedTuple):

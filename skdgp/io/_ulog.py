@@ -76,6 +76,10 @@ def _xyz(name):
     return tuple(f"{name}[{i}]" for i in range(3))
 
 
+QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in range(4)))
+VELOCITY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
+POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
+ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
@@ -102,8 +106,8 @@ RULES = (
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
-    Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
-    Rule(QUATERNION, "estimator_attitude", tuple(f"q[{i}]" for i in range(4)), used=LANE),
+    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS),
+    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=QUATERNION_RESETS),
     Rule(
         ("airspeed",),
         "airspeed_validated",
@@ -114,17 +118,53 @@ RULES = (
     Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    Rule(HORIZONTAL, "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
-    Rule(HORIZONTAL, LOCAL, ("vx", "vy"), valid=("v_xy_valid",), used=LANE),
+    Rule(
+        HORIZONTAL,
+        "vehicle_local_position",
+        ("vx", "vy"),
+        valid=("v_xy_valid",),
+        resets=VELOCITY_RESETS,
+    ),
+    Rule(HORIZONTAL, LOCAL, ("vx", "vy"), valid=("v_xy_valid",), resets=VELOCITY_RESETS, used=LANE),
     Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
     Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID),
-    Rule(("v_down",), "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
-    Rule(("v_down",), LOCAL, ("vz",), valid=("v_z_valid",), used=LANE),
+    Rule(
+        ("v_down",),
+        "vehicle_local_position",
+        ("vz",),
+        valid=("v_z_valid",),
+        resets=("vz_reset_counter", "delta_vz"),
+    ),
+    Rule(
+        ("v_down",),
+        LOCAL,
+        ("vz",),
+        valid=("v_z_valid",),
+        resets=("vz_reset_counter", "delta_vz"),
+        used=LANE,
+    ),
     Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
     Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=GPS_VALID),
-    Rule(("north", "east"), "vehicle_local_position", ("x", "y"), valid=("xy_valid",)),
-    Rule(("down",), "vehicle_local_position", ("z",), valid=("z_valid",)),
-    Rule(("altitude",), "vehicle_global_position", ("alt",)),
+    Rule(
+        ("north", "east"),
+        "vehicle_local_position",
+        ("x", "y"),
+        valid=("xy_valid",),
+        resets=POSITION_RESETS,
+    ),
+    Rule(
+        ("down",),
+        "vehicle_local_position",
+        ("z",),
+        valid=("z_valid",),
+        resets=("z_reset_counter", "delta_z"),
+    ),
+    Rule(
+        ("altitude",),
+        "vehicle_global_position",
+        ("alt",),
+        resets=("alt_reset_counter", "delta_alt"),
+    ),
     Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
     Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
     Rule(("altitude",), "vehicle_gps_position", ("alt",), milli),

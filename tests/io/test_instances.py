@@ -74,3 +74,30 @@ class TestPX4:
             table = read(log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
+
+
+class TestResets:
+    """The velocity jumps by 5 m/s, or the heading by 0.6 rad, at 25 s."""
+
+    def test_a_velocity_is_corrected_by_the_logged_change(self, read, ulog):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+        late = SLOW >= 25
+        counter = ("uint8_t", late)
+        change = np.tile([5.0, 0.0], (len(SLOW), 1))
+        north = TRUE - 5 * ~late
+        velocity = {"vx": north, "vy": np.cos(SLOW), "delta_vxy": change}
+        log.topic("vehicle_local_position", SLOW, **velocity, vxy_reset_counter=counter)
+        with pytest.warns(FlightDataWarning, match=r"corrected by its logged changes at 25.0 s"):
+            table = read(log, airborne=False)
+        assert_allclose(table.v_north[:-10], 18 + np.sin(table.time[:-10]), atol=0.02)
+        assert table.flight.nunique() == 1
+
+    def test_an_attitude_without_a_logged_change_is_cut(self, read, ulog):
+        half = (0.1 * T - 0.6 * (T < 25)) / 2
+        q = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+        log = ulog().topic("vehicle_attitude", T, q=q, quat_reset_counter=("uint8_t", T >= 25))
+        with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
+            table = read(log, airborne=False)
+        assert table.flight.nunique() == 2
+        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
+        assert np.abs(steps).max() < 0.01

@@ -30,7 +30,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
 from skdgp.io._dataflash import read_dataflash
-from skdgp.io._instances import choose, validity_fields
+from skdgp.io._instances import choose, last_before, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -183,6 +183,12 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
                 origin |= origins
                 useless += unused
                 segments = find_segments(table, log, topics, speed)
+                fraction = lifting(table["time"].to_numpy(), log, topics).mean()
+                if fraction:
+                    remarks.append(
+                        f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift "
+                        "the VTOL, or it is in transition"
+                    )
                 cuts = np.unique([cut for source in sources for cut in source.cuts])
                 parts.append(Part(topics, table, segments, cuts))
     if not parts:
@@ -447,7 +453,8 @@ def find_segments(
     """
     time = table["time"].to_numpy()
     landed = _landed(time, log, topics)
-    rows = np.flatnonzero((_speed(table, log) > speed) & ~landed)
+    is_flight = (_speed(table, log) > speed) & ~landed & ~lifting(time, log, topics)
+    rows = np.flatnonzero(is_flight)
     pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
     segments = []
     for part in np.split(rows, pauses):
@@ -520,3 +527,16 @@ def _landed(time: Vector, log: Log, topics: dict[str, Topic]) -> Mask:
             last = np.searchsorted(topic.time, time, side="right") - 1
             return (topic[field] == value)[np.maximum(last, 0)]
     return np.zeros(len(time), dtype=bool)
+
+
+def lifting(time: Vector, log: Log, topics: dict[str, Topic]) -> Mask:
+    """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
+    lifts = np.zeros(len(time), dtype=bool)
+    if log.vehicle != "VTOL":
+        return lifts
+    for name, field, low, high in log.lifting:
+        topic = topics.get(name, NOTHING)
+        if field in topic:
+            values = topic[field][last_before(topic.time, time)]
+            lifts |= (values >= low) & (values <= high)
+    return lifts

@@ -127,6 +127,15 @@ SERVOS = {
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
 MOST_SERVOS = 16
+# motors of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
+LIFT_MOTORS = range(33, 41)
+# fraction of the range of pulses above which a motor runs; a guess
+RUNNING = 0.05
+# differential spoilers, outer and inner, left and right, and bits of DSPOILER_OPTS
+SPOILERS = (16, 17, 86, 87)
+FLYING_WING = 1
+FULL_SPAN = 2
+FLAPERONS = (24, 25)
 # Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of
 # commands that go up and right (ArduPlane/servos.cpp)
 MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
@@ -169,7 +178,21 @@ def read_dataflash(path: Path) -> Log:
         outputs=("RCOU",),
         controls=controls_of(topics.get("RCOU", NOTHING), parameters),
         aliases=ALIASES,
+        lifting=_lift_motors(parameters),
     )
+
+
+def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float, float], ...]:
+    """Return the outputs of motors that lift alone, and their pulses while they run."""
+    tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
+    motors = []
+    for n in range(1, MOST_SERVOS + 1):
+        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+        if function in LIFT_MOTORS and not tilted >> (function - LIFT_MOTORS[0]) & 1:
+            low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
+            high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
+            motors.append(("RCOU", f"C{n}", low + RUNNING * (high - low), np.inf))
+    return tuple(motors)
 
 
 def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
@@ -313,6 +336,44 @@ def controls_of(
     for control, weights in MIXES.items():
         if weights.keys() <= servos.keys():
             controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
+    return _wing_mixes(servos, outputs, parameters) | controls
+
+
+def _wing_mixes(
+    servos: Mapping[int, Servo], outputs: Topic, parameters: Mapping[str, float]
+) -> dict[str, Control]:
+    """Return the controls of flaperons and differential spoilers (ArduPlane/servos.cpp).
+
+    flaperons = aileron +- flap; outer spoilers = -+ aileron + rudder of one side, inner ones the
+    rudder against it. Of flaperons that move against each other alone, the right one is mounted
+    against the parameters, and the aileron is their half difference.
+    """
+    if servos.keys() >= {*FLAPERONS}:
+        left, right = (servos[function] for function in FLAPERONS)
+        commands = [servo.deflection(outputs[servo.field]) for servo in (left, right)]
+        together = np.nanstd(commands[0] + commands[1])
+        against = np.nanstd(commands[0] - commands[1])
+        sign = 1.0 if together >= RUNNING * against else -1.0
+        return {"aileron": ((0.5, left), (0.5 * sign, right))}
+    if not servos.keys() >= {*SPOILERS[:2]}:
+        return {}
+    left, right, *inner = (servos[function] for function in SPOILERS if function in servos)
+    aileron = [(-0.5, left), (0.5, right)]
+    controls: dict[str, Control] = {}
+    options = whole(parameters.get("DSPOILER_OPTS", 3.0))
+    if len(inner) == 2:
+        factor = 0.5 if options & FULL_SPAN else 1.0
+        inner_left, inner_right = inner
+        aileron += [(-0.5, inner_left), (0.5, inner_right)]
+        aileron = [(factor * weight, servo) for weight, servo in aileron]
+        if options & FULL_SPAN:
+            yaw = [(0.5, left), (-0.5, right), (-0.5, inner_left), (0.5, inner_right)]
+        else:
+            yaw = [(-1.0, inner_left), (1.0, inner_right)]
+        controls["rudder"] = tuple(yaw)
+    controls["aileron"] = tuple(aileron)
+    if options & FLYING_WING:
+        controls["elevator"] = ((-0.5, left), (-0.5, right))
     return controls
 
 

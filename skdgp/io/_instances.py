@@ -15,6 +15,11 @@ from skdgp.io._resets import correct_resets
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
 USED_WEIGHT = 2
+# engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
+LARGEST_APART = 0.05
+# columns whose instances are engines, and allocators, in place of redundant sensors
+ENGINES = ("propeller_speed",)
+COMMANDS = ("throttle",)
 # beyond any counter of resets, of which instances have one each
 COUNTERS = 1e6
 # of a choice where the log says that no instance was used
@@ -86,6 +91,10 @@ def choose(log: Log, rule: Rule) -> Choice | None:
             readings.append(_readings(instance, rule))
     if not readings:
         return None
+    if rule.columns == ENGINES and len(readings) > 1:
+        return _mean_engine(readings)
+    if rule.columns == COMMANDS:
+        readings = readings[:1]
     readings.sort(key=lambda each: each.health, reverse=True)
     times = np.unique(np.concatenate([each.time for each in readings]))
     places, use = _used(log, rule, readings, times)
@@ -129,6 +138,27 @@ def choose(log: Log, rule: Rule) -> Choice | None:
         "; ".join(filter(None, remarks)),
         cuts,
     )
+
+
+def _mean_engine(readings: list[Readings]) -> Choice:
+    """Return the quadratic mean of the engines that ever run: thrusts go with the square of the speed."""
+    running = [each for each in readings if np.any(each.values[each.valid])] or readings[:1]
+    time = running[0].time[running[0].valid]
+    squares = np.zeros(len(time))
+    for each in running:
+        speed = each.values[each.valid, 0]
+        squares += np.interp(time, each.time[each.valid], speed) ** 2
+    names = tuple(each.instance.name for each in running)
+    mean = np.sqrt(squares / len(running))[:, None]
+    note = f"quadratic mean of {len(running)} engines"
+    apart = float(np.ptp([np.mean(each.values[each.valid]) for each in running]))
+    remark = ""
+    if apart > LARGEST_APART * float(np.mean(mean)):
+        remark = (
+            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: their "
+            "yawing moment is in no column"
+        )
+    return Choice(names, time, mean, note, remark, [])
 
 
 def _readings(instance: Instance, rule: Rule) -> Readings:

@@ -232,6 +232,8 @@ class Log:
         weights of servos that make a control together, as of a V-tail.
     aliases : dict of str to tuple of str
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
+    lifting : tuple of (str, str, float, float)
+        Topic, field and its limits while rotors carry a VTOL, or in transition.
     """
 
     kind: str
@@ -245,6 +247,7 @@ class Log:
     outputs: tuple[str, ...] = ()
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    lifting: tuple[tuple[str, str, float, float], ...] = ()
 
     def instances(self, name: str) -> list[Instance]:
         """Return the instances of a topic that have messages, by number."""
@@ -265,6 +268,13 @@ def scaling(factor: float) -> Callable[[Array], Array]:
 
 
 from_rpm = scaling(np.pi / 30)  # revolutions per minute to rad/s
+
+
+def mean_engine(rpm: Matrix) -> Matrix:
+    """Return the quadratic mean [rad/s] of engines, whose thrusts go with the square of their speed."""
+    return from_rpm(np.sqrt(np.mean(np.square(rpm), axis=1)))[:, None]
+
+
 milli = scaling(1e-3)
 centi = scaling(0.01)
 

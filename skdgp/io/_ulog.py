@@ -33,6 +33,7 @@ from skdgp.io._log import (
     damage,
     from_rpm,
     instance_name,
+    mean_engine,
     milli,
     numeric_fields,
     whole,
@@ -186,8 +187,21 @@ RULES = (
     Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), from_rpm),
 )
 
+# VEHICLE_VTOL_STATE 1 to 3 are transitions and rotary wing; before, two flags (VtolVehicleStatus.msg)
+LIFTING = (
+    ("vtol_vehicle_status", "vehicle_vtol_state", 1, 3),
+    ("vtol_vehicle_status", "vtol_in_rw_mode", 1, 1),
+    ("vtol_vehicle_status", "vtol_in_trans_mode", 1, 1),
+    ("vehicle_status", "in_transition_mode", 1, 1),
+    ("vehicle_status", "vehicle_type", 1, 1),
+)
+# VT_TYPE of tailsitters and tiltrotors, whose thrust is along -z (tailsitter.cpp, tiltrotor.cpp)
+TILTING = (0, 1)
+TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
+MOST_ENGINES = 8
 MOST_SURFACES = 8  # of control allocation
 # By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 # against our signs.
@@ -240,7 +254,7 @@ def read_ulog(path: Path) -> Log:
     return Log(
         kind="PX4 ULog",
         topics=topics,
-        rules=RULES,
+        rules=_rules(topics, parameters),
         parameters=parameters,
         firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}",
         vehicle=_vehicle(topics, parameters),
@@ -248,7 +262,23 @@ def read_ulog(path: Path) -> Log:
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
         controls=_controls(topics, parameters),
+        lifting=LIFTING,
     )
+
+
+def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return the rules, with the thrust of tilted rotors and all engines of a fixed wing."""
+    rules = RULES
+    is_vtol = _vehicle(topics, parameters) == "VTOL"
+    if is_vtol and parameters.get("VT_TYPE") in TILTING:
+        rules = (TILTED, *rules)
+    reports = topics.get("esc_status", NOTHING)
+    names = (f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
+    engines = tuple(name for name in names if name in reports and reports[name].any())
+    if len(engines) > 1 and not is_vtol:
+        note = f"quadratic mean of {len(engines)} engines"
+        rules = (Rule(("propeller_speed",), "esc_status", engines, mean_engine, note=note), *rules)
+    return rules
 
 
 class _Definitions:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
 from skdgp.io._dataflash import read_dataflash
+from skdgp.io._instances import choose, last_before, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -44,6 +46,7 @@ from skdgp.io._log import (
     reversed_of,
     with_throws,
 )
+from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
@@ -110,6 +113,9 @@ class Source(NamedTuple):
     time: Vector
     values: Matrix
     note: str = ""
+    remark: str = ""
+    # times [s] of resets that the log does not let correct
+    cuts: tuple[float, ...] = ()
 
     @property
     def rate(self) -> float:
@@ -129,6 +135,7 @@ class Part(NamedTuple):
     topics: dict[str, Topic]
     table: pd.DataFrame
     segments: list[slice]
+    cuts: Vector
 
 
 class FlightLog(NamedTuple):
@@ -175,7 +182,15 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
                 table, origins = to_table(sources)
                 origin |= origins
                 useless += unused
-                parts.append(Part(topics, table, find_segments(table, log, topics, speed)))
+                segments = find_segments(table, log, topics, speed)
+                fraction = lifting(table["time"].to_numpy(), log, topics).mean()
+                if fraction:
+                    remarks.append(
+                        f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift "
+                        "the VTOL, or it is in transition"
+                    )
+                cuts = np.unique([cut for source in sources for cut in source.cuts])
+                parts.append(Part(topics, table, segments, cuts))
     if not parts:
         raise FlightReadError(
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
@@ -200,7 +215,7 @@ def find_sources(
         source = _source(part, rule)
         if source is None:
             continue
-        problem = _problem(source, rule)
+        problem = _problem(source, rule, validity_fields(part, rule))
         if problem:
             useless.append(problem)
             continue
@@ -208,6 +223,7 @@ def find_sources(
         if not first.rate >= settings.least_rate and source.rate >= settings.least_rate:
             chosen[rule.columns] = source
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
+    useless += [source.remark for source in sources if source.remark]
     for name, control in controls.items():
         surface = _surface(part, name, control)
         if len(surface.time) > 1:
@@ -219,17 +235,15 @@ def find_sources(
 
 def _source(log: Log, rule: Rule) -> Source | None:
     """Return the valid samples of a rule's source, or None if the log has none of its fields."""
-    name = log.find(rule.topic)
-    topic = log.topics[name] if name else NOTHING
-    if name is None or not all(field in topic for field in rule.fields):
+    choice = choose(log, rule)
+    if choice is None:
         return None
-    values = rule.convert(topic.columns(rule.fields))
-    valid = np.isfinite(values).all(axis=1)
-    for field in rule.valid:
-        if field in topic:
-            valid &= topic[field] > 0
-    words = f"{name}.{_field_words(rule.fields)}"
-    return Source(rule.columns, words, topic.time[valid], values[valid], rule.note)
+    names = " and ".join(choice.names[:3])
+    notes = ", ".join(filter(None, (rule.note, choice.note)))
+    words = f"{names}.{_field_words(rule.fields)}"
+    return Source(
+        rule.columns, words, choice.time, choice.values, notes, choice.remark, tuple(choice.cuts)
+    )
 
 
 def _field_words(fields: tuple[str, ...]) -> str:
@@ -240,10 +254,10 @@ def _field_words(fields: tuple[str, ...]) -> str:
     return " ".join(fields)
 
 
-def _problem(source: Source, rule: Rule) -> str:
+def _problem(source: Source, rule: Rule, fields: list[str]) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
-        return f"{source.name} is never valid ({' '.join(rule.valid) or 'no number'})"
+        return f"{source.name} is never valid ({' '.join(fields) or 'no number'})"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
     is_impossible = (source.values < low) | (source.values > high)
@@ -385,9 +399,11 @@ def flight_table(
     pieces = []
     for part in flown.parts:
         if airborne is False:
-            pieces.append(part.table)
-        else:
-            pieces += [_trimmed(part.table.iloc[rows], settings) for rows in part.segments]
+            pieces += _cut(part.table, part.cuts)
+            continue
+        for rows in part.segments:
+            for piece in _cut(part.table.iloc[rows], part.cuts):
+                pieces.append(_trimmed(piece, settings))
     flights: list[pd.DataFrame] = []
     for piece in pieces:
         if len(piece):
@@ -400,6 +416,18 @@ def flight_table(
             "(--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
         )
     return pd.concat(flights, ignore_index=True)
+
+
+def _cut(table: pd.DataFrame, cuts: Vector, settings: ResetSettings = RESETS) -> list[pd.DataFrame]:
+    """Return the pieces of a table between resets, whose neighbouring rows are left out."""
+    time = table["time"].to_numpy()
+    pieces = []
+    edges = [-np.inf, *cuts.tolist(), np.inf]
+    for begin, end in pairwise(edges):
+        rows = (time >= begin + settings.margin) & (time < end - settings.margin)
+        if rows.any():
+            pieces.append(table[rows])
+    return pieces
 
 
 def _airborne_speed(log: Log, settings: FlightSettings = FLIGHT) -> float:
@@ -425,7 +453,8 @@ def find_segments(
     """
     time = table["time"].to_numpy()
     landed = _landed(time, log, topics)
-    rows = np.flatnonzero((_speed(table, log) > speed) & ~landed)
+    is_flight = (_speed(table, log) > speed) & ~landed & ~lifting(time, log, topics)
+    rows = np.flatnonzero(is_flight)
     pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
     segments = []
     for part in np.split(rows, pauses):
@@ -498,3 +527,16 @@ def _landed(time: Vector, log: Log, topics: dict[str, Topic]) -> Mask:
             last = np.searchsorted(topic.time, time, side="right") - 1
             return (topic[field] == value)[np.maximum(last, 0)]
     return np.zeros(len(time), dtype=bool)
+
+
+def lifting(time: Vector, log: Log, topics: dict[str, Topic]) -> Mask:
+    """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
+    lifts = np.zeros(len(time), dtype=bool)
+    if log.vehicle != "VTOL":
+        return lifts
+    for name, field, low, high in log.lifting:
+        topic = topics.get(name, NOTHING)
+        if field in topic:
+            values = topic[field][last_before(topic.time, time)]
+            lifts |= (values >= low) & (values <= high)
+    return lifts

@@ -28,6 +28,7 @@ from skdgp.io._log import (
     Rule,
     Servo,
     Topic,
+    Use,
     centi,
     damage,
     density_at,
@@ -55,6 +56,8 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances, in logs that do not say which field does
 INSTANCES = ("I", "Instance", "C")
+# of AHRS_EKF_TYPE
+EKF2 = 2
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -74,24 +77,42 @@ def _attitude(degrees: Matrix) -> Matrix:
 
 MODELLED = "estimated on board, not measured by a vane"
 STANDARD = "standard atmosphere at the measured pressure"
+# the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
+LANE_3 = (Use("XKF4", "PI"),)
+LANE_2 = (Use("NKF4", "PI"),)
+PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"))
+BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
+# a position in three dimensions
+FIX = (("Status", 3, 6),)
+# lanes have their own IMU, in the order of their numbers
+IMU = (*LANE_3, *LANE_2)
+# further instances of sensors before the messages had a number
+ALIASES = {
+    "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
+    "NKF1": ("NKF6",), "NKF2": ("NKF7",), "XKF1": ("XKF6",), "XKF2": ("XKF7",),
+}  # fmt: skip
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ")),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ")),
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=IMU),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=IMU),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
-    Rule((EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health")),
+    Rule(
+        (EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health"), used=PRIMARY, preferred=("U",)
+    ),
     Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
     Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
-    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD")),
-    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD")),
-    Rule(EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course),
-    Rule(POSITION, "XKF1", ("PN", "PE", "PD")),
-    Rule(POSITION, "NKF1", ("PN", "PE", "PD")),
+    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD"), used=LANE_3),
+    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD"), used=LANE_2),
+    Rule(
+        EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course, within=FIX, preferred=("U",)
+    ),
+    Rule(POSITION, "XKF1", ("PN", "PE", "PD"), used=LANE_3),
+    Rule(POSITION, "NKF1", ("PN", "PE", "PD"), used=LANE_2),
     Rule(("altitude",), "POS", ("Alt",)),
-    Rule(("altitude",), "GPS", ("Alt",)),
-    Rule(("density",), "BARO", ("Press",), density_at, note=STANDARD),
-    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE")),
-    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE")),
+    Rule(("altitude",), "GPS", ("Alt",), within=FIX, preferred=("U",)),
+    Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD, used=BAROMETER),
+    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE"), used=LANE_3),
+    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE"), used=LANE_2),
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
@@ -106,6 +127,15 @@ SERVOS = {
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
 MOST_SERVOS = 16
+# motors of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
+LIFT_MOTORS = range(33, 41)
+# fraction of the range of pulses above which a motor runs; a guess
+RUNNING = 0.05
+# differential spoilers, outer and inner, left and right, and bits of DSPOILER_OPTS
+SPOILERS = (16, 17, 86, 87)
+FLYING_WING = 1
+FULL_SPAN = 2
+FLAPERONS = (24, 25)
 # Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of
 # commands that go up and right (ArduPlane/servos.cpp)
 MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
@@ -139,7 +169,7 @@ def read_dataflash(path: Path) -> Log:
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=RULES,
+        rules=_rules(topics, parameters),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
@@ -147,7 +177,29 @@ def read_dataflash(path: Path) -> Log:
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
         controls=controls_of(topics.get("RCOU", NOTHING), parameters),
+        aliases=ALIASES,
+        lifting=_lift_motors(parameters),
     )
+
+
+def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float, float], ...]:
+    """Return the outputs of motors that lift alone, and their pulses while they run."""
+    tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
+    motors = []
+    for n in range(1, MOST_SERVOS + 1):
+        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+        if function in LIFT_MOTORS and not tilted >> (function - LIFT_MOTORS[0]) & 1:
+            low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
+            high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
+            motors.append(("RCOU", f"C{n}", low + RUNNING * (high - low), np.inf))
+    return tuple(motors)
+
+
+def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE)."""
+    if parameters.get("AHRS_EKF_TYPE") != EKF2 or "NKF1" not in topics:
+        return RULES
+    return tuple(rule for rule in RULES if rule.topic not in ("XKF1", "XKF2"))
 
 
 class _Messages:
@@ -284,6 +336,44 @@ def controls_of(
     for control, weights in MIXES.items():
         if weights.keys() <= servos.keys():
             controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
+    return _wing_mixes(servos, outputs, parameters) | controls
+
+
+def _wing_mixes(
+    servos: Mapping[int, Servo], outputs: Topic, parameters: Mapping[str, float]
+) -> dict[str, Control]:
+    """Return the controls of flaperons and differential spoilers (ArduPlane/servos.cpp).
+
+    flaperons = aileron +- flap; outer spoilers = -+ aileron + rudder of one side, inner ones the
+    rudder against it. Of flaperons that move against each other alone, the right one is mounted
+    against the parameters, and the aileron is their half difference.
+    """
+    if servos.keys() >= {*FLAPERONS}:
+        left, right = (servos[function] for function in FLAPERONS)
+        commands = [servo.deflection(outputs[servo.field]) for servo in (left, right)]
+        together = np.nanstd(commands[0] + commands[1])
+        against = np.nanstd(commands[0] - commands[1])
+        sign = 1.0 if together >= RUNNING * against else -1.0
+        return {"aileron": ((0.5, left), (0.5 * sign, right))}
+    if not servos.keys() >= {*SPOILERS[:2]}:
+        return {}
+    left, right, *inner = (servos[function] for function in SPOILERS if function in servos)
+    aileron = [(-0.5, left), (0.5, right)]
+    controls: dict[str, Control] = {}
+    options = whole(parameters.get("DSPOILER_OPTS", 3.0))
+    if len(inner) == 2:
+        factor = 0.5 if options & FULL_SPAN else 1.0
+        inner_left, inner_right = inner
+        aileron += [(-0.5, inner_left), (0.5, inner_right)]
+        aileron = [(factor * weight, servo) for weight, servo in aileron]
+        if options & FULL_SPAN:
+            yaw = [(0.5, left), (-0.5, right), (-0.5, inner_left), (0.5, inner_right)]
+        else:
+            yaw = [(-1.0, inner_left), (1.0, inner_right)]
+        controls["rudder"] = tuple(yaw)
+    controls["aileron"] = tuple(aileron)
+    if options & FLYING_WING:
+        controls["elevator"] = ((-0.5, left), (-0.5, right))
     return controls
 
 

@@ -96,6 +96,33 @@ def numeric_fields(fields: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
 NOTHING = Topic(np.empty(0), np.empty(0), {})
 
 
+class Use(NamedTuple):
+    """Where a log says which instance of a sensor the autopilot used."""
+
+    #: Topic of the field, empty for a parameter
+    topic: str
+    field: str
+    #: Number in the field of the instance 0
+    first: int = 0
+    #: Field of the instances that holds their number
+    match: str = ""
+    #: Whether a number of no instance means that nothing was measured
+    is_measurement: bool = False
+
+    @property
+    def words(self) -> str:
+        """Name of the field or parameter."""
+        return f"{self.topic}.{self.field}" if self.topic else self.field
+
+
+class Instance(NamedTuple):
+    """One instance of a topic."""
+
+    number: int
+    name: str
+    topic: Topic
+
+
 class Rule(NamedTuple):
     """A rule: the fields of a topic that give columns of the flight table.
 
@@ -116,6 +143,14 @@ class Rule(NamedTuple):
         Fields that, where the log has them, are positive where the others are valid.
     note : str
         Remark on the source, shown with it.
+    within : tuple of (str, float, float)
+        Fields that, where the log has them, are within these limits where the others are valid.
+    used : tuple of Use
+        Where the log says which instance the autopilot used; the first that is logged counts.
+    preferred : tuple of str
+        Fields that are positive of an instance that is preferred among healthy ones.
+    resets : tuple of str
+        Counter of an estimator's resets, and the fields of the changes of the columns by the last.
     """
 
     columns: tuple[str, ...]
@@ -124,6 +159,15 @@ class Rule(NamedTuple):
     convert: Callable[[Matrix], Matrix] = np.asarray
     valid: tuple[str, ...] = ()
     note: str = ""
+    within: tuple[tuple[str, float, float], ...] = ()
+    used: tuple[Use, ...] = ()
+    preferred: tuple[str, ...] = ()
+    resets: tuple[str, ...] = ()
+
+    @property
+    def is_estimate(self) -> bool:
+        """Whether each instance is an estimator, which differ by more than noise."""
+        return self.topic in ("XKF1", "NKF1")
 
 
 class Servo(NamedTuple):
@@ -186,6 +230,10 @@ class Log:
     controls : dict of str to Control
         Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim, with
         weights of servos that make a control together, as of a V-tail.
+    aliases : dict of str to tuple of str
+        Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
+    lifting : tuple of (str, str, float, float)
+        Topic, field and its limits while rotors carry a VTOL, or in transition.
     """
 
     kind: str
@@ -198,15 +246,20 @@ class Log:
     landed: tuple[str, str, float] | None = None
     outputs: tuple[str, ...] = ()
     controls: Mapping[str, Control] = field(default_factory=dict)
+    aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    lifting: tuple[tuple[str, str, float, float], ...] = ()
 
-    def find(self, name: str) -> str | None:
-        """Return the name of the first instance of a topic that has messages, or None."""
+    def instances(self, name: str) -> list[Instance]:
+        """Return the instances of a topic that have messages, by number."""
         instances = []
+        further = self.aliases.get(name, ())
         for key, topic in self.topics.items():
-            if key.split("#")[0] == name and len(topic) > 1:
-                instances.append(key)
-        # name, name#1, ..., name#10
-        return min(instances, key=lambda key: (len(key), key), default=None)
+            base, _, number = key.partition("#")
+            if len(topic) > 1 and base == name:
+                instances.append(Instance(int(number or 0), key, topic))
+            elif len(topic) > 1 and key in further:
+                instances.append(Instance(1 + further.index(key), key, topic))
+        return sorted(instances)
 
 
 def scaling(factor: float) -> Callable[[Array], Array]:
@@ -215,6 +268,13 @@ def scaling(factor: float) -> Callable[[Array], Array]:
 
 
 from_rpm = scaling(np.pi / 30)  # revolutions per minute to rad/s
+
+
+def mean_engine(rpm: Matrix) -> Matrix:
+    """Return the quadratic mean [rad/s] of engines, whose thrusts go with the square of their speed."""
+    return from_rpm(np.sqrt(np.mean(np.square(rpm), axis=1)))[:, None]
+
+
 milli = scaling(1e-3)
 centi = scaling(0.01)
 

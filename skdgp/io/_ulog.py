@@ -29,9 +29,11 @@ from skdgp.io._log import (
     Rule,
     Servo,
     Topic,
+    Use,
     damage,
     from_rpm,
     instance_name,
+    mean_engine,
     milli,
     numeric_fields,
     whole,
@@ -75,37 +77,107 @@ def _xyz(name):
     return tuple(f"{name}[{i}]" for i in range(3))
 
 
+QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in range(4)))
+VELOCITY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
+POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
+ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
+# -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
+MEASURED = (("airspeed_source", 1, 3), ("selected_airspeed_index", 1, 3))
+PITOT = tuple(
+    Use("airspeed_validated", field, first=1, is_measurement=True) for field, _, _ in MEASURED
+)
+LANE = (Use("estimator_selector_status", "primary_instance"),)
+
+
+def _device(name):
+    """Return where the identifier of the sensor in use is logged."""
+    topics = ("sensor_selection", "estimator_selector_status")
+    return tuple(Use(topic, f"{name}_device_id", match="device_id") for topic in topics)
+
+
+LOCAL = "estimator_local_position"
 RULES = (
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
     Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(RATES, "sensor_gyro", ("x", "y", "z")),
+    Rule(RATES, "sensor_gyro", ("x", "y", "z"), used=_device("gyro")),
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
-    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z")),
-    Rule(QUATERNION, "vehicle_attitude", tuple(f"q[{i}]" for i in range(4))),
-    Rule(("airspeed",), "airspeed_validated", ("true_airspeed_m_s",), valid=PITOT_VALID),
-    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",)),
+    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
+    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS),
+    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=QUATERNION_RESETS),
+    Rule(
+        ("airspeed",),
+        "airspeed_validated",
+        ("true_airspeed_m_s",),
+        valid=PITOT_VALID,
+        within=MEASURED,
+    ),
+    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    Rule(HORIZONTAL, "vehicle_local_position", ("vx", "vy"), valid=("v_xy_valid",)),
+    Rule(
+        HORIZONTAL,
+        "vehicle_local_position",
+        ("vx", "vy"),
+        valid=("v_xy_valid",),
+        resets=VELOCITY_RESETS,
+    ),
+    Rule(HORIZONTAL, LOCAL, ("vx", "vy"), valid=("v_xy_valid",), resets=VELOCITY_RESETS, used=LANE),
     Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
     Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID),
-    Rule(("v_down",), "vehicle_local_position", ("vz",), valid=("v_z_valid",)),
+    Rule(
+        ("v_down",),
+        "vehicle_local_position",
+        ("vz",),
+        valid=("v_z_valid",),
+        resets=("vz_reset_counter", "delta_vz"),
+    ),
+    Rule(
+        ("v_down",),
+        LOCAL,
+        ("vz",),
+        valid=("v_z_valid",),
+        resets=("vz_reset_counter", "delta_vz"),
+        used=LANE,
+    ),
     Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
     Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=GPS_VALID),
-    Rule(("north", "east"), "vehicle_local_position", ("x", "y"), valid=("xy_valid",)),
-    Rule(("down",), "vehicle_local_position", ("z",), valid=("z_valid",)),
-    Rule(("altitude",), "vehicle_global_position", ("alt",)),
+    Rule(
+        ("north", "east"),
+        "vehicle_local_position",
+        ("x", "y"),
+        valid=("xy_valid",),
+        resets=POSITION_RESETS,
+    ),
+    Rule(
+        ("down",),
+        "vehicle_local_position",
+        ("z",),
+        valid=("z_valid",),
+        resets=("z_reset_counter", "delta_z"),
+    ),
+    Rule(
+        ("altitude",),
+        "vehicle_global_position",
+        ("alt",),
+        resets=("alt_reset_counter", "delta_alt"),
+    ),
     Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
     Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
     Rule(("altitude",), "vehicle_gps_position", ("alt",), milli),
     Rule(("density",), "vehicle_air_data", ("rho",)),
     Rule(("wind_north", "wind_east"), "wind", ("windspeed_north", "windspeed_east")),
     Rule(("wind_north", "wind_east"), "wind_estimate", ("windspeed_north", "windspeed_east")),
+    Rule(
+        ("wind_north", "wind_east"),
+        "estimator_wind",
+        ("windspeed_north", "windspeed_east"),
+        used=LANE,
+    ),
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
@@ -115,8 +187,21 @@ RULES = (
     Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), from_rpm),
 )
 
+# VEHICLE_VTOL_STATE 1 to 3 are transitions and rotary wing; before, two flags (VtolVehicleStatus.msg)
+LIFTING = (
+    ("vtol_vehicle_status", "vehicle_vtol_state", 1, 3),
+    ("vtol_vehicle_status", "vtol_in_rw_mode", 1, 1),
+    ("vtol_vehicle_status", "vtol_in_trans_mode", 1, 1),
+    ("vehicle_status", "in_transition_mode", 1, 1),
+    ("vehicle_status", "vehicle_type", 1, 1),
+)
+# VT_TYPE of tailsitters and tiltrotors, whose thrust is along -z (tailsitter.cpp, tiltrotor.cpp)
+TILTING = (0, 1)
+TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
+MOST_ENGINES = 8
 MOST_SURFACES = 8  # of control allocation
 # By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 # against our signs.
@@ -169,7 +254,7 @@ def read_ulog(path: Path) -> Log:
     return Log(
         kind="PX4 ULog",
         topics=topics,
-        rules=RULES,
+        rules=_rules(topics, parameters),
         parameters=parameters,
         firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}",
         vehicle=_vehicle(topics, parameters),
@@ -177,7 +262,23 @@ def read_ulog(path: Path) -> Log:
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
         controls=_controls(topics, parameters),
+        lifting=LIFTING,
     )
+
+
+def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return the rules, with the thrust of tilted rotors and all engines of a fixed wing."""
+    rules = RULES
+    is_vtol = _vehicle(topics, parameters) == "VTOL"
+    if is_vtol and parameters.get("VT_TYPE") in TILTING:
+        rules = (TILTED, *rules)
+    reports = topics.get("esc_status", NOTHING)
+    names = (f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
+    engines = tuple(name for name in names if name in reports and reports[name].any())
+    if len(engines) > 1 and not is_vtol:
+        note = f"quadratic mean of {len(engines)} engines"
+        rules = (Rule(("propeller_speed",), "esc_status", engines, mean_engine, note=note), *rules)
+    return rules
 
 
 class _Definitions:

@@ -1,0 +1,286 @@
+"""Choice among the instances of a sensor: the one that the autopilot used at each time, else a healthy one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.typing import Indices, Mask, Matrix, Vector
+from skdgp._flight.clock import CLOCK
+from skdgp.io._clock import usual_step
+from skdgp.io._log import QUATERNION, Instance, Log, Rule, Topic, Use
+from skdgp.io._resets import correct_resets
+
+# weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
+VALID_WEIGHT = 4
+USED_WEIGHT = 2
+# engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
+LARGEST_APART = 0.05
+# columns whose instances are engines, and allocators, in place of redundant sensors
+ENGINES = ("propeller_speed",)
+COMMANDS = ("throttle",)
+# beyond any counter of resets, of which instances have one each
+COUNTERS = 1e6
+# of a choice where the log says that no instance was used
+NONE = -1
+
+
+class Readings(NamedTuple):
+    """The readings of one instance, and which of them are valid."""
+
+    instance: Instance
+    time: Vector
+    values: Matrix
+    valid: Mask
+    preferred: Mask
+
+    @property
+    def health(self) -> tuple[bool, float, bool, float]:
+        """Order of instances: valid readings, the autopilot's flag, readings that move."""
+        share = float(self.valid.mean())
+        moves = bool(np.ptp(self.values[self.valid]) > 0) if self.valid.any() else False
+        return share > 0, round(share, 2), moves, float(self.preferred.mean())
+
+
+class Choice(NamedTuple):
+    """Samples of the instances that were chosen, by time, and the words for them."""
+
+    names: tuple[str, ...]
+    time: Vector
+    values: Matrix
+    note: str
+    remark: str
+    cuts: list[float]
+
+
+def last_before(time: Vector, at: Vector) -> Indices:
+    """Return the last of increasing times at or before each time, the first where there is none."""
+    return np.maximum(np.searchsorted(time, at, side="right") - 1, 0)
+
+
+def is_valid(topic: Topic, rule: Rule) -> Mask:
+    """Return which messages the log calls valid measurements, by the fields that it has."""
+    valid = np.ones(len(topic), bool)
+    for field in rule.valid:
+        if field in topic:
+            valid &= topic[field] > 0
+    for field, low, high in rule.within:
+        if field in topic:
+            valid &= (topic[field] >= low) & (topic[field] <= high)
+    return valid
+
+
+def validity_fields(log: Log, rule: Rule) -> list[str]:
+    """Return the fields that say whether a source is a measurement, with their values where these are limited."""
+    texts = []
+    for instance in log.instances(rule.topic):
+        texts += [field for field in rule.valid if field in instance.topic]
+        for field, _, _ in rule.within:
+            if field in instance.topic:
+                values = np.unique(instance.topic[field]).astype(int).tolist()
+                texts.append(f"{field} {values}")
+    return list(dict.fromkeys(texts))
+
+
+def choose(log: Log, rule: Rule) -> Choice | None:
+    """Return the valid samples of a rule's source, or None if the log has none of its fields."""
+    readings = []
+    for instance in log.instances(rule.topic):
+        if all(field in instance.topic for field in rule.fields):
+            readings.append(_readings(instance, rule))
+    if not readings:
+        return None
+    if rule.columns == ENGINES and len(readings) > 1:
+        return _mean_engine(readings)
+    if rule.columns == COMMANDS:
+        readings = readings[:1]
+    readings.sort(key=lambda each: each.health, reverse=True)
+    times = np.unique(np.concatenate([each.time for each in readings]))
+    places, use = _used(log, rule, readings, times)
+    is_measurement = any(each.is_measurement for each in rule.used)
+    chosen = _chosen(readings, places, times, is_measurement)
+    time = []
+    values = []
+    counters = []
+    deltas = []
+    for place, each in enumerate(readings):
+        is_chosen = chosen[last_before(times, each.time)] == place
+        rows = each.valid & is_chosen
+        time.append(each.time[rows])
+        values.append(each.values[rows])
+        counters.append(_counter(each.instance.topic, rule)[rows] + COUNTERS * place)
+        deltas.append(_deltas(each.instance.topic, rule)[rows])
+    names = _names(readings, chosen)
+    remarks = [_remark(readings, chosen, times, rule, use)]
+    remarks += [_unmeasured(each, rule) for each in readings]
+    order = np.argsort(np.concatenate(time), kind="stable")
+    sorted_time = np.concatenate(time)[order]
+    samples = np.concatenate(values)[order]
+    cuts = []
+    if rule.resets or rule.is_estimate:
+        resets = correct_resets(
+            " ".join(rule.columns),
+            sorted_time,
+            samples,
+            np.concatenate(counters)[order],
+            np.concatenate(deltas)[order] if rule.resets[1:] else None,
+            rule.columns == QUATERNION,
+        )
+        samples = resets.values
+        cuts = resets.cuts
+        remarks.append(resets.remark)
+    return Choice(
+        names,
+        sorted_time,
+        samples,
+        _note(readings, use),
+        "; ".join(filter(None, remarks)),
+        cuts,
+    )
+
+
+def _mean_engine(readings: list[Readings]) -> Choice:
+    """Return the quadratic mean of the engines that ever run: thrusts go with the square of the speed."""
+    running = [each for each in readings if np.any(each.values[each.valid])] or readings[:1]
+    time = running[0].time[running[0].valid]
+    squares = np.zeros(len(time))
+    for each in running:
+        speed = each.values[each.valid, 0]
+        squares += np.interp(time, each.time[each.valid], speed) ** 2
+    names = tuple(each.instance.name for each in running)
+    mean = np.sqrt(squares / len(running))[:, None]
+    note = f"quadratic mean of {len(running)} engines"
+    apart = float(np.ptp([np.mean(each.values[each.valid]) for each in running]))
+    remark = ""
+    if apart > LARGEST_APART * float(np.mean(mean)):
+        remark = (
+            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: their "
+            "yawing moment is in no column"
+        )
+    return Choice(names, time, mean, note, remark, [])
+
+
+def _readings(instance: Instance, rule: Rule) -> Readings:
+    topic = instance.topic
+    values = rule.convert(topic.columns(rule.fields))
+    valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
+    preferred = np.zeros(len(topic), bool)
+    for field in rule.preferred:
+        if field in topic:
+            preferred |= topic[field] > 0
+    return Readings(instance, topic.time, values, valid, preferred)
+
+
+def _counter(topic: Topic, rule: Rule) -> Vector:
+    """Return the counter of the estimator's resets, 0 where it is not logged."""
+    if not rule.resets or rule.resets[0] not in topic:
+        return np.zeros(len(topic))
+    return topic[rule.resets[0]]
+
+
+def _deltas(topic: Topic, rule: Rule) -> Matrix:
+    """Return the changes by the last reset, NaN where they are not logged."""
+    fields = rule.resets[1:]
+    if not fields or not all(field in topic for field in fields):
+        return np.full((len(topic), max(len(fields), 1)), np.nan)
+    return topic.columns(fields)
+
+
+def _used(
+    log: Log, rule: Rule, readings: list[Readings], times: Vector
+) -> tuple[Indices | None, str]:
+    """Return the place among the readings that the autopilot used at each time, None if it does not say."""
+    for use in rule.used:
+        numbers = _numbers(log, use, times)
+        if numbers is None:
+            continue
+        places = np.full(len(times), NONE)
+        for place, each in enumerate(readings):
+            number: float = each.instance.number + use.first
+            if use.match in each.instance.topic:
+                number = float(each.instance.topic[use.match][0])
+            places[numbers == number] = place
+        if use.is_measurement or (places != NONE).any():
+            return places, use.words
+    return None, ""
+
+
+def _numbers(log: Log, use: Use, times: Vector) -> Vector | None:
+    """Return the number of the instance that was used at each time, None if the log does not say."""
+    if not use.topic:
+        value = log.parameters.get(use.field)
+        return None if value is None else np.full(len(times), value)
+    for instance in log.instances(use.topic):
+        if use.field in instance.topic:
+            return instance.topic[use.field][last_before(instance.topic.time, times)]
+    return None
+
+
+def _chosen(
+    readings: list[Readings], used: Indices | None, times: Vector, is_measurement: bool
+) -> Indices:
+    """Return the place among the readings, best first, of the chosen one at each time."""
+    scores = np.zeros((len(readings), len(times)))
+    for place, each in enumerate(readings):
+        last = last_before(each.time, times)
+        age = times - each.time[last]
+        step = usual_step(np.diff(each.time)) if len(each.time) > 1 else np.inf
+        is_fresh = np.abs(age) <= CLOCK.gap * step
+        scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + each.preferred[last]
+        if used is not None:
+            scores[place] += USED_WEIGHT * (used == place)
+    chosen = scores.argmax(axis=0)
+    if is_measurement and used is not None:
+        chosen[used == NONE] = NONE
+    return chosen
+
+
+def _names(readings: list[Readings], chosen: Indices) -> tuple[str, ...]:
+    """Return the names of the chosen instances, in the order of their first choice."""
+    present, first = np.unique(chosen, return_index=True)
+    order = np.argsort(first)
+    places = [place for place in present[order] if place != NONE] or [0]
+    return tuple(readings[place].instance.name for place in places)
+
+
+def _note(readings: list[Readings], use: str) -> str:
+    """Return how the source was chosen, nothing where there is no choice."""
+    if len(readings) < 2:
+        return ""
+    return f"of {len(readings)}, " + (f"used by the autopilot: {use}" if use else "the healthiest")
+
+
+def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule, use: str) -> str:
+    """Return a remark where the chosen instance is not the first one throughout."""
+    first = min(each.instance.number for each in readings)
+    chosen, times = chosen[chosen != NONE], times[chosen != NONE]
+    changes = [0, *(np.flatnonzero(np.diff(chosen)) + 1).tolist()]
+    if not len(chosen):
+        return ""
+    numbers = [readings[chosen[k]].instance.number for k in changes]
+    if len(readings) < 2 or numbers == [first]:
+        return ""
+    names = [readings[chosen[k]].instance.name for k in changes]
+    parts = [f"{name} from {times[k]:.1f} s" for name, k in zip(names, changes, strict=True)]
+    text = names[0] if len(parts) == 1 else ", ".join(parts[:4])
+    if len(parts) > 4:
+        text += f" and {len(parts) - 4} more changes"
+    reason = f"as {use} says, where it is healthy" if use else "the healthiest"
+    columns = " ".join(rule.columns)
+    return f"{columns} of {len(readings)} instances: {text} ({reason})"
+
+
+def _unmeasured(readings: Readings, rule: Rule) -> str:
+    """Return a remark on messages of a source that the log does not call measurements."""
+    for field, low, high in rule.within:
+        if field in readings.instance.topic:
+            numbers = readings.instance.topic[field]
+            is_outside = (numbers < low) | (numbers > high)
+            if is_outside.any():
+                values = np.unique(numbers[is_outside]).astype(int).tolist()
+                return (
+                    f"{readings.instance.name} is left out where it is no measurement: in "
+                    f"{100 * is_outside.mean():.0f} % of its messages {field} is {values}"
+                )
+    return ""

@@ -1,0 +1,103 @@
+"""Several instances of a sensor: the one that the autopilot used at each time, else a healthy one."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from skdgp.preprocessing import FlightDataWarning
+
+T = 10 + np.arange(1500) / 50.0
+SLOW = T[::5]
+TRUE = 18 + np.sin(SLOW)
+
+
+def gyros(log):
+    return log.topic("IMU", T, **{f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"})
+
+
+def second(log, own_message):
+    """Return the name and the fields of the second airspeed sensor."""
+    return ("ASP2", {}) if own_message else ("ARSP", {"I": ("B", 1)})
+
+
+class TestArduPilot:
+    @pytest.mark.parametrize("own_message", [False, True])
+    def test_a_healthy_sensor_stands_in_for_a_failed_one(self, read, dataflash, own_message):
+        log = gyros(dataflash())
+        number = {} if own_message else {"I": ("B", 0)}
+        log.topic("ARSP", SLOW, **number, Airspeed=("f", 0.0), H=("B", 0))
+        name, number = second(log, own_message)
+        log.topic(name, SLOW + 1e-3, **number, Airspeed=("f", TRUE), H=("B", 1))
+        with pytest.warns(FlightDataWarning, match="of 2 instances"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
+
+    def test_the_primary_counts_at_each_time(self, read, dataflash):
+        """Both are healthy, and the primary changes at 25 s."""
+        log = gyros(dataflash())
+        primary = ("B", SLOW > 25)
+        for number, airspeed in enumerate((20.0, 30.0)):
+            instance = {"I": ("B", number), "Airspeed": ("f", airspeed)}
+            log.topic("ARSP", SLOW + number * 1e-3, **instance, H=("B", 1), Pri=primary)
+        with pytest.warns(FlightDataWarning, match=r"ARSP from 10.0 s, ARSP#1 from 25.1 s"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.airspeed[table.time < 24.9], 20.0)
+        assert_allclose(table.airspeed[table.time > 25.3].dropna(), 30.0)
+
+    def test_the_lane_of_the_estimator(self, read, dataflash):
+        log = gyros(dataflash())
+        for lane, speed in enumerate((1.0, 9.0)):
+            velocity = dict.fromkeys(("VN", "VE", "VD"), ("f", speed))
+            log.topic("XKF1", SLOW + lane * 1e-3, C=("B", lane), **velocity)
+            log.topic("XKF4", SLOW + lane * 1e-3, C=("B", lane), PI=("B", 1))
+        with pytest.warns(FlightDataWarning, match=r"as XKF4.PI says"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.v_north.dropna(), 9.0)
+
+
+class TestPX4:
+    @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
+    @pytest.mark.parametrize("source", [0, -1, 4])
+    def test_what_no_sensor_measured_is_no_airspeed(self, read, ulog, field, source):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+        kind = {field: ("int32_t", np.full(len(SLOW), source))}
+        log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, **kind)
+        log.topic("airspeed", SLOW, true_airspeed_m_s=2.0)
+        with pytest.warns(FlightDataWarning, match=rf"{field} \[{source}\]"):
+            assert "airspeed" not in read(log, airborne=False)
+
+    def test_a_sensor_that_fails_in_flight(self, read, ulog):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+        source = ("int32_t", np.where(SLOW < 20, 2, 0))
+        log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, airspeed_source=source)
+        with pytest.warns(FlightDataWarning, match=r"in 67 % of its messages airspeed_source"):
+            table = read(log, airborne=False)
+        assert table.airspeed[table.time > 20.1].isna().all()
+        assert table.airspeed[table.time < 19.9].notna().all()
+
+
+class TestResets:
+    """The velocity jumps by 5 m/s, or the heading by 0.6 rad, at 25 s."""
+
+    def test_a_velocity_is_corrected_by_the_logged_change(self, read, ulog):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+        late = SLOW >= 25
+        counter = ("uint8_t", late)
+        change = np.tile([5.0, 0.0], (len(SLOW), 1))
+        north = TRUE - 5 * ~late
+        velocity = {"vx": north, "vy": np.cos(SLOW), "delta_vxy": change}
+        log.topic("vehicle_local_position", SLOW, **velocity, vxy_reset_counter=counter)
+        with pytest.warns(FlightDataWarning, match=r"corrected by its logged changes at 25.0 s"):
+            table = read(log, airborne=False)
+        assert_allclose(table.v_north[:-10], 18 + np.sin(table.time[:-10]), atol=0.02)
+        assert table.flight.nunique() == 1
+
+    def test_an_attitude_without_a_logged_change_is_cut(self, read, ulog):
+        half = (0.1 * T - 0.6 * (T < 25)) / 2
+        q = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+        log = ulog().topic("vehicle_attitude", T, q=q, quat_reset_counter=("uint8_t", T >= 25))
+        with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
+            table = read(log, airborne=False)
+        assert table.flight.nunique() == 2
+        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
+        assert np.abs(steps).max() < 0.01

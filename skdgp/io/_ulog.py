@@ -268,7 +268,7 @@ def read_ulog(path: Path) -> Log:
 
 def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
     """Return the rules, with the thrust of tilted rotors and all engines of a fixed wing."""
-    rules = RULES
+    rules: tuple[Rule, ...] = RULES
     is_vtol = _vehicle(topics, parameters) == "VTOL"
     if is_vtol and parameters.get("VT_TYPE") in TILTING:
         rules = (TILTED, *rules)

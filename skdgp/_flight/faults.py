@@ -76,6 +76,9 @@ class FaultSettings:
     improbable: float = 1e-4
     # Shorter holds [s] are no fault.
     least_hold: float = 0.3
+    # A last run of this length [s], and so many times the longest other one, is frozen to the end.
+    frozen_seconds: float = 2.0
+    frozen_runs: float = 5.0
     # Repeated values, at least, to estimate the resolution of a channel.
     fewest_held: int = 6
     # Fraction of such values that are multiples of the resolution.
@@ -267,6 +270,8 @@ def stuck_rows(values: Vector, step: float, settings: FaultSettings = SETTINGS) 
     # a channel that turns back repeats its value, and leaves it by one quantum
     leap = np.abs(np.diff(runs.value, append=np.nan))
     steps = leap[:-1]
+    if _never_recovers(runs.length, step, settings):
+        leap[-1] = np.inf
     held = runs.value[runs.length > 1]
     quantum = max(np.quantile(steps, 0.01), _resolution(held, settings))
     is_stuck &= ~(leap <= 3 * quantum)
@@ -289,6 +294,13 @@ def stuck_rows(values: Vector, step: float, settings: FaultSettings = SETTINGS) 
         end = first + runs.length[run]
         stuck.append(runs.rows[first + 1 : end])
     return stuck
+
+
+def _never_recovers(length: Indices, step: float, settings: FaultSettings) -> bool:
+    """Return whether the last run is far longer than all others, so that no step after it is needed."""
+    longest_other = length[:-1].max(initial=1)
+    is_long = length[-1] * step >= settings.frozen_seconds
+    return bool(is_long and length[-1] >= settings.frozen_runs * longest_other)
 
 
 def _is_improbable(length: Indices, settings: FaultSettings) -> Mask:

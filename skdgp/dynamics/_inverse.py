@@ -63,7 +63,8 @@ def aerodynamic_coefficients(
         Columns ``time`` [s], ``airspeed`` [m/s], ``density`` [kg/m^3], ``ax``, ``ay``, ``az``
         [m/s^2], ``p``, ``q``, ``r`` [rad/s]; ``flight`` (id) where there are several; ``p_dot``,
         ``q_dot``, ``r_dot`` [rad/s^2] where all three were measured, else the rates are
-        differentiated.
+        differentiated. A column ``mass`` [kg] counts in place of the aircraft's mass; the inertia
+        stays.
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     cutoff : float, "auto" or None, default="auto"
@@ -102,7 +103,8 @@ def aerodynamic_coefficients(
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
     rates = measured[list(RATES)].to_numpy(float)
-    total_force = aircraft.mass * measured[list(SPECIFIC_FORCE)].to_numpy(float)
+    mass = flight.get("mass", pd.Series(aircraft.mass, index=flight.index)).to_numpy(float)
+    total_force = mass[:, None] * measured[list(SPECIFIC_FORCE)].to_numpy(float)
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
     # Equations 3 to 8: force, moment, coefficients.
     F_A = total_force - thrust_force - other_force

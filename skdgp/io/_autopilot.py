@@ -29,11 +29,12 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
-from skdgp.io._dataflash import read_dataflash
+from skdgp.io._dataflash import read_dataflash, read_dataflash_text
 from skdgp.io._instances import choose, last_before, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
+    NO_PULSE,
     NOTHING,
     QUATERNION,
     Control,
@@ -56,11 +57,21 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog,
     ".ulog": read_ulog,
     ".bin": read_dataflash,
+    ".log": read_dataflash_text,
     ".tlog": read_tlog,
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
 NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
+# fields that say whether motors may run, and their value then
+ARMED = (
+    ("actuator_armed", "armed", 1.0),
+    ("vehicle_status", "arming_state", 2.0),
+    ("STAT", "Armed", 1.0),
+    ("ARM", "ArmState", 1.0),
+)
+# usual range of the pulses of servos [us]
+PULSE_RANGE = 1000.0
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
 
@@ -90,6 +101,8 @@ class FlightSettings:
     longest_dip: float = 2.0
     # faster for less than this is none [s]
     shortest: float = 5.0
+    # outputs that move by less than this fraction of their range never move; a guess
+    least_motion: float = 0.02
     # channels begin and end within this of each other [s]
     longest_edge: float = 1.0
 
@@ -182,7 +195,8 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
                 table, origins = to_table(sources)
                 origin |= origins
                 useless += unused
-                segments = find_segments(table, log, topics, speed)
+                believes = isinstance(airborne, bool)
+                segments = find_segments(table, log, topics, speed, believes_landed=believes)
                 fraction = lifting(table["time"].to_numpy(), log, topics).mean()
                 if fraction:
                     remarks.append(
@@ -445,6 +459,8 @@ def find_segments(
     topics: dict[str, Topic],
     speed: float,
     settings: FlightSettings = FLIGHT,
+    *,
+    believes_landed: bool = True,
 ) -> list[slice]:
     """Return the rows of each flight: airspeed above a speed, and not reported as landed.
 
@@ -452,7 +468,9 @@ def find_segments(
     on its wheels after it was reported as landed does not fly yet.
     """
     time = table["time"].to_numpy()
-    landed = _landed(time, log, topics)
+    landed = np.zeros(len(time), dtype=bool)
+    if believes_landed:
+        landed = _landed(time, log, topics)
     is_flight = (_speed(table, log) > speed) & ~landed & ~lifting(time, log, topics)
     rows = np.flatnonzero(is_flight)
     pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
@@ -495,9 +513,10 @@ def no_flight_because(flown: FlightLog) -> str:
     vehicle = flown.log.vehicle
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
-    table = max((part.table for part in flown.parts), key=len)
+    longest = max(flown.parts, key=lambda part: len(part.table))
+    table = longest.table
     highest = np.nanmax(_speed(table, flown.log), initial=-np.inf)
-    reasons = []
+    reasons = _on_the_ground(longest, flown.log)
     channel = "airspeed"
     if "airspeed" not in table:
         channel = "ground speed"
@@ -507,6 +526,33 @@ def no_flight_because(flown: FlightLog) -> str:
             f"{channel} never stays above {flown.speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
         )
     return ", ".join(reasons)
+
+
+def _on_the_ground(part: Part, log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
+    """Return what the autopilot itself says against a flight, with the numbers."""
+    reasons = []
+    for name, field, armed in ARMED:
+        topic = part.topics.get(name, NOTHING)
+        if field in topic:
+            if not (topic[field] == armed).any():
+                reasons.append(f"the autopilot was never armed: {name}.{field} is never {armed:g}")
+            break
+    time = part.table["time"].to_numpy()
+    if log.landed is not None and _landed(time, log, part.topics).all():
+        name, field, value = log.landed
+        reasons.append(
+            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
+        )
+    ranges = []
+    for output in log.outputs:
+        for field, values in part.topics.get(output, NOTHING).fields.items():
+            if not field.startswith("time") and field not in ("TimeUS", "noutputs"):
+                finite = values[np.isfinite(values)].astype(float)
+                scale = PULSE_RANGE if np.abs(finite).max(initial=0.0) > NO_PULSE else 1.0
+                ranges.append(np.ptp(finite) / scale if finite.size else 0.0)
+    if ranges and max(ranges) < settings.least_motion:
+        reasons.append(f"no output moves by more than {100 * max(ranges):.2g} % of its range")
+    return reasons
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
@@ -161,7 +162,65 @@ def read_dataflash(path: Path) -> Log:
     names = file.texts("PARM", "Name")
     values = map(float, file.numbers("PARM", "Value"))
     parameters = dict(zip(names, values, strict=False))
-    programs = [text for text in file.texts("MSG", "Message") if text.split(" ")[0] in VEHICLES]
+    messages = file.texts("MSG", "Message")
+    return _log(topics, parameters, messages, damage(file.skipped, file.cut))
+
+
+def read_dataflash_text(path: Path) -> Log:
+    """Return a DataFlash log in text (.log), whose numbers are scaled; raise FlightReadError if it is none."""
+    columns: dict[str, list[str]] = {}
+    rows: dict[str, list[list[str]]] = {}
+    places: dict[str, list[int]] = {}
+    for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
+        name, *cells = (cell.strip() for cell in line.split(","))
+        if name == "FMT" and len(cells) > 4:
+            columns[cells[2]] = cells[4:]
+        elif name in columns:
+            width = len(columns[name])
+            # a text may hold commas
+            cells[width - 1 :] = [",".join(cells[width - 1 :])]
+            if len(cells) == width:
+                rows.setdefault(name, []).append(cells)
+                places.setdefault(name, []).append(place)
+    topics: dict[str, Topic] = {}
+    for name in rows.keys() - {*DEFINITIONS}:
+        fields = {}
+        for column, texts in zip(columns[name], zip(*rows[name], strict=True), strict=True):
+            numbers = pd.to_numeric(pd.Series(texts), errors="coerce").to_numpy(float)
+            if np.isfinite(numbers).any():
+                fields[column] = numbers
+        if "TimeUS" not in fields:
+            continue
+        topic = Topic(fields["TimeUS"] * 1e-6, np.array(places[name], float), fields)
+        topic = topic.select(np.isfinite(topic.time))
+        number = next((field for field in INSTANCES if field in fields), None)
+        if number is None:
+            topics[name] = topic
+            continue
+        for k in np.unique(topic[number][np.isfinite(topic[number])]).astype(int).tolist():
+            topics[instance_name(name, k)] = topic.select(topic[number] == k)
+    if not topics:
+        raise FlightReadError(
+            "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
+            "log in text: is it of another kind, or written before 2015?"
+        )
+    parameters = {}
+    place_of = {column: k for k, column in enumerate(columns.get("PARM", []))}
+    if {"Name", "Value"} <= place_of.keys():
+        for cells in rows.get("PARM", []):
+            parameters[cells[place_of["Name"]]] = float(cells[place_of["Value"]])
+    messages = [cells[-1] for cells in rows.get("MSG", [])]
+    return _log(dict(sorted(topics.items())), parameters, messages, ())
+
+
+def _log(
+    topics: dict[str, Topic],
+    parameters: dict[str, float],
+    messages: list[str],
+    remarks: tuple[str, ...],
+) -> Log:
+    """Return the log of these messages."""
+    programs = [text for text in messages if text.split(" ")[0] in VEHICLES]
     firmware = programs[0] if programs else "ArduPilot"
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
@@ -173,7 +232,7 @@ def read_dataflash(path: Path) -> Log:
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=damage(file.skipped, file.cut),
+        remarks=remarks,
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
         controls=controls_of(topics.get("RCOU", NOTHING), parameters),

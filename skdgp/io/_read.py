@@ -75,7 +75,8 @@ def read_flight(
     ----------
     path : str or path
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.ulg`` (PX4) and ``.tlog``
-        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot).
+        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` and ``.log``
+        (ArduPilot).
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
@@ -85,8 +86,8 @@ def read_flight(
         parts of their full throw, -1 to 1, of the servos that the parameters name.
     airborne : bool or float, default=True
         Keep only the flight: an airspeed above 0.7 times the slowest set on the autopilot (8
-        m/s if none is), or above this number [m/s], and not landed by the autopilot's own account.
-        False keeps all.
+        m/s if none is) and not landed by the autopilot's own account, or above this number [m/s],
+        whatever it reports. False keeps all.
     rename : mapping of str to str, optional
         Names of a flight table for columns of a table, ``{"de": "elevator"}``; a unit in the header
         stays with its column.
@@ -229,7 +230,12 @@ def _as_numbers(table: pd.DataFrame) -> dict[str, np.ndarray]:
 
 
 def _as_seconds(time: pd.Series) -> pd.Series:
-    """Return dates and durations as seconds, dates from the first row on; numbers as they are."""
+    """Return dates and durations as seconds, dates (ISO 8601) from the first row on; numbers as they are."""
+    if pd.api.types.is_object_dtype(time) or pd.api.types.is_string_dtype(time):
+        try:
+            time = pd.to_datetime(time, format="ISO8601", utc=True)
+        except (ValueError, TypeError):
+            return time
     if pd.api.types.is_datetime64_any_dtype(time):
         time = time - time.iloc[0]
     return time.dt.total_seconds() if pd.api.types.is_timedelta64_dtype(time) else time

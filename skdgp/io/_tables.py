@@ -39,7 +39,9 @@ TO_SI = {
     "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", np.pi / 180),
     "m": ("m", 1.0), "ft": ("m", 0.3048),
     "m/s": ("m/s", 1.0), "kt": ("m/s", 1852 / 3600), "km/h": ("m/s", 1 / 3.6), "ft/s": ("m/s", 0.3048),
+    "ft/min": ("m/s", 0.3048 / 60),
     "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665),
+    "kg": ("kg", 1.0), "lb": ("kg", 0.45359237),
     "kg/m^3": ("kg/m^3", 1.0), "N": ("N", 1.0), "N m": ("N m", 1.0), "": ("", 1.0), "%": ("", 0.01),
 }  # fmt: skip
 UNITS = {unit.lower(): meaning for unit, meaning in TO_SI.items()}
@@ -47,6 +49,7 @@ SPELLINGS = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "sec": "s", "µs": "us", "-": "",
     "1": "", "kts": "kt", "knots": "kt", "m/s2": "m/s^2", "m/s²": "m/s^2", "rad/s2": "rad/s^2", "rad/s²": "rad/s^2",
     "deg/s2": "deg/s^2", "°/s²": "deg/s^2", "kg/m3": "kg/m^3", "kg/m³": "kg/m^3", "nm": "N m", "n": "N",
+    "fpm": "ft/min",
 }  # fmt: skip
 
 

@@ -389,3 +389,21 @@ class TestRates:
         inside = table["time"].between(before, after)
         assert table["p"][inside].isna().all()
         assert_allclose(table["p"][~inside], table["time"][~inside], atol=1e-5)
+
+
+class TestOnTheGround:
+    t = np.arange(0, 30, 0.05)
+
+    @pytest.fixture
+    def log(self, ulog):
+        log = ulog().topic("airspeed", self.t, true_airspeed_m_s=20.0)
+        log.topic("vehicle_angular_velocity", self.t, xyz=equal(np.sin(self.t)))
+        log.topic("vehicle_land_detected", [0.0, 15.0], landed=("bool", [1, 1]))
+        return log.topic("actuator_armed", [0.0, 15.0], armed=("bool", [0, 0]))
+
+    def test_what_the_autopilot_says_comes_first(self, read, log):
+        with pytest.raises(FlightReadError, match=r"found \(the autopilot was never armed.*landed"):
+            read(log)
+
+    def test_a_speed_overrides_the_flag(self, read, log):
+        assert len(read(log, airborne=6.0)) == len(self.t)

@@ -6,7 +6,8 @@ from functools import partial
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp.io import AUTOPILOTS, FlightReadError
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp.preprocessing import FlightDataWarning
 
 read_dataflash = AUTOPILOTS[".bin"]
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -149,3 +150,23 @@ class TestDamage:
 def test_what_is_no_dataflash_log(read, content):
     with pytest.raises(FlightReadError, match="does not begin as a DataFlash log does"):
         read(content)
+
+
+def test_a_log_in_text(tmp_path):
+    """Ground stations write scaled numbers; the second sensor is the primary one."""
+    path = tmp_path / "sortie.log"
+    lines = [
+        "FMT, 129, 23, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ",
+        "FMT, 130, 23, ARSP, QBfBB, TimeUS,I,Airspeed,H,Pri",
+        "FMT, 131, 23, PARM, QNf, TimeUS,Name,Value",
+        "PARM, 0, AIRSPEED_MIN, 12",
+    ]
+    for k in range(1000):
+        lines.append(f"IMU, {20000 * k}, 0, {0.001 * k:.4f}, 0.1, 0.2")
+        lines.append(f"ARSP, {20000 * k}, 0, 3.0, 1, 1")
+        lines.append(f"ARSP, {20000 * k}, 1, 20.0, 1, 1")
+    path.write_text("\n".join(lines))
+    with pytest.warns(FlightDataWarning, match="ARSP#1"):
+        table = read_flight(path)
+    assert table.airspeed.median() == 20.0
+    assert_allclose(table.p, 0.05 * table.time, atol=1e-3)

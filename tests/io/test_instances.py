@@ -101,3 +101,45 @@ class TestResets:
         assert table.flight.nunique() == 2
         steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
         assert np.abs(steps).max() < 0.01
+
+
+class TestVehicles:
+    @pytest.mark.parametrize(("kind", "axis", "sign"), [(2, 0, 1), (1, 2, -1), (0, 2, -1)])
+    def test_a_vtol_is_read_in_forward_flight_alone(self, read, ulog, kind, axis, sign):
+        """It is in transition before 20 s; the thrust of tilted rotors is along -z."""
+        log = ulog(VT_TYPE=kind).topic(
+            "vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1])
+        )
+        thrust = np.zeros((len(T), 3))
+        thrust[:, axis] = sign * 0.55
+        log.topic("vehicle_thrust_setpoint", T, xyz=thrust)
+        log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
+        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool))
+        state = ("uint8_t", np.where(SLOW < 20, 1, 4))
+        log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=state)
+        with pytest.warns(FlightDataWarning, match="rotors lift"):
+            table = read(log)
+        assert table.time.min() >= 19.9
+        assert_allclose(table.throttle, 0.55, rtol=1e-6)
+
+    def test_thrust_goes_with_the_squares_of_all_engines(self, read, dataflash):
+        log = gyros(dataflash())
+        for number, speed in enumerate((0.0, 6000.0)):
+            rpm = np.where(SLOW > 25, speed, 6000.0)
+            log.topic("ESC", SLOW, Instance=("B", number), RPM=("f", rpm))
+        with pytest.warns(FlightDataWarning, match="of 2 engines"):
+            table = read(log, "log.bin", airborne=False)
+        late = table[table.time > 25.2].propeller_speed.dropna()
+        assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
+
+    @pytest.mark.parametrize(("reverse", "turn"), [(0.0, 1.0), (1.0, -1.0)])
+    def test_flaperons(self, read, dataflash, reverse, turn):
+        """left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
+        functions = {"SERVO1_FUNCTION": 24.0, "SERVO5_FUNCTION": 25.0, "SERVO5_REVERSED": reverse}
+        log = gyros(dataflash(**functions))
+        aileron, flap = 0.3 * np.sin(SLOW), 0.2 * (SLOW > 30)
+        left, right = 1500 + 400 * (aileron + flap), 1500 + turn * 400 * (aileron - flap)
+        log.topic("RCOU", SLOW, C1=("H", left), C5=("H", right))
+        table = read(log, "log.bin", servos="full throw", airborne=False)
+        inside = table.iloc[10:-10]
+        assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)

@@ -379,8 +379,8 @@ TEXTS = _by_code(
     sizes_sources="Estimated by: {sources}.",
     thrust_in_coefficients="Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
     "propeller and its speed give the thrust, so it is part of the coefficients: CX is thrust less "
-    "drag, which the model does not tell apart. Of throttle and airspeed those are regressors that "
-    "lower the errors of a linear model on held-out parts of the flights.",
+    "drag, which the model does not tell apart. Throttle and airspeed are regressors if held-out "
+    "parts show them.",
     already_learned="The model learned from a flight {flight!r}: if it is this one, its "
     "errors say nothing about others.",
     held_out_flight="No test flight was named: the last flight, {flight}, is held out of the "

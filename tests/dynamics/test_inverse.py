@@ -103,6 +103,7 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
     assert missing.sum() == 10
 
 
+@pytest.mark.filterwarnings("ignore:Faults in the log")
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -20,7 +20,7 @@ KNOWN = Aircraft.estimate(3.0, 1.8, propeller={"diameter": 0.3, "thrust_coeffici
 # Of a stable aircraft, of its dampings, and of its controls
 SIGNS = {
     "CZ_alpha": -1, "Cm_alpha": -1, "Cm_q": -1, "Cl_p": -1, "Cn_beta": 1, "Cn_r": -1,
-    "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1, "CX_throttle": 1,
+    "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
 WAVES = [
     "alpha",

@@ -40,6 +40,8 @@ THRUST_COLUMNS = ("thrust", *THRUST_FORCES)
 THRUST_MOMENTS = ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
+# Controls that a pilot sets and no loop moves
+HIGH_LIFT = ("flap", "spoiler")
 
 CHANNELS = {
     "time": Channel("s", "time on the log's one clock, increasing within a flight"),

@@ -149,3 +149,23 @@ def test_outputs_with_gaps_have_noise_of_their_own(data):
 def test_bad_noise_is_refused(data, options, message):
     with pytest.raises(ValueError, match=message):
         DependentGPRegressor(**options).fit(*data)
+
+
+def test_inducing_variables_are_as_good_as_exact_with_noise_known_for_each_value():
+    """Of 1800 values; the reference is scikit-learn's process of each output, with ``alpha``."""
+    rng = default_rng(0)
+    X = rng.uniform(-2.0, 2.0, (900, 1))
+    F = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 0])])
+    variance = rng.uniform(0.02, 0.2, F.shape) ** 2
+    Y = F + np.sqrt(variance) * rng.normal(size=F.shape)
+    kernel = ConvolvedGaussian(0, amplitude=np.eye(2), length_scale=np.ones((2, 2, 1)))
+    options = {"structure": "joint", "trend": None, "optimizer": None, "random_state": 0}
+    model = DependentGPRegressor(kernel, noise_variance=variance, **options).fit(X, Y)
+    assert model.inference_ == "sparse"
+    asked = np.linspace(-2.0, 2.0, 40)[:, None]
+    mean, std = model.predict(asked, return_std=True)
+    for i in range(2):
+        process = GaussianProcessRegressor(RBF(1.0), alpha=variance[:, i], optimizer=None)
+        expected, deviation = process.fit(X, Y[:, i]).predict(asked, return_std=True)
+        assert_allclose(std[:, i], deviation, rtol=0.02)
+        assert np.all(np.abs(mean[:, i] - expected) < 0.05 * deviation)

@@ -52,7 +52,7 @@ class RegressorSettings:
     exact_values: int = 6000
     #: The same of a time series
     exact_time_series_values: int = 1000
-    #: Observed values above which inference="auto" tries inducing variables; fewer are exact in no time
+    #: Observed values above which inference="auto" tries inducing variables: exact inference takes long
     sparse_values: int = 1500
     #: Largest prior variance that inducing variables leave unexplained, over the noise variance,
     #: where exact inference on all values is possible: errors are within 1 % of exact ones

@@ -186,8 +186,14 @@ class SparsePosterior(SinglePosterior):
 
     @property
     def neglected_variance(self) -> float:
-        """The largest ``unexplained_variance`` of any output, over its noise variance."""
-        return float(np.max(self.unexplained_variance / self.noise))
+        """Mean prior variance that the features do not explain, over the noise variance.
+
+        Of the worst output, or of all values where their noise is correlated or known for each.
+        """
+        if self.data.sample_noise is None:
+            return float(np.max(self.unexplained_variance / self.noise))
+        unexplained = sum(sums.unexplained for sums in self.sums.statistics.values())
+        return unexplained / self.data.n_values
 
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""

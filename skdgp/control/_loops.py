@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Array
+from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 
-GRAVITY = 9.80665  # m/s^2
-SEA_LEVEL_DENSITY = 1.225  # kg/m^3
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
 ARDUPILOT_FULL = 45.0
 #: Corner of the high-pass filter of ArduPilot's yaw damper [rad/s]
 WASHOUT = 0.2
-AXES = {
+# Rate, attitude and control of each loop
+LOOP_AXES = {
     "roll": ("p", "phi", "aileron"),
     "pitch": ("q", "theta", "elevator"),
     "yaw": ("r", "", "rudder"),
@@ -76,7 +76,7 @@ class Loop:
 
         ``s`` (n,) [rad/s] is the Laplace variable, ``airspeed`` [m/s] the true one, ``density`` [kg/m^3].
         """
-        rate, angle, _ = AXES[self.name]
+        rate, angle, _ = LOOP_AXES[self.name]
         to_true = np.sqrt(SEA_LEVEL_DENSITY / density)
         k = self._scaling(airspeed / to_true)
         gyro = _second_order(s, self.gyro_corner)
@@ -95,7 +95,7 @@ class Loop:
         if np.isfinite(self.time_constant) and angle:
             laws[angle] = -forward * target / self.time_constant
         if self.coordination:
-            laws["phi"] = forward * self.coordination * GRAVITY / airspeed
+            laws["phi"] = forward * self.coordination * STANDARD_GRAVITY / airspeed
         if self.slip:
             laws["ay"] = -(k**2) * self.I / s * self.slip
         return {name: self.full * law for name, law in laws.items()}
@@ -193,7 +193,7 @@ def autopilot_loops(
     ['roll']
     """
     known = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
-    surfaces = [surface for *_, surface in AXES.values()]
+    surfaces = [surface for *_, surface in LOOP_AXES.values()]
     wrong = {name: value for name, value in full.items() if not _is_full(name, value, surfaces)}
     if wrong or not full:
         raise ValueError(
@@ -309,7 +309,7 @@ def _ardupilot_yaw_damper(known, full, unit, common):
 
 def _loop(name, parameters, unit, known, full, **settings):
     """Return the loop of an axis, or none: parameters without values are zero."""
-    control = AXES[name][2]
+    control = LOOP_AXES[name][2]
     values = {gain: known.get(parameter, 0.0) for gain, parameter in parameters.items()}
     if control not in full or not any(values[gain] for gain in ("P", "I", "D")):
         return []

@@ -20,7 +20,7 @@ from scipy.signal import detrend, welch
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.tables import FlightTable
-from skdgp.control._loops import AXES, Loop
+from skdgp.control._loops import LOOP_AXES, Loop
 from skdgp.dynamics import LinearModel
 
 UNUSED = ("north", "east", "down", "psi")  # states that no loop feeds back: their modes are at zero
@@ -43,8 +43,9 @@ class MarginSettings:
     sensitivity: float = 2.0
     #: Response to the logged inputs, in power over the noise of the rate, that counts as excited
     excited: float = 4.0
-    #: Length of the segments of spectra [s], and the part of the highest frequencies that is noise
+    #: Longest and shortest segments of spectra [s], and the part of the highest frequencies that is noise
     segment: float = 10.0
+    least_segment: float = 2.0
     noise: float = 0.25
     #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
     largest_factor: float = 26.0
@@ -77,10 +78,10 @@ def margins(
 ) -> pd.DataFrame:
     r"""Return the margins of each loop, opened at its control with the other loops closed.
 
-    The gain margin is the rise of all gains of the loop that makes the aircraft unstable, the phase
-    margin the further delay, as an angle at the crossover, the sensitivity the largest
-    :math:`|1 / (1 + L)|`. All are of the exact delay. A closed loop with a mode that grows faster than
-    0.1 1/s has margins of minus infinity. The sign of each deflection is that which turns the aircraft of
+    The gain margin is the smallest rise of all gains of the loop, and the phase margin the smallest
+    turn of L at a crossover, negative for a lead, that makes the aircraft unstable. The sensitivity is
+    the largest :math:`|1 / (1 + L)|`. The delay is exact. A closed loop with a mode that grows faster
+    than 0.1 1/s has margins of minus infinity. Each deflection has the sign that turns the aircraft of
     the mean in the positive direction.
 
     Parameters
@@ -105,7 +106,8 @@ def margins(
     Raises
     ------
     ValueError
-        If a loop has a control that the linear model has not, or the flight lacks a channel.
+        If a loop has a control that the linear model has not, the linear model has no airspeed or density,
+        or the flight lacks a channel.
 
     Examples
     --------
@@ -139,7 +141,7 @@ def margins(
             paths = _marked(_margins_of(of_paths[..., k], s.imag), unstable.paths)
         excited = None
         if flight is not None:
-            rate = responses.mean[..., responses.outputs.index(AXES[loop.name][0]), k]
+            rate = responses.mean[..., linear.C.index.get_loc(LOOP_AXES[loop.name][0]), k]
             excited = _excited(loop, value, rate[0], s.imag, flight, settings)
         rows += _rows(loop, value, paths, excited, settings)
     return pd.DataFrame(rows).set_index(["loop", "quantity"])
@@ -177,50 +179,82 @@ def suggest_gains(
     Raises
     ------
     ValueError
-        If the linear model has no paths, or no gains between a twentieth and twenty times the present
-        ones have the margins.
+        If the linear model has no paths, the probability is not between 0 and 1, or no gains between a
+        twentieth and twenty times the present ones have the margins.
     """
     _check(linear, loops)
     if linear.paths is None:
         raise ValueError(
             "Got a linear model without paths, but expected linearize(..., n_paths=200)."
         )
-    searched = replace(settings, n_frequencies=settings.n_searched)
-    s = 1j * _frequencies(searched)
-    responses = _responses(linear, loops, s)
-    stability = _Stability.of(linear, loops, searched)
+    if not 0 < probability < 1:
+        raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
+    search = _GainSearch.of(linear, loops, gain_margin, phase_margin, probability, settings)
     chosen = list(loops)
     for k in [*range(len(chosen))] * settings.rounds:
-        # the loop transfer function is proportional to the gains of its loop
-        transfer = _of_loops(responses.paths, linear, chosen, s)[..., k]
+        decibels = search.largest(chosen, k)
+        chosen[k] = chosen[k].scaled(_factor(decibels))
+    return chosen
 
-        def share(decibels, transfer=transfer):
-            """Return the part of the paths with both margins, for gains times a factor."""
-            found = _margins_of(10 ** (decibels / 20) * transfer, s.imag)
-            return np.mean((found.gain >= gain_margin) & (found.phase >= phase_margin))
 
-        def is_enough(decibels, k=k, share=share):
-            """Return whether enough paths have both margins, and are stable."""
-            if share(decibels) < probability:
-                return False
-            loop = chosen[k].scaled(float(10 ** (decibels / 20)))
-            unstable = stability.unstable(linear, [*chosen[:k], loop, *chosen[k + 1 :]])
-            return np.mean(unstable.paths) <= 1 - probability
+class _GainSearch(NamedTuple):
+    """Responses and stability at the frequencies of a search for gains, and the wanted margins [dB], [deg]."""
 
-        coarse, fine = settings.steps
-        largest = settings.largest_factor
-        tried = np.arange(largest, -largest - coarse, -coarse)
-        best = next((decibels for decibels in tried if is_enough(decibels)), None)
+    linear: LinearModel
+    s: Vector
+    responses: _OfModel
+    stability: _Stability
+    gain_margin: float
+    phase_margin: float
+    probability: float
+    settings: MarginSettings
+
+    @classmethod
+    def of(cls, linear, loops, gain_margin, phase_margin, probability, settings):
+        searched = replace(settings, n_frequencies=settings.n_searched)
+        s = 1j * _frequencies(searched)
+        responses = _responses(linear, loops, s)
+        stability = _Stability.of(linear, loops, searched)
+        wanted = gain_margin, phase_margin, probability
+        return cls(linear, s, responses, stability, *wanted, settings)
+
+    def largest(self, loops: list[Loop], k: int) -> float:
+        """Return the largest rise [dB] of the gains of loop k with the margins; ValueError if there is none."""
+        transfer = _of_loops(self.responses.paths, self.linear, loops, self.s)[..., k]
+        largest = self.settings.largest_factor
+        coarse, fine = self.settings.steps
+        best = None
+        for decibels in np.arange(largest, -largest - coarse, -coarse):
+            if self.is_enough(decibels, loops, k, transfer):
+                best = float(decibels)
+                break
         if best is None:
             raise ValueError(
-                f"Got no gains of the {chosen[k].name} loop with {gain_margin:g} dB and {phase_margin:g} deg in "
-                f"{probability:.0%} of the paths. Lower the wanted margins, shorten the delay, start from gains that "
-                "are stable, or fly manoeuvres that tell the derivatives."
+                f"Got no gains of the {loops[k].name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
+                f"in {self.probability:.0%} of the paths. Lower the wanted margins, shorten the delay, start from "
+                "gains that are stable, or fly manoeuvres that tell the derivatives."
             )
-        while best < largest and is_enough(best + fine):
+        while best < largest and self.is_enough(best + fine, loops, k, transfer):
             best += fine
-        chosen[k] = chosen[k].scaled(float(10 ** (best / 20)))
-    return chosen
+        return best
+
+    def is_enough(self, decibels: float, loops: list[Loop], k: int, transfer: Matrix) -> bool:
+        """Return whether enough paths have both margins, and are stable, with a rise of the gains of loop k.
+
+        Its loop transfer function (n_paths, n) is proportional to its gains.
+        """
+        found = _margins_of(_factor(decibels) * transfer, self.s.imag)
+        is_good = (found.gain >= self.gain_margin) & (found.phase >= self.phase_margin)
+        if np.mean(is_good) < self.probability:
+            return False
+        risen = [*loops]
+        risen[k] = loops[k].scaled(_factor(decibels))
+        unstable = np.asarray(self.stability.unstable(self.linear, risen).paths, dtype=bool)
+        return bool(np.mean(is_good & ~unstable) >= self.probability)
+
+
+def _factor(decibels):
+    return float(10 ** (decibels / 20))
 
 
 class _OfModel(NamedTuple):
@@ -228,7 +262,6 @@ class _OfModel(NamedTuple):
 
     mean: Array
     paths: Array | None
-    outputs: list[str]
 
 
 def _check(linear, loops):
@@ -237,6 +270,11 @@ def _check(linear, loops):
     missing = [loop.control for loop in loops if loop.control not in inputs]
     if missing:
         raise ValueError(f"Got loops of {missing}, but the linear model has the inputs {inputs}.")
+    if not (np.isfinite(linear.airspeed) and np.isfinite(linear.density)):
+        raise ValueError(
+            f"Got a linear model at an airspeed of {linear.airspeed} m/s and a density of {linear.density} kg/m^3, "
+            "but expected finite numbers, which scale the gains."
+        )
     controls = [loop.control for loop in loops]
     if not loops or len(set(controls)) < len(controls):
         raise ValueError(
@@ -252,7 +290,7 @@ def _frequencies(settings):
 def _signs(linear, loops):
     """Return the signs of the deflections that turn the aircraft of the mean in the positive direction."""
     first = _state_response(linear.A, linear.B, linear.C, linear.D, linear, loops, np.array([1e3]))
-    rates = [AXES[loop.name][0] for loop in loops]
+    rates = [LOOP_AXES[loop.name][0] for loop in loops]
     outputs = [*linear.C.index]
     # at a high frequency a rate is the angular acceleration over s, behind the servo
     effects = []
@@ -281,19 +319,13 @@ def _responses(linear, loops, s) -> _OfModel:
     """Return the responses (n_paths, n, n_outputs, n_loops) to commands with their delay and signs."""
     late = _signs(linear, loops) * np.exp(-s * linear.delay)[:, None, None]
     mean = _state_response(linear.A, linear.B, linear.C, linear.D, linear, loops, s)[None] * late
-    paths = None
-    if linear.paths is not None:
-        p = linear.paths
-        paths = (
-            np.array(
-                [
-                    _state_response(*each, linear, loops, s)
-                    for each in zip(p.A, p.B, p.C, p.D, strict=True)
-                ]
-            )
-            * late
-        )
-    return _OfModel(mean, paths, [*linear.C.index])
+    if linear.paths is None:
+        return _OfModel(mean, None)
+    p = linear.paths
+    of_paths = []
+    for each in zip(p.A, p.B, p.C, p.D, strict=True):
+        of_paths.append(_state_response(*each, linear, loops, s) * late)
+    return _OfModel(mean, np.array(of_paths))
 
 
 def _gains(linear, loops, s):
@@ -343,7 +375,7 @@ class _Stability(NamedTuple):
             return np.prod((s[:, None] - roots[..., None, :]) / (s[:, None] + 1.0), axis=-1)
 
         paths = None if linear.paths is None else factors(linear.paths.A)
-        aircraft = _OfModel(factors(np.asarray(linear.A)[None]), paths, [])
+        aircraft = _OfModel(factors(np.asarray(linear.A)[None]), paths)
         return cls(s, aircraft, _responses(linear, loops, s))
 
     def unstable(self, linear, loops) -> _OfModel:
@@ -358,15 +390,14 @@ class _Stability(NamedTuple):
             return np.round((angle[..., 0] - angle[..., -1]) / np.pi) > 0
 
         mean = found(self.aircraft.mean, self.responses.mean)
-        return _OfModel(mean, found(self.aircraft.paths, self.responses.paths), [])
+        return _OfModel(mean, found(self.aircraft.paths, self.responses.paths))
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> Margins:
     """Return the margins of loop transfer functions (n_paths, n) at frequencies w [rad/s].
 
-    Of several crossings the smallest phase margin counts, and the smallest rise of the gain.
-    Without a crossing the margin is infinite, and
-    without a crossover its frequency is unknown.
+    Of several crossings the smallest phase margin counts, and the smallest rise of the gain. Without a
+    crossing the margin is infinite, and the frequency unknown.
     """
     size = 20 * np.log10(np.abs(transfer))
     log_w = np.log(w)
@@ -468,10 +499,16 @@ def _excited(loop, value, response, w, flight, settings):
 
 def _response_over_noise(loop, response, w, flight, settings):
     """Return the function of a frequency [rad/s] to the power of the rate's response over its noise."""
-    rate = AXES[loop.name][0]
+    rate = LOOP_AXES[loop.name][0]
     logged = FlightTable.of(flight, [loop.control, rate])
     step = float(np.median(np.diff(logged.time)))
-    length = max(8, int(settings.segment / step))
+    longest = max(rows.stop - rows.start for rows in logged.segments)
+    length = min(int(settings.segment / step), longest)
+    if length * step < settings.least_segment:
+        raise ValueError(
+            f"Got a flight whose longest piece without a gap is {longest * step:.3g} s, but expected at least "
+            f"{settings.least_segment:g} s, for spectra."
+        )
     f, of_control = _spectrum(logged, loop.control, step, length)
     _, of_rate = _spectrum(logged, rate, step, length)
     n_noise = max(1, int(settings.noise * len(of_rate)))
@@ -491,10 +528,6 @@ def _spectrum(logged, name, step, length):
     values = logged.column(name)
     pieces = [values[rows] for rows in logged.segments]
     pieces = [piece for piece in pieces if len(piece) >= length]
-    if not pieces:
-        raise ValueError(
-            f"Got a flight without a piece of {length * step:g} s, but expected one, for spectra."
-        )
     powers = []
     for piece in pieces:
         f, power = welch(piece, 1 / step, nperseg=length, detrend=_detrended)

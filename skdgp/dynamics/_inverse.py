@@ -10,6 +10,7 @@ import pandas as pd
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
     RATES,
@@ -22,7 +23,7 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, numeric
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._rigid_body import (
@@ -103,7 +104,7 @@ def aerodynamic_coefficients(
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
     rates = measured[list(RATES)].to_numpy(float)
-    mass = flight.get("mass", pd.Series(aircraft.mass, index=flight.index)).to_numpy(float)
+    mass = _mass(flight, aircraft)
     total_force = mass[:, None] * measured[list(SPECIFIC_FORCE)].to_numpy(float)
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
     # Equations 3 to 8: force, moment, coefficients.
@@ -125,6 +126,20 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
         numbers = {"faults": [fault.finding for fault in faults]}
         report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning, stacklevel=3)
     return without_faults(flight, faults)
+
+
+def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
+    """Return the mass [kg] of each row, (n,): the column ``mass``, or that of the aircraft."""
+    if "mass" not in flight:
+        return np.full(len(flight), aircraft.mass)
+    mass = numeric(flight, ["mass"])[:, 0]
+    if (mass <= 0).any() or np.isinf(mass).any():
+        row = int(np.flatnonzero((mass <= 0) | np.isinf(mass))[0])
+        raise ValueError(
+            f"Got a mass of {mass[row]:g} kg at row {row}, but expected finite numbers > 0: leave the column out, "
+            "and the aircraft's mass counts."
+        )
+    return mass
 
 
 def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:

@@ -14,7 +14,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Turbulence, stability_derivatives, trim
+from skdgp.control import autopilot_loops, margins
+from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
 from skdgp.identification import load_model, save_model
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -157,6 +158,39 @@ class TestValidate:
     def test_of_what_it_learned_from_is_remarked_on(self, command, path, capsys):
         assert command(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
         assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
+
+
+class TestMargins:
+    """Of the loops of an autopilot around the model."""
+
+    PARAMETERS = (
+        "FW_RR_P,0.1\nFW_RR_I,0.1\nFW_R_TC,0.4\nFW_PR_P,0.2\nFW_PR_I,0.3\nFW_AIRSPD_TRIM,30\n"
+    )
+    WORDS = shlex.split("--airspeed 35 --altitude 100 --paths 10 --full aileron=0.4 elevator=0.4")
+
+    def test_are_those_of_the_model(self, run, model, tmp_path):
+        parameters = tmp_path / "plane.param"
+        parameters.write_text(self.PARAMETERS)
+        said = run("margins", "--params", parameters, *self.WORDS, "--flight", "test.csv")
+        assert files(tmp_path / "out") == {"margins.csv", "suggested.csv", "margins.json"}
+        at = trim(model.pipeline, model.aircraft, 35.0, altitude=100.0)
+        linear = linearize(model.pipeline, model.aircraft, at, n_paths=10, delay=0.02)
+        loops = autopilot_loops(parameters, {"aileron": 0.4, "elevator": 0.4})
+        expected = margins(linear, loops)
+        shown = pd.DataFrame(said["margins"]).set_index(["loop", "quantity"])
+        assert_allclose(shown["value"].astype(float), expected["value"], rtol=1e-6)
+        assert shown["excited"].notna().any()
+        suggested = pd.read_csv(tmp_path / "out" / "suggested.csv")
+        assert list(suggested["parameter"]) == ["FW_RR_P", "FW_RR_I", "FW_PR_P", "FW_PR_I"]
+
+    @pytest.mark.parametrize(
+        ("parameters", "words"),
+        [("gains are fine\n", "without parameters"), ("MC_ROLLRATE_P,0.1\n", "FW_RR_P or FW_PR_P")],
+    )
+    def test_a_file_without_the_loops_is_refused(self, refused, tmp_path, parameters, words):
+        path = tmp_path / "plane.param"
+        path.write_text(parameters)
+        refused(words, "margins", "--params", path, *self.WORDS)
 
 
 class TestDerivatives:

@@ -1,5 +1,6 @@
 """Margins against closed forms and the eigenvalues of closed loops; gains that have them; files of parameters."""
 
+from dataclasses import replace
 from functools import partial
 from math import comb, factorial
 
@@ -241,6 +242,10 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear):
         margins(linear, [missing()])
     with pytest.raises(ValueError, match="each of its own control"):
         margins(linear, [loop, loop])
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        suggest_gains(linear, [loop], probability=95)
+    with pytest.raises(ValueError, match="airspeed of nan"):
+        margins(replace(linear, airspeed=np.nan), [loop])
     with pytest.raises(ValueError, match="without paths"):
         suggest_gains(linear_of(), [loop])
     with pytest.raises(ValueError, match="seconds, at least 0"):
@@ -261,3 +266,5 @@ def test_what_the_log_moved_is_excited(linear):
     }  # fmt: skip
     with pytest.raises(ValueError, match="aileron"):
         margins(linear, [loop], flight=flight.drop(columns="aileron"))
+    with pytest.raises(ValueError, match="longest piece without a gap is 1 s"):
+        margins(linear, [loop], flight=flight[:50])

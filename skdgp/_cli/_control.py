@@ -9,11 +9,11 @@ import pandas as pd
 
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
-from skdgp._cli._use import read_model_to_fly
+from skdgp._cli._use import read_model_to_fly, trimmed
 from skdgp._compute.files import csv_writer
 from skdgp.control import Loop, autopilot_loops, suggest_gains
 from skdgp.control import margins as margins_of
-from skdgp.dynamics import linearize, trim
+from skdgp.dynamics import linearize
 from skdgp.identification import named_flights, usable_flights_of_model
 
 
@@ -35,16 +35,11 @@ def margins(run: Run) -> None:
     if options.flight:
         named = named_flights(options.flight, **opt.reading(options, model))
         flight = pd.concat(usable_flights_of_model(model.pipeline, named).values())
+        mixer = model.pipeline.named_steps.get("elevonsplitter", "passthrough")
+        if not isinstance(mixer, str):
+            flight = mixer.transform(flight)
     run.console.stage("trimming")
-    climb = None if thrust is None else 0.0
-    steady: Any = trim(
-        model.pipeline,
-        model.aircraft,
-        options.airspeed,
-        altitude=options.altitude,
-        climb=climb,
-        thrust=thrust,
-    )
+    steady = trimmed(model, options.airspeed, options.altitude, thrust)
     run.console.stage("margins")
     linear = linearize(
         model.pipeline,

@@ -148,7 +148,7 @@ def derivatives(run: Run) -> None:
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
     run.console.stage("trimming")
-    trims = _trimmed(model, sorted(set(options.airspeed)), options.altitude, thrust)
+    trims = trimmed(model, sorted(set(options.airspeed)), options.altitude, thrust)
     _warn_beyond(trims)
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
@@ -175,7 +175,7 @@ def derivatives(run: Run) -> None:
     run.print("\n\n".join(texts), numbers)
 
 
-def _trimmed(model: Bunch, airspeed: Any, altitude: float, thrust: str | None) -> Any:
+def trimmed(model: Bunch, airspeed: Any, altitude: float, thrust: str | None) -> Any:
     """Return steady level flight at one or several airspeeds; without a thrust the climb follows."""
     climb = None if thrust is None else 0.0
     return trim(
@@ -267,7 +267,7 @@ def plan(run: Run) -> None:
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
-            _trimmed(model, options.airspeed, altitude, thrust),
+            trimmed(model, options.airspeed, altitude, thrust),
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,

@@ -171,7 +171,9 @@ class TestMargins:
     def test_are_those_of_the_model(self, run, model, tmp_path):
         parameters = tmp_path / "plane.param"
         parameters.write_text(self.PARAMETERS)
-        said = run("margins", "--params", parameters, *self.WORDS, "--flight", "test.csv")
+        log = tmp_path / "elevons.csv"
+        pd.read_csv("test.csv").drop(columns=["elevator", "aileron"]).to_csv(log, index=False)
+        said = run("margins", "--params", parameters, *self.WORDS, "--flight", log)
         assert files(tmp_path / "out") == {"margins.csv", "suggested.csv", "margins.json"}
         at = trim(model.pipeline, model.aircraft, 35.0, altitude=100.0)
         linear = linearize(model.pipeline, model.aircraft, at, n_paths=10, delay=0.02)

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -102,13 +103,13 @@ RULES = (
     ),
     Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
     Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
-    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD"), used=LANE_3),
-    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD"), used=LANE_2),
+    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD"), used=LANE_3, is_estimate=True),
+    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD"), used=LANE_2, is_estimate=True),
     Rule(
         EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course, within=FIX, preferred=("U",)
     ),
-    Rule(POSITION, "XKF1", ("PN", "PE", "PD"), used=LANE_3),
-    Rule(POSITION, "NKF1", ("PN", "PE", "PD"), used=LANE_2),
+    Rule(POSITION, "XKF1", ("PN", "PE", "PD"), used=LANE_3, is_estimate=True),
+    Rule(POSITION, "NKF1", ("PN", "PE", "PD"), used=LANE_2, is_estimate=True),
     Rule(("altitude",), "POS", ("Alt",)),
     Rule(("altitude",), "GPS", ("Alt",), within=FIX, preferred=("U",)),
     Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD, used=BAROMETER),
@@ -166,34 +167,59 @@ def read_dataflash(path: Path) -> Log:
     return _log(topics, parameters, messages, damage(file.skipped, file.cut))
 
 
-def read_dataflash_text(path: Path) -> Log:
-    """Return a DataFlash log in text (.log), whose numbers are scaled; raise FlightReadError if it is none."""
-    columns: dict[str, list[str]] = {}
-    rows: dict[str, list[list[str]]] = {}
-    places: dict[str, list[int]] = {}
+class Texts(NamedTuple):
+    """Messages of one name in a text: the names of their columns, the cells of each row, and its line."""
+
+    columns: list[str]
+    rows: list[list[str]]
+    places: list[int]
+
+    def cells(self, name: str) -> list[str]:
+        """Return a column, empty without it."""
+        if name not in self.columns:
+            return []
+        place = self.columns.index(name)
+        return [row[place] for row in self.rows]
+
+    def topic(self) -> Topic | None:
+        """Return the messages with a time, None if there is none; texts are left out."""
+        fields = {}
+        for name in self.columns:
+            numbers = pd.to_numeric(pd.Series(self.cells(name)), errors="coerce").to_numpy(float)
+            if np.isfinite(numbers).any():
+                fields[name] = numbers
+        if "TimeUS" not in fields:
+            return None
+        topic = Topic(fields["TimeUS"] * 1e-6, np.array(self.places, float), fields)
+        return topic.select(np.isfinite(topic.time))
+
+
+def _read_texts(path: Path) -> dict[str, Texts]:
+    """Return the messages of a DataFlash log in text, by name."""
+    texts: dict[str, Texts] = {}
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         name, *cells = (cell.strip() for cell in line.split(","))
         if name == "FMT" and len(cells) > 4:
-            columns[cells[2]] = cells[4:]
-        elif name in columns:
-            width = len(columns[name])
-            # a text may hold commas
+            texts[cells[2]] = Texts(cells[4:], [], [])
+        elif name in texts:
+            width = len(texts[name].columns)
+            # a text at the end may hold commas
             cells[width - 1 :] = [",".join(cells[width - 1 :])]
             if len(cells) == width:
-                rows.setdefault(name, []).append(cells)
-                places.setdefault(name, []).append(place)
+                texts[name].rows.append(cells)
+                texts[name].places.append(place)
+    return {name: messages for name, messages in texts.items() if messages.rows}
+
+
+def read_dataflash_text(path: Path) -> Log:
+    """Return a DataFlash log in text (.log), whose numbers are scaled; raise FlightReadError if it is none."""
+    texts = _read_texts(path)
     topics: dict[str, Topic] = {}
-    for name in rows.keys() - {*DEFINITIONS}:
-        fields = {}
-        for column, texts in zip(columns[name], zip(*rows[name], strict=True), strict=True):
-            numbers = pd.to_numeric(pd.Series(texts), errors="coerce").to_numpy(float)
-            if np.isfinite(numbers).any():
-                fields[column] = numbers
-        if "TimeUS" not in fields:
+    for name in sorted(texts.keys() - {*DEFINITIONS}):
+        topic = texts[name].topic()
+        if topic is None:
             continue
-        topic = Topic(fields["TimeUS"] * 1e-6, np.array(places[name], float), fields)
-        topic = topic.select(np.isfinite(topic.time))
-        number = next((field for field in INSTANCES if field in fields), None)
+        number = next((field for field in INSTANCES if field in topic), None)
         if number is None:
             topics[name] = topic
             continue
@@ -204,13 +230,15 @@ def read_dataflash_text(path: Path) -> Log:
             "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
             "log in text: is it of another kind, or written before 2015?"
         )
+    nothing = Texts([], [], [])
+    defined = texts.get("PARM", nothing)
+    numbers = pd.to_numeric(pd.Series(defined.cells("Value"), dtype=object), errors="coerce")
     parameters = {}
-    place_of = {column: k for k, column in enumerate(columns.get("PARM", []))}
-    if {"Name", "Value"} <= place_of.keys():
-        for cells in rows.get("PARM", []):
-            parameters[cells[place_of["Name"]]] = float(cells[place_of["Value"]])
-    messages = [cells[-1] for cells in rows.get("MSG", [])]
-    return _log(dict(sorted(topics.items())), parameters, messages, ())
+    for name, value in zip(defined.cells("Name"), numbers.tolist(), strict=False):
+        if np.isfinite(value):
+            parameters[name] = float(value)
+    messages = [row[-1] for row in texts.get("MSG", nothing).rows]
+    return _log(topics, parameters, messages, ())
 
 
 def _log(

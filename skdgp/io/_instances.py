@@ -141,7 +141,7 @@ def choose(log: Log, rule: Rule) -> Choice | None:
 
 
 def _mean_engine(readings: list[Readings]) -> Choice:
-    """Return the quadratic mean of the engines that ever run: thrusts go with the square of the speed."""
+    """Return the root mean square of the engines that ever run: thrusts go with the square of the speed."""
     running = [each for each in readings if np.any(each.values[each.valid])] or readings[:1]
     time = running[0].time[running[0].valid]
     squares = np.zeros(len(time))
@@ -150,7 +150,7 @@ def _mean_engine(readings: list[Readings]) -> Choice:
         squares += np.interp(time, each.time[each.valid], speed) ** 2
     names = tuple(each.instance.name for each in running)
     mean = np.sqrt(squares / len(running))[:, None]
-    note = f"quadratic mean of {len(running)} engines"
+    note = f"root mean square of {len(running)} engines"
     apart = float(np.ptp([np.mean(each.values[each.valid]) for each in running]))
     remark = ""
     if apart > LARGEST_APART * float(np.mean(mean)):

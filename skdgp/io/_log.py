@@ -151,6 +151,8 @@ class Rule(NamedTuple):
         Fields that are positive of an instance that is preferred among healthy ones.
     resets : tuple of str
         Counter of an estimator's resets, and the fields of the changes of the columns by the last.
+    is_estimate : bool
+        Whether each instance is an estimator, which differ by more than noise.
     """
 
     columns: tuple[str, ...]
@@ -163,11 +165,7 @@ class Rule(NamedTuple):
     used: tuple[Use, ...] = ()
     preferred: tuple[str, ...] = ()
     resets: tuple[str, ...] = ()
-
-    @property
-    def is_estimate(self) -> bool:
-        """Whether each instance is an estimator, which differ by more than noise."""
-        return self.topic in ("XKF1", "NKF1")
+    is_estimate: bool = False
 
 
 class Servo(NamedTuple):
@@ -271,7 +269,7 @@ from_rpm = scaling(np.pi / 30)  # revolutions per minute to rad/s
 
 
 def mean_engine(rpm: Matrix) -> Matrix:
-    """Return the quadratic mean [rad/s] of engines, whose thrusts go with the square of their speed."""
+    """Return the root mean square [rad/s] of engines, whose thrusts go with the square of their speed."""
     return from_rpm(np.sqrt(np.mean(np.square(rpm), axis=1)))[:, None]
 
 

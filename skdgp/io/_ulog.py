@@ -276,7 +276,7 @@ def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tupl
     names = (f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
     engines = tuple(name for name in names if name in reports and reports[name].any())
     if len(engines) > 1 and not is_vtol:
-        note = f"quadratic mean of {len(engines)} engines"
+        note = f"root mean square of {len(engines)} engines"
         rules = (Rule(("propeller_speed",), "esc_status", engines, mean_engine, note=note), *rules)
     return rules
 

@@ -160,6 +160,8 @@ def test_a_log_in_text(tmp_path):
         "FMT, 130, 23, ARSP, QBfBB, TimeUS,I,Airspeed,H,Pri",
         "FMT, 131, 23, PARM, QNf, TimeUS,Name,Value",
         "PARM, 0, AIRSPEED_MIN, 12",
+        "PARM, 0, SERVO1_FUNCTION, damaged",
+        "PARM, 0",
     ]
     for k in range(1000):
         lines.append(f"IMU, {20000 * k}, 0, {0.001 * k:.4f}, 0.1, 0.2")

@@ -325,17 +325,17 @@ def test_a_log_is_sparse_earlier_and_searched_shorter():
     Y = np.sin(X)
     options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
     for n, clock, expected in (
-        (2001, None, ("exact", 150)),
-        (1200, None, ("exact", 150)),
+        (2001, None, ("exact", 100)),
+        (1200, None, ("exact", 100)),
         (1200, 0.1, ("sparse", 60)),
         (400, 0.1, ("exact", 60)),
     ):
         time = None if clock is None else clock * np.arange(n)
         model = DependentGPRegressor(**options).fit(X[:n], Y[:n], time=time)
         assert (model.inference_, model.max_iter_) == expected
-    # 1500 and 1800 values of six outputs: 150 (1500 / 1800)^3
+    # 1500 and 1800 values of six outputs: 100 (1500 / 1800)^3
     Y = np.repeat(Y, 6, axis=1)
-    for n, longest in ((250, 150), (300, 86), (900, 86)):
+    for n, longest in ((250, 100), (300, 57), (900, 57)):
         model = DependentGPRegressor(**options, inference="sparse").fit(X[:n], Y[:n])
         assert model.max_iter_ == longest
     assert DependentGPRegressor(optimizer=None, max_iter=7).fit(X[:20], Y[:20]).max_iter_ == 7

@@ -46,7 +46,7 @@ class RegressorSettings:
     time_series_iterations: int = 60
     #: Iterations for other data, of at most so many values; of more values, as many as take the
     #: same time
-    iterations: int = 150
+    iterations: int = 100
     iterated_values: int = 1500
     #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
@@ -179,7 +179,7 @@ class Recipe:
     def most_iterations(self, Y: Matrix) -> int:
         """Return the largest number of iterations of the search for hyperparameters, which learns from N values.
 
-        Where it is not given, 60 of a time series, else 150, or :math:`150 (1500 / N)^3`, as N^3 is
+        Where it is not given, 60 of a time series, else 100, or :math:`100 (1500 / N)^3`, as N^3 is
         the time of an iteration.
         """
         if self.max_iter is not None:

@@ -11,7 +11,7 @@ in factor analysis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ from skdgp._compute.linalg import (
 )
 from skdgp._compute.parallel import thread_map, threads_for
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp.kernels import MultiOutputKernel, PathBundle
+from skdgp.kernels import InputPair, MultiOutputKernel, PathBundle
 
 
 @dataclass(frozen=True)
@@ -284,9 +284,7 @@ def covariance(
 
     def fill(pair):
         a, b = pair
-        Xa = data.X[a.output][a.rows]
-        Xb = data.X[b.output][b.rows]
-        upper[a.stacked, b.stacked] = kernel.block(a.output, b.output, Xa, Xb)
+        upper[a.stacked, b.stacked] = kernel.block(*_inputs(data, a, b))
 
     # In C order: its transpose is the lower triangle in Fortran order.
     upper = np.zeros((data.n_values, data.n_values))
@@ -329,13 +327,15 @@ def log_likelihood(
         y = np.concatenate(data.y)
         if not eval_gradient:
             return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, tiles)), y)
-        blocks = _blocks_with_gradients(kernel, data, tiles)
-        L = jittered_cholesky(lambda: _assembled(blocks, noise, data))
+        pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
+        inputs = [_inputs(data, a, b) for a, b in pairs]
+        blocks, gradient = kernel.blocks_with_gradient(inputs)
+        L = jittered_cholesky(lambda: _assembled(pairs, blocks, noise, data))
         value = _value(L, y)
         minus_W = _minus_W(L, y)
-        by_theta = thread_map(lambda block: block.contracted(minus_W), blocks)
+        by_theta = gradient([_weights(minus_W, a, b) for a, b in pairs])
         by_noise = noise_gradient(minus_W, noise, data)
-        return value, -np.concatenate([np.sum(by_theta, axis=0), by_noise])
+        return value, -np.concatenate([by_theta, by_noise])
 
 
 def leave_one_out_error(kernel: MultiOutputKernel, noise: Vector, data: Data) -> float:
@@ -368,39 +368,24 @@ def _minus_W(L, y):
     return dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
 
 
-class Block(NamedTuple):
-    """The covariance of a pair of tiles, and the function from weights to its gradient."""
-
-    a: Tile
-    b: Tile
-    covariance: Matrix
-    gradient: Callable[[Matrix], Vector]
-
-    def contracted(self, W: Matrix) -> Vector:
-        """Return the gradient of this block and its mirror image, for half of W (N, N)."""
-        W = W[self.a.stacked, self.b.stacked]
-        if self.a is self.b:
-            W = np.triu(W)
-            np.einsum("ii->i", W)[:] *= 0.5
-        return self.gradient(W)
+def _inputs(data, a, b):
+    """Return the inputs of two tiles."""
+    return InputPair(a.output, b.output, data.X[a.output][a.rows], data.X[b.output][b.rows])
 
 
-def _blocks_with_gradients(kernel, data, tiles):
-    """Return the blocks on and above the diagonal."""
-
-    def block(pair):
-        a, b = pair
-        Xa = data.X[a.output][a.rows]
-        Xb = data.X[b.output][b.rows]
-        return Block(a, b, *kernel.block_with_gradient(a.output, b.output, Xa, Xb))
-
-    return thread_map(block, _pairs(kernel, data, tiles.side, tiles.diagonal))
+def _weights(W, a, b):
+    """Return the weights of the block of two tiles and its mirror image, from half of W (N, N)."""
+    weights = W[a.stacked, b.stacked]
+    if a is b:
+        weights = np.triu(weights)
+        np.einsum("ii->i", weights)[:] *= 0.5
+    return weights
 
 
-def _assembled(blocks, noise, data):
+def _assembled(pairs, blocks, noise, data):
     """Return Kff + noise as ``covariance`` does."""
     upper = np.zeros((data.n_values, data.n_values))
-    for block in blocks:
-        upper[block.a.stacked, block.b.stacked] = block.covariance
+    for (a, b), block in zip(pairs, blocks, strict=True):
+        upper[a.stacked, b.stacked] = block
     add_noise(upper, noise, data)
     return upper.T

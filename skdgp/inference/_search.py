@@ -299,14 +299,16 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
                 found.append(few.compared(structures[-1]))
                 if found[-1].score() < without.score():
                     break
-    if few is joint or joint.stop.is_set():
+    if joint.stop.is_set():
         return found
     scores = np.array([each.score(joint.n_values / few.n_values) for each in found])
     margin, of_richest = joint.options.settings.trial_margins
     margins = np.full(len(found), margin)
     margins[len(kernels) - 1] = of_richest
-    promising = scores > scores.max() - margins
-    return [joint.compared(structures[k]) for k in np.flatnonzero(promising)]
+    promising = np.flatnonzero(scores > scores.max() - margins)
+    if few.n_values == joint.n_values:
+        return [joint.continued(structures[k], found[k]) for k in promising]
+    return [joint.compared(structures[k]) for k in promising]
 
 
 class _JointSearch(NamedTuple):
@@ -330,11 +332,9 @@ class _JointSearch(NamedTuple):
         return int(np.isfinite(self.Y).sum())
 
     def trial(self) -> _JointSearch:
-        """Return a short search on few values, or itself if there are few."""
+        """Return a short search on few values, or on all if there are few."""
         settings = self.options.settings
         step = -(-self.n_values // settings.structure_values)
-        if step == 1:
-            return self
         rows = np.arange(0, len(self.X), step)
         few = min(self.options.max_iter, settings.structure_iterations)
         return self._replace(
@@ -346,7 +346,31 @@ class _JointSearch(NamedTuple):
 
     def compared(self, structure: _Structure) -> Hyperparameters:
         """Return the hyperparameters of a structure, with its price."""
-        learned = self.likeliest(structure.kernel)
+        return self._priced(structure, self.likeliest(structure.kernel))
+
+    def continued(self, structure: _Structure, trial: Hyperparameters) -> Hyperparameters:
+        """Return the hyperparameters of a structure, from where a trial on the same values ended, with its price."""
+        options = self.options
+        n_left = options.max_iter - trial.n_iter
+        if n_left < 1:
+            return trial
+        if options.input_noise or options.n_restarts:
+            return self.compared(structure)
+        data = Data.from_table(self.X, self.Y, self.known.loading)
+        kernel, noise, end = self._climb(trial.kernel, trial.noise, self.bounds, data, n_left)
+        learned = trial._replace(
+            kernel=kernel,
+            noise=noise,
+            n_iter=trial.n_iter + end.n_iter,
+            interrupted=self.stop.is_set(),
+            remaining=end.remaining,
+            converged=end.converged or self._gains_nothing(kernel, noise, data, end, n_left),
+            log_likelihood=end.value,
+        )
+        return self._priced(structure, learned)
+
+    def _priced(self, structure, learned):
+        """Return hyperparameters with the price of their structure."""
         price = min(
             n_mattering(learned.kernel, self.X), self.options.settings.most_price * self.n_values
         )

@@ -17,6 +17,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import ExactPosterior, SinglePosterior
+from skdgp.inference._starts import widths_of_single
 from skdgp.kernels import MultiOutputKernel
 
 
@@ -38,6 +39,8 @@ class ShiftSettings:
     highest: float = 0.999
     #: Least rise of the squared correlation by a shift
     rise: float = 0.2
+    #: Width, over the range of a regressor, from which shifts along it hardly change a function
+    widest: float = 3.0
 
 
 SETTINGS = ShiftSettings()
@@ -72,9 +75,11 @@ def found_shifts(
     lags = np.linspace(-settings.largest, settings.largest, settings.n_lags)
     gain = np.zeros((P, P))
     shift = np.zeros((P, P, d))
-    for k in np.flatnonzero(~constant_columns(X)):
-        of_regressor = np.ptp(X[:, k]) * lags
-        higher, best = _gains(functions, points, k, of_regressor, settings)
+    ranges = np.ptp(X, axis=0)
+    widths = np.array([widths_of_single(single) for single in singles])
+    varies = np.sum(widths < settings.widest * ranges, axis=0) > 1
+    for k in np.flatnonzero(varies & ~constant_columns(X)):
+        higher, best = _gains(functions, points, k, ranges[k] * lags, settings)
         better = higher > gain
         gain[better] = higher[better]
         shift[better] = 0.0

@@ -4,7 +4,7 @@ Names imported as themselves are not part of the public interface: other folders
 them.
 """
 
-from skdgp.kernels._base import FreeParameter, MultiOutputKernel, Sum
+from skdgp.kernels._base import FreeParameter, InputPair, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian, independent_processes
 from skdgp.kernels._convolved import Filters as Filters
 from skdgp.kernels._convolved import tied as tied
@@ -27,6 +27,7 @@ __all__ = [
     "Coregionalized",
     "Features",
     "FreeParameter",
+    "InputPair",
     "LatentFeatures",
     "LinearTrend",
     "MultiOutputKernel",

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property, partial
+from functools import cached_property
 from inspect import signature
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
+from skdgp._compute.parallel import thread_map
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 
 DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
@@ -72,6 +73,15 @@ class FreeParameter:
         return self.elements(np.broadcast_to(bounds, (*self.index.shape, 2)))
 
 
+class InputPair(NamedTuple):
+    """Inputs Xi (n_i, d) of output i and Xj (n_j, d) of output j."""
+
+    i: int
+    j: int
+    Xi: Matrix
+    Xj: Matrix
+
+
 class MultiOutputKernel(Kernel):
     """Covariance between the outputs of a vector-valued process, as a scikit-learn ``Kernel``.
 
@@ -126,15 +136,21 @@ class MultiOutputKernel(Kernel):
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
-    def block_with_gradient(
-        self, i: int, j: int, Xi: Matrix, Xj: Matrix
-    ) -> tuple[Matrix, Callable[[Matrix], Vector]]:
-        """Return ``block``, and the function from weights W (n_i, n_j) to ``block_gradient``.
+    def blocks_with_gradient(
+        self, pairs: Sequence[InputPair]
+    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
+        """Return ``block`` of each pair, and the function from their weights W to the sum of ``block_gradient``.
 
-        For kernels that save time by computing both together.
+        For kernels that save time by computing these together.
         """
-        gradient = partial(self.block_gradient, i, j, Xi, Xj)
-        return self.block(i, j, Xi, Xj), gradient
+
+        def gradient(weights: Sequence[Matrix]) -> Vector:
+            total = np.zeros(self.n_dims)
+            for pair, W in zip(pairs, weights, strict=True):
+                total += self.block_gradient(*pair, W)
+            return total
+
+        return thread_map(lambda pair: self.block(*pair), pairs), gradient
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
@@ -433,18 +449,26 @@ class Sum(_SklearnSum, MultiOutputKernel):
         first = self.k1.block_gradient(i, j, Xi, Xj, W)
         return np.concatenate([first, self.k2.block_gradient(i, j, Xi, Xj, W)])
 
-    def block_with_gradient(
-        self, i: int, j: int, Xi: Matrix, Xj: Matrix
-    ) -> tuple[Matrix, Callable[[Matrix], Vector]]:
-        if not self.k2.couples(i, j):
-            K, first = self.k1.block_with_gradient(i, j, Xi, Xj)
-            return K, lambda W: np.concatenate([first(W), np.zeros(self.k2.n_dims)])
-        K, second = self.k2.block_with_gradient(i, j, Xi, Xj)
-        if not self.k1.couples(i, j):
-            return K, lambda W: np.concatenate([np.zeros(self.k1.n_dims), second(W)])
-        added, first = self.k1.block_with_gradient(i, j, Xi, Xj)
-        K += added
-        return K, lambda W: np.concatenate([first(W), second(W)])
+    def blocks_with_gradient(
+        self, pairs: Sequence[InputPair]
+    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
+        total: list[Any] = [None] * len(pairs)
+        gradients = []
+        for kernel in (self.k1, self.k2):
+            coupled = [k for k, pair in enumerate(pairs) if kernel.couples(pair.i, pair.j)]
+            blocks, gradient = kernel.blocks_with_gradient([pairs[k] for k in coupled])
+            gradients.append((coupled, gradient))
+            for k, block in zip(coupled, blocks, strict=True):
+                if total[k] is None:
+                    total[k] = block
+                else:
+                    total[k] += block
+
+        def by_theta(weights: Sequence[Matrix]) -> Vector:
+            parts = [gradient([weights[k] for k in coupled]) for coupled, gradient in gradients]
+            return np.concatenate(parts)
+
+        return total, by_theta
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)

@@ -12,9 +12,11 @@ from sklearn.base import clone
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, constant_columns, output_scale
+from skdgp._compute.parallel import thread_map
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
+    InputPair,
     MultiOutputKernel,
     as_shape,
     complete_bounds,
@@ -23,7 +25,7 @@ from skdgp.kernels._base import (
     numbered,
     rescaled_values,
 )
-from skdgp.kernels._gaussian_filters import FilterPair
+from skdgp.kernels._gaussian_filters import FilterPair, PairSlopes
 
 # Length scale of a regressor without effect, over its standard deviation: it changes 1e-18 of the
 # variance, below rounding
@@ -94,6 +96,24 @@ class Filters(NamedTuple):
             np.stack([width[:, i], width[:, j]]),
             shift[:, i] - shift[:, j],
         )
+
+    def zeros(self) -> Filters:
+        """Return zeros in the shapes of the parameters, to which derivatives are added."""
+        return Filters(
+            self.feeds,
+            np.zeros_like(self.amplitude),
+            np.zeros_like(self.length_scale),
+            np.zeros_like(self.shift),
+        )
+
+    def add(self, i: int, j: int, slopes: PairSlopes) -> None:
+        """Add the derivatives by the parameters of outputs i and j."""
+        latents = self.latents(i, j)
+        for k, output in enumerate((i, j)):
+            self.amplitude[latents, output] += slopes.by_amplitude[k]
+            self.length_scale[latents, output] += slopes.by_width[k]
+        self.shift[latents, i] += slopes.by_shift
+        self.shift[latents, j] -= slopes.by_shift
 
 
 class ConvolvedGaussian(MultiOutputKernel):
@@ -351,32 +371,29 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.pair(i, j).derivative(Xi, Xj)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        _, gradient = self.block_with_gradient(i, j, Xi, Xj)
-        return gradient(W)
+        _, gradient = self.blocks_with_gradient([InputPair(i, j, Xi, Xj)])
+        return gradient([W])
 
-    def block_with_gradient(
-        self, i: int, j: int, Xi: Matrix, Xj: Matrix
-    ) -> tuple[Matrix, Callable[[Matrix], Vector]]:
+    def blocks_with_gradient(
+        self, pairs: Sequence[InputPair]
+    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
         filters = self.filters
-        pair = filters.pair(i, j)
-        K, moments = pair.with_moments(Xi, Xj)
+        of_outputs = {(pair.i, pair.j): filters.pair(pair.i, pair.j) for pair in pairs}
+        covariances = [of_outputs[pair.i, pair.j] for pair in pairs]
 
-        def gradient(W: Matrix) -> Vector:
-            by_amplitude, by_width, by_shift = pair.gradient(moments(W))
-            latents = filters.latents(i, j)
-            amplitude = np.zeros_like(filters.amplitude)
-            length_scale = np.zeros_like(filters.length_scale)
-            shift = np.zeros_like(filters.shift)
-            for k, output in enumerate((i, j)):
-                amplitude[latents, output] += by_amplitude[k]
-                length_scale[latents, output] += by_width[k]
-            shift[latents, i] += by_shift
-            shift[latents, j] -= by_shift
-            return self.theta_gradient(
-                {"amplitude": amplitude, "length_scale": length_scale, "shift": shift}
-            )
+        def with_moments(k):
+            return covariances[k].with_moments(pairs[k].Xi, pairs[k].Xj)
 
-        return K, gradient
+        blocks = thread_map(with_moments, range(len(pairs)))
+
+        def gradient(weights: Sequence[Matrix]) -> Vector:
+            moments = thread_map(lambda k: blocks[k][1](weights[k]), range(len(pairs)))
+            slopes = filters.zeros()
+            for pair, covariance, sums in zip(pairs, covariances, moments, strict=True):
+                slopes.add(pair.i, pair.j, covariance.gradient(sums))
+            return self.theta_gradient(slopes._asdict())
+
+        return [K for K, _ in blocks], gradient
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""

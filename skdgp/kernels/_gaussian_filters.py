@@ -145,6 +145,18 @@ class Moments(NamedTuple):
         )
 
 
+class PairSlopes(NamedTuple):
+    """Derivatives by the parameters of two outputs.
+
+    By the amplitudes (2, m), by the logarithms of the length scales (2, m, d), and by mu_i - mu_j
+    (m, d).
+    """
+
+    by_amplitude: Matrix
+    by_width: Array
+    by_shift: Matrix
+
+
 class FilterPair:
     """Equation 16 of outputs i and j, for the m latent processes that feed both.
 
@@ -223,12 +235,8 @@ class FilterPair:
 
         return np.einsum("m,nmk->nk", self.gain, exponentials), moments
 
-    def gradient(self, moments: Moments) -> tuple[Array, Array, Matrix]:
-        """Return the derivatives of sum(W * cov_ij) by the parameters of both outputs, from the moments of W.
-
-        By the amplitudes (2, m), by the logarithms of the length scales (2, m, d), and by mu_i -
-        mu_j (m, d).
-        """
+    def gradient(self, moments: Moments) -> PairSlopes:
+        """Return the derivatives of sum(W * cov_ij) by the parameters of both outputs, from the moments of W."""
         by_w = self.c * moments.zeroth * self.w[::-1]
         gain = self.gain[:, None]
         li, lj = self.widths
@@ -237,7 +245,7 @@ class FilterPair:
         by_factor = 0.5 * gain * moments.zeroth[:, None] * (lj**2 - li**2) / self.squares
         by_li = by_exponent * li**2 + by_factor
         by_lj = by_exponent * lj**2 - by_factor
-        return by_w, np.stack([by_li, by_lj]), self.Sigma * gain * moments.first
+        return PairSlopes(by_w, np.stack([by_li, by_lj]), self.Sigma * gain * moments.first)
 
 
 def strips(n_rows: int, n_columns: int) -> Iterator[slice]:

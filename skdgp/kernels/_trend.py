@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
+    InputPair,
     MultiOutputKernel,
     as_shape,
     complete_bounds,
@@ -174,10 +175,7 @@ class LinearTrend(MultiOutputKernel):
 
     def basis(self, i: int, X: Matrix) -> Matrix:
         """Return the basis (n, d + 1) that maps the standardised weights of output i to its trend at X."""
-        values = self.values()
-        constant = np.full(len(X), values["intercept_scale"][i])
-        linear = (X - values["center"]) * values["slope_scale"][i]
-        return np.column_stack([constant, linear])
+        return _basis(self.values(), i, X)
 
     def basis_slopes(self, i: int) -> Array:
         """Return dbasis / dX, (d, 1, d + 1), which is constant."""
@@ -217,13 +215,30 @@ class LinearTrend(MultiOutputKernel):
         return (self.basis(i, Xi) ** 2).sum(axis=1)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        if i != j:
-            return np.zeros(self.n_dims)
-        entries = np.zeros((self.n_outputs, 1 + self.n_features))  # by the logarithms of the scales
-        entries[i] = 2 * np.einsum("ak,ak->k", self.basis(i, Xi), W @ self.basis(i, Xj))
-        return self.theta_gradient(
-            {"intercept_scale": entries[:, 0], "slope_scale": entries[:, 1:]}
-        )
+        _, gradient = self.blocks_with_gradient([InputPair(i, j, Xi, Xj)])
+        return gradient([W])
+
+    def blocks_with_gradient(
+        self, pairs: Sequence[InputPair]
+    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
+        values = self.values()
+        factors = []
+        for pair in pairs:
+            factors.append((_basis(values, pair.i, pair.Xi), _basis(values, pair.j, pair.Xj)))
+        blocks = []
+        for pair, (first, second) in zip(pairs, factors, strict=True):
+            blocks.append((first @ second.T) * (pair.i == pair.j))
+
+        def gradient(weights: Sequence[Matrix]) -> Vector:
+            by_log = np.zeros((self.n_outputs, 1 + self.n_features))
+            for pair, (first, second), W in zip(pairs, factors, weights, strict=True):
+                if pair.i == pair.j:
+                    by_log[pair.i] += 2 * np.einsum("ak,ak->k", first, W @ second)
+            return self.theta_gradient(
+                {"intercept_scale": by_log[:, 0], "slope_scale": by_log[:, 1:]}
+            )
+
+        return blocks, gradient
 
     def free_parameters(self) -> list[FreeParameter]:
         bounds = complete_bounds(self.parameter_bounds, DEFAULT_BOUNDS)
@@ -233,6 +248,13 @@ class LinearTrend(MultiOutputKernel):
             index = np.arange(values[name].size).reshape(values[name].shape)
             parameters.append(FreeParameter(name, index, True, bounds[name]))
         return parameters
+
+
+def _basis(values, i, X):
+    """Return the basis of output i at X, from the values of the parameters."""
+    constant = np.full(len(X), values["intercept_scale"][i])
+    linear = (X - values["center"]) * values["slope_scale"][i]
+    return np.column_stack([constant, linear])
 
 
 def ridge_scale(X: Matrix, Y: Matrix) -> Vector:

@@ -16,6 +16,7 @@ import skdgp.kernels
 from skdgp.kernels import (
     ConvolvedGaussian,
     Coregionalized,
+    InputPair,
     LinearTrend,
     MultiOutputKernel,
     Sum,
@@ -320,11 +321,17 @@ class TestUse:
 
     def test_block_and_gradient_are_those_that_are_computed_together(self, kernel):
         X = inputs(kernel)
+        pairs = []
         for i, j in np.ndindex(len(X), len(X)):
-            W = default_rng(3).normal(size=(len(X[i]), len(X[j])))
-            block, gradient = kernel.block_with_gradient(i, j, X[i], X[j])
-            equal(block, kernel.block(i, j, X[i], X[j]))
-            equal(gradient(W), kernel.block_gradient(i, j, X[i], X[j], W))
+            if kernel.couples(i, j):
+                pairs.append(InputPair(i, j, X[i], X[j]))
+        weights = [default_rng(3).normal(size=(len(pair.Xi), len(pair.Xj))) for pair in pairs]
+        blocks, gradient = kernel.blocks_with_gradient(pairs)
+        by_block = np.zeros(kernel.n_dims)
+        for pair, block, W in zip(pairs, blocks, weights, strict=True):
+            equal(block, kernel.block(*pair))
+            by_block += kernel.block_gradient(*pair, W)
+        equal(gradient(weights), by_block, atol=1e-9)
 
     @pytest.mark.parametrize("name", FEW)
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):

@@ -29,10 +29,14 @@ def blocks(page, language="python"):
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
 
 
-RUN_HERE = [page for page in PAGES if blocks(page) and page.name not in RUN_ELSEWHERE]
+RUN_HERE = []
+for page in PAGES:
+    if blocks(page) and page.name not in RUN_ELSEWHERE:
+        marks = [pytest.mark.slow] if page.name in MINUTE else []
+        RUN_HERE.append(pytest.param(page, id=page.name, marks=marks))
 
 
-@pytest.mark.parametrize("page", RUN_HERE, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", RUN_HERE)
 def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, request):
     """In one namespace, in an empty folder; what a page writes, it writes there."""
     if page.name in UNJUDGED:

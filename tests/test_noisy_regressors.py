@@ -98,6 +98,7 @@ def test_nonsense_is_refused(learned):
         learned.predict([[0.0]], return_std=True, include_input_noise=[1.0, 1.0])
 
 
+@pytest.mark.slow
 def test_bands_of_a_flight_widen_with_its_gusts(first_minute):
     """The test flight's air is rougher than that of the training flight, which calm air is not."""
     flights = first_minute()

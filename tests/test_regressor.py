@@ -54,20 +54,20 @@ def model(request, data):
     ).fit(*data)
 
 
+DEFAULT = DependentGPRegressor(max_iter=2)
+OTHERS = [
+    DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
+    DependentGPRegressor(TIED, max_iter=2, trend="constant"),
+    DependentGPRegressor(max_iter=5, n_latent=1, structure="joint", trend="constant"),
+    DependentGPRegressor(optimizer=None, n_latent=0, structure="additive", trend=None),
+    DependentGPRegressor(max_iter=2, structure="trend"),
+    DependentGPRegressor(max_iter=1, n_latent=0, input_noise="learned"),
+]
+SLOW_OTHERS = [pytest.param(estimator, marks=pytest.mark.slow) for estimator in OTHERS]
+
+
 class TestScikitLearnContract:
-    @pytest.mark.parametrize(
-        "estimator",
-        [
-            DependentGPRegressor(max_iter=2),
-            DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
-            DependentGPRegressor(TIED, max_iter=2, trend="constant"),
-            DependentGPRegressor(max_iter=5, n_latent=1, structure="joint", trend="constant"),
-            DependentGPRegressor(optimizer=None, n_latent=0, structure="additive", trend=None),
-            DependentGPRegressor(max_iter=2, structure="trend"),
-            DependentGPRegressor(max_iter=1, n_latent=0, input_noise="learned"),
-        ],
-        ids=repr,
-    )
+    @pytest.mark.parametrize("estimator", [DEFAULT, *SLOW_OTHERS], ids=repr)
     @pytest.mark.filterwarnings("ignore")
     def test_check_estimator(self, estimator):
         results = check_estimator(estimator, on_skip=None, on_fail=None)

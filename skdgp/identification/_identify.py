@@ -89,11 +89,11 @@ def identify(
     >>> from skdgp import DependentGPRegressor
     >>> from skdgp.datasets import load_example_flights
     >>> from skdgp.identification import identify
-    >>> example = load_example_flights()
+    >>> example = load_example_flights(duration=20.0)
     >>> result = identify(
-    ...     example.train[example.train["time"] < 20],
+    ...     example.train,
     ...     example.aircraft,
-    ...     test=example.test[example.test["time"] < 10],
+    ...     test=example.test,
     ...     samples=40,
     ...     regressor=DependentGPRegressor(structure="joint", n_latent=1, max_iter=10, random_state=0),
     ...     horizons=[2.0],

@@ -319,6 +319,7 @@ class TestBadInput:
         assert "is no folder that can be written to" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_flights", "short_fits", "no_report")
 @pytest.mark.parametrize("short_flights", [2000], indirect=True)
 def test_demo_is_honest(command, tmp_path, monkeypatch, capsys):

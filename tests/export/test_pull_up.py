@@ -14,7 +14,8 @@ from skdgp.kernels import ConvolvedGaussian
 
 pytest.importorskip("casadi", reason='plans with IPOPT: pip install "skdgp[export]"')
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from")
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:.*trajectories left what the model was learned from"),
 ]
 PATHS, ALTITUDE = 100, 200.0
 LIMITS = np.array([0.16, 2.0])

@@ -34,6 +34,7 @@ from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import gust_stream as gust_stream
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
+from skdgp.dynamics._frequency import SpectrumSettings, frequency_response
 from skdgp.dynamics._ground import Ground as Ground
 from skdgp.dynamics._ground import contact_points as contact_points
 from skdgp.dynamics._inputs import Clock as Clock
@@ -48,7 +49,9 @@ from skdgp.dynamics._integrate import (
     fly_record as fly_record,
 )
 from skdgp.dynamics._inverse import aerodynamic_coefficients
+from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
+from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine
@@ -105,6 +108,7 @@ __all__ = [
     "ScaleFactor",
     "SimulationWarning",
     "Simulator",
+    "SpectrumSettings",
     "ThrustLine",
     "Trim",
     "Turbulence",
@@ -118,6 +122,7 @@ __all__ = [
     "dryden_wind",
     "euler_to_matrix",
     "euler_to_quaternion",
+    "frequency_response",
     "linearize",
     "ned_to_body",
     "propeller_loads",

@@ -32,6 +32,7 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
   skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
   skdgp export results/model.joblib --to c -o flight_code
   skdgp margins results/model.joblib --params plane.params --airspeed 35 --full aileron=0.42
+  skdgp fly results/model.joblib --airspeed 35 --full aileron=0.42     in ArduPilot's simulator
 
 COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong
 usage, 130 stopped by Ctrl-C.

@@ -1,4 +1,4 @@
-"""Commands for control: margins of an autopilot's loops around a model."""
+"""Commands for control: margins of an autopilot's loops around a model, and its simulator."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
 from skdgp._cli._use import read_model_to_fly, trimmed
 from skdgp._compute.files import csv_writer
-from skdgp.control import Loop, autopilot_loops, suggest_gains
+from skdgp.control import Loop, autopilot_loops, read_parameters, suggest_gains
+from skdgp.control import fly as fly_model
 from skdgp.control import margins as margins_of
-from skdgp.dynamics import linearize
+from skdgp.dynamics import Turbulence, linearize
 from skdgp.identification import named_flights, usable_flights_of_model
 
 
@@ -108,6 +109,76 @@ def _margin_text(table: pd.DataFrame) -> str:
     return shown.rename_axis(index=["", ""]).to_string()
 
 
+def fly(run: Run) -> None:
+    """Fly a model in ArduPilot's simulator, as its physics: JSON interface, UDP.
+
+    Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins on its
+    wheels, whose places are guessed, or with --height in the air. --full gives deflections [rad] at full output,
+    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv.
+
+    For example:
+      skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35
+      skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35 --path 3 --gusts 5
+    """
+    options = run.options
+    run.console.stage("reading")
+    parameters = read_parameters(options.params) if options.params else None
+    model, thrust = read_model_to_fly(options)
+    run.console.stage("trimming")
+    steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
+    full = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
+    place = f"{options.address}:{options.port}"
+    flown = fly_model(
+        model.pipeline,
+        model.aircraft,
+        steady,
+        full,
+        parameters=parameters,
+        height=options.height,
+        path=options.path,
+        wind=options.wind,
+        gusts=_gusts_of(options, model),
+        random_state=options.seed,
+        thrust=thrust,
+        address=options.address,
+        port=options.port,
+        wait=options.wait,
+        seconds=options.seconds or np.inf,
+        ready=lambda: run.console.print_error(f"waiting for ArduPilot at {place}; Ctrl-C ends"),
+    )
+    rate = flown.steps / max(flown.computing, 1e-9)
+    duration = float(flown.table["time"].max()) if len(flown.table) else 0.0
+    lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
+    if run.folder is not None:
+        written = run.write({"flight.csv": csv_writer(flown.table)})
+        lines.append(f"wrote {', '.join(map(str, written))}")
+    numbers = {
+        "model": options.model,
+        "seconds": duration,
+        "steps": flown.steps,
+        "steps_per_second": rate,
+        "reason": flown.reason,
+    }
+    run.print("\n".join(lines), numbers)
+
+
+def _gusts_of(options: Any, model: Any) -> Turbulence | None:
+    """Return the gusts of the training flights or of a wind; raise ValueError if those are not known."""
+    if options.gusts in (None, 0.0):
+        return None
+    if options.gusts != "flown":
+        return Turbulence.low_altitude(max(options.height, GUST_HEIGHT), options.gusts)
+    flown = model.pipeline.turbulence_
+    if flown is None:
+        raise ValueError(
+            "Got --gusts flown, but the model does not know the gusts of its flights: expected the wind speed "
+            "6 m above the ground, such as --gusts 5."
+        )
+    return flown
+
+
+# Height [m] whose gusts are met by a flight that begins lower
+GUST_HEIGHT = 100.0
 COMMANDS: opt.Commands = {
     margins: {
         "": {
@@ -168,6 +239,76 @@ COMMANDS: opt.Commands = {
                 "type": opt.positive("probability"),
                 "default": 0.95,
                 "help": "of the wanted margins (default: 0.95)",
+            },
+        },
+    },
+    fly: {
+        "": {
+            **opt.shared("model", "--aircraft", "--seed", "--output"),
+            "--airspeed": {
+                "metavar": "V",
+                "type": opt.positive("m/s"),
+                "required": True,
+                "help": "of the trim [m/s]",
+            },
+            "--full": {
+                **opt.AXIS_VALUES,
+                "help": "deflections [rad] at full output (default: of the aircraft file)",
+            },
+            "--params": {
+                "metavar": "FILE",
+                "help": "parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
+                "elevator, throttle, rudder, 1100 to 1900 us)",
+            },
+            "--path": {
+                "metavar": "N",
+                "type": opt.at_least(0),
+                "help": "seed of one aircraft of the posterior (default: the mean flies)",
+            },
+            "--height": {
+                "metavar": "M",
+                "type": opt.from_zero(),
+                "default": 0.0,
+                "help": "of a start in the air [m] (default: 0, on the wheels)",
+            },
+            "--altitude": {
+                "metavar": "M",
+                "type": opt.number(),
+                "default": 0.0,
+                "help": "of the ground [m] (default: 0)",
+            },
+            "--wind": {
+                "metavar": ("NORTH", "EAST", "DOWN"),
+                "type": opt.number(),
+                "nargs": 3,
+                "help": "velocity of the air [m/s] (default: 0 0 0)",
+            },
+            "--gusts": {
+                "metavar": "W|flown",
+                "type": opt.from_zero("flown"),
+                "help": "gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
+            },
+            "--seconds": {
+                "metavar": "S",
+                "type": opt.positive("seconds"),
+                "help": "of flight (default: until the autopilot is silent)",
+            },
+            "--wait": {
+                "metavar": "S",
+                "type": opt.positive("seconds"),
+                "default": 60.0,
+                "help": "longest silence of the autopilot [s] (default: 60)",
+            },
+            "--address": {
+                "metavar": "IP",
+                "default": "127.0.0.1",
+                "help": "of this program (default: 127.0.0.1)",
+            },
+            "--port": {
+                "metavar": "N",
+                "type": opt.at_least(1),
+                "default": 9002,
+                "help": "UDP port (default: 9002)",
             },
         },
     },

@@ -1,12 +1,16 @@
-"""Control: loops of autopilots around linear models, their margins with probabilities, and gains that have them."""
+"""Control: margins of an autopilot's loops around linear models, gains that have them, and flights in its simulator."""
 
+from skdgp.control._ardupilot import Flown, FlySettings, fly
 from skdgp.control._loops import Loop, autopilot_loops, read_parameters
 from skdgp.control._margins import MarginSettings, margins, suggest_gains
 
 __all__ = [
+    "Flown",
+    "FlySettings",
     "Loop",
     "MarginSettings",
     "autopilot_loops",
+    "fly",
     "margins",
     "read_parameters",
     "suggest_gains",

@@ -21,9 +21,7 @@ from scipy.signal import detrend, welch
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import LinearModel
-
-UNUSED = ("north", "east", "down", "psi")  # states that no loop feeds back: their modes are at zero
+from skdgp.dynamics import UNUSED, LinearModel, transfer
 
 
 @dataclass(frozen=True)
@@ -289,7 +287,7 @@ def _frequencies(settings):
 
 def _signs(linear, loops):
     """Return the signs of the deflections that turn the aircraft of the mean in the positive direction."""
-    first = _state_response(linear.A, linear.B, linear.C, linear.D, linear, loops, np.array([1e3]))
+    first = _of_matrices(linear, linear, loops, np.array([1e3]))
     rates = [LOOP_AXES[loop.name][0] for loop in loops]
     outputs = [*linear.C.index]
     # at a high frequency a rate is the angular acceleration over s, behind the servo
@@ -299,33 +297,28 @@ def _signs(linear, loops):
     return np.where(np.array(effects) < 0, -1.0, 1.0)
 
 
-def _state_response(A, B, C, D, linear, loops, s):
-    """Return the response (..., n, n_outputs, n_loops) of arrays (..., :, :) without the states at zero."""
-    kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
-    columns = [linear.B.columns.get_loc(loop.control) for loop in loops]
-    A, B, C, D = (np.asarray(matrix) for matrix in (A, B, C, D))
-    A = A[..., kept, :][..., kept]
-    B = B[..., kept, :][..., columns]
-    C = C[..., kept]
-    D = D[..., columns]
-    resolvent = s[:, None, None] * np.eye(len(kept)) - A[..., None, :, :]
-    states = np.linalg.solve(
-        resolvent, np.broadcast_to(B[..., None, :, :], (*resolvent.shape[:-1], B.shape[-1]))
-    )
-    return C[..., None, :, :] @ states + D[..., None, :, :]
-
-
 def _responses(linear, loops, s) -> _OfModel:
     """Return the responses (n_paths, n, n_outputs, n_loops) to commands with their delay and signs."""
     late = _signs(linear, loops) * np.exp(-s * linear.delay)[:, None, None]
-    mean = _state_response(linear.A, linear.B, linear.C, linear.D, linear, loops, s)[None] * late
+    mean = _of_matrices(linear, linear, loops, s)[None] * late
     if linear.paths is None:
         return _OfModel(mean, None)
     p = linear.paths
     of_paths = []
+    # one by one: the resolvents of all would fill the memory
     for each in zip(p.A, p.B, p.C, p.D, strict=True):
-        of_paths.append(_state_response(*each, linear, loops, s) * late)
+        of_paths.append(_of_matrices(LinearModel(*each), linear, loops, s) * late)
     return _OfModel(mean, np.array(of_paths))
+
+
+def _of_matrices(
+    matrices: LinearModel, linear: LinearModel, loops: Sequence[Loop], s: Vector
+) -> Array:
+    """Return the responses (n, n_outputs, n_loops) of the matrices of a model or of a path."""
+    columns = [linear.B.columns.get_loc(loop.control) for loop in loops]
+    B = np.asarray(matrices.B)[:, columns]
+    D = np.asarray(matrices.D)[:, columns]
+    return transfer(matrices.A, B, matrices.C, D, linear.A.index, s)
 
 
 def _gains(linear, loops, s):

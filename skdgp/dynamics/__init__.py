@@ -29,9 +29,14 @@ from skdgp.dynamics._air import LocalAir as LocalAir
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._aircraft import check_aircraft as check_aircraft
 from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
+from skdgp.dynamics._dryden import gust_stream as gust_stream
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
+from skdgp.dynamics._frequency import SpectrumSettings, frequency_response
+from skdgp.dynamics._ground import Ground as Ground
+from skdgp.dynamics._ground import contact_points as contact_points
 from skdgp.dynamics._inputs import Clock as Clock
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._integrate import (
@@ -44,11 +49,19 @@ from skdgp.dynamics._integrate import (
     fly_record as fly_record,
 )
 from skdgp.dynamics._inverse import aerodynamic_coefficients
+from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
+from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._replay import replay as replay
+from skdgp.dynamics._rigid_body import (
+    ATTITUDE as ATTITUDE,
+)
+from skdgp.dynamics._rigid_body import (
+    RATES as RATES,
+)
 from skdgp.dynamics._rigid_body import (
     STATE_NAMES,
     aerodynamic_loads,
@@ -56,6 +69,9 @@ from skdgp.dynamics._rigid_body import (
     propulsive_loads,
     rigid_body_derivative,
     rk4,
+)
+from skdgp.dynamics._rigid_body import (
+    VELOCITY as VELOCITY,
 )
 from skdgp.dynamics._rigid_body import (
     dynamic_pressure as dynamic_pressure,
@@ -69,6 +85,10 @@ from skdgp.dynamics._rigid_body import (
 from skdgp.dynamics._rigid_body import (
     rk4_step as rk4_step,
 )
+from skdgp.dynamics._rigid_body import (
+    thrust_control as thrust_control,
+)
+from skdgp.dynamics._servos import Servos as Servos
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import ScaleFactor
@@ -88,6 +108,7 @@ __all__ = [
     "ScaleFactor",
     "SimulationWarning",
     "Simulator",
+    "SpectrumSettings",
     "ThrustLine",
     "Trim",
     "Turbulence",
@@ -101,6 +122,7 @@ __all__ = [
     "dryden_wind",
     "euler_to_matrix",
     "euler_to_quaternion",
+    "frequency_response",
     "linearize",
     "ned_to_body",
     "propeller_loads",

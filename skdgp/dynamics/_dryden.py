@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -108,20 +109,44 @@ def dryden_gusts(
     for k, speed in enumerate(speeds):
         A[k], B, C[k] = dryden_system(speed, length[k], intensity[k], span)
         covariance[k] = solve_continuous_lyapunov(A[k], -B @ B.T)
-    transition = expm(A * step)
-    # in steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral
-    noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
+    transition, first, root = _discrete(A, covariance, step)
     repeats = (n_draws, 1, 1)
     states = _driven(
         n_times,
         np.tile(transition, repeats),
-        np.tile(covariance_root(covariance), repeats),
-        np.tile(covariance_root(noise), repeats),
+        np.tile(first, repeats),
+        np.tile(root, repeats),
         rng,
     )
     outputs = np.split(np.tile(C, repeats), 3, axis=1)
     velocity, acceleration, rates = (np.einsum("fij,kfj->kfi", C, states) for C in outputs)
     return Gusts(velocity, acceleration, rates)
+
+
+def gust_stream(
+    step: float,
+    airspeed: float,
+    length: Array,
+    intensity: Array,
+    span: float,
+    rng: np.random.Generator,
+) -> Iterator[Gusts]:
+    """Yield the gusts of one flight without end, (3,) each, ``step`` [s] apart, as `dryden_gusts` draws them."""
+    A, B, C = dryden_system(airspeed, length, intensity, span)
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)
+    transition, first, root = _discrete(A, covariance, step)
+    x = first @ rng.standard_normal(9)
+    while True:
+        yield Gusts(*np.split(C @ x, 3))
+        x = transition @ x + root @ rng.standard_normal(9)
+
+
+def _discrete(A: Array, covariance: Any, step: float) -> tuple[Array, Array, Array]:
+    """Return the transition over a step, and roots of the covariances of the state and of a step's noise."""
+    transition = expm(A * step)
+    # in steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral
+    noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
+    return transition, covariance_root(covariance), covariance_root(noise)
 
 
 def _driven(

@@ -74,7 +74,7 @@ def rigid_body_derivative(
     moment = np.asarray(moment, dtype=float)
     u, v, w, q0, e1, e2, e3, p, q, r = components(state)[3:]
     fx, fy, fz = components(force)
-    north, east, down = _rotation_rows(q0, e1, e2, e3)
+    north, east, down = rotation_rows(q0, e1, e2, e3)
     shape = np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1])
     derivative = np.empty((*shape, len(STATE_NAMES)))
     derivative[..., 0] = north[0] * u + north[1] * v + north[2] * w
@@ -92,7 +92,7 @@ def rigid_body_derivative(
     return derivative
 
 
-def _rotation_rows(q0: Any, e1: Any, e2: Any, e3: Any) -> tuple[tuple, tuple, tuple]:
+def rotation_rows(q0: Any, e1: Any, e2: Any, e3: Any) -> tuple[tuple, tuple, tuple]:
     """Return the rows of the rotation matrix body to NED of a quaternion of any length.
 
     From one shared set of products: this runs four times in every step of every simulation.

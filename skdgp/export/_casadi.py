@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp.export._model import Arithmetic, PortableModel
@@ -32,6 +34,10 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     ca = extra("casadi", "export")
 
     def squared_distances(u: Any, centres: Matrix) -> Any:
+        if mean_only:
+            # |u|^2 - 2 c^T u + |c|^2 is one product, and exact enough for a mean
+            squares = ca.DM(np.sum(centres**2, axis=1))
+            return (ca.sumsqr(u) + squares - 2.0 * ca.mtimes(ca.DM(centres), u.T)).T
         away = ca.repmat(u, len(centres), 1) - centres
         return ca.sum2(away**2).T
 

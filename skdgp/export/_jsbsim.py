@@ -19,7 +19,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_number
-from skdgp.dynamics import Aircraft, Propeller
+from skdgp.dynamics import Aircraft, Propeller, contact_points
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
 
@@ -78,7 +78,7 @@ def write_jsbsim(
 
     ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``, NAME
     the name of the aircraft. A coefficient is its posterior mean: a constant, a linear function and
-    Gaussian functions. The thrust is of
+    Gaussian functions. The aircraft stands on three wheels, whose places are guessed from its span. The thrust is of
     ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
     ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property
     ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if the model lacks a
@@ -114,6 +114,7 @@ def write_jsbsim(
     path = Path(folder, "aircraft", name, f"{name}.xml")
     root = _skeleton(name, model, full)
     _add_thrust(root, model.aircraft)
+    _add_contacts(root, model.aircraft)
     _add_controls(root, model, full)
     _add_aerodynamics(root, model)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -226,6 +227,28 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
         moment.insert(0, _function("propulsion/torque-lbsft", torque))
     else:
         reactions.remove(moment)
+
+
+def _add_contacts(root: Element, aircraft: Aircraft) -> None:
+    """Add wheels and the ends of the body, so that the aircraft stands on the ground."""
+    ground = _part(root, "ground_reactions")
+    for point in contact_points(aircraft):
+        x, y, z = point.position
+        values = {
+            "name": point.name,
+            "type": "BOGEY" if point.is_wheel else "STRUCTURE",
+            # x aft, z up
+            "x": -x,
+            "y": y,
+            "z": -z,
+            "across": point.across,
+            "rolling": point.along,
+            # 360: it turns freely
+            "steer": 360.0 if point.is_wheel and point.across == point.along else 0.0,
+            "stiffness": point.stiffness,
+            "damping": point.damping,
+        }
+        ground.append(_filled("contact.xml", values))
 
 
 def _propeller(

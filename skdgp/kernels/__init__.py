@@ -18,6 +18,7 @@ from skdgp.kernels._features import (
     inducing_features,
     prior_paths,
 )
+from skdgp.kernels._features import LinearPaths as LinearPaths
 from skdgp.kernels._gaussian_filters import FilterPair as FilterPair
 from skdgp.kernels._gaussian_filters import GaussianBasis as GaussianBasis
 from skdgp.kernels._trend import LinearTrend

@@ -68,16 +68,34 @@ class PathBundle(ABC):
             slopes.append(self.averaged(alone).slopes(X)[..., k])
         return np.stack(slopes, axis=-1)
 
-    def __add__(self, other: PathBundle) -> SumPaths:
-        return SumPaths(self, other)
+    def summands(self) -> Sequence[PathBundle]:
+        """Return the functions that these are sums of."""
+        return [self]
 
-    def mixed(self, others: list[PathBundle], member: np.ndarray) -> MixedPaths:
-        """Return S functions with outputs of this bundle, where ``member`` (S, P) is 0, or of another."""
-        taken = []
+    def __add__(self, other: PathBundle) -> PathBundle:
+        return summed([*self.summands(), *other.summands()])
+
+    def mixed(self, others: list[PathBundle], member: np.ndarray) -> PathBundle:
+        """Return S functions with outputs of this bundle, where ``member`` (S, P) is 0, or of another.
+
+        Linear parts of all bundles become one.
+        """
+        parts: list[PathBundle] = []
+        bundles: list[PathBundle] = []
+        # numbers among the bundles that are not linear, -1 for none
+        number = np.full(member.shape, -1)
         for k, bundle in enumerate([self, *others]):
-            needed = (member == k).any(axis=1)
-            taken.append(bundle.take(needed))
-        return MixedPaths(taken, member)
+            is_member = member == k
+            curved = [part for part in bundle.summands() if not isinstance(part, LinearPaths)]
+            for part in bundle.summands():
+                if isinstance(part, LinearPaths):
+                    parts.append(LinearPaths(part.weights * is_member[:, None], part.centre))
+            if curved and is_member.any():
+                number[is_member] = len(bundles)
+                bundles.append(summed(curved).take(is_member.any(axis=1)))
+        if bundles:
+            parts.append(MixedPaths(bundles, number))
+        return summed(parts)
 
     def values(self, X: Array) -> np.ndarray:
         """Return the values at many points, in chunks."""
@@ -136,26 +154,74 @@ class MeanPaths(PathBundle):
 class SumPaths(PathBundle):
     """Sums of the paths of independent processes."""
 
-    def __init__(self, first: PathBundle, second: PathBundle):
-        self.first = first
-        self.second = second
+    def __init__(self, parts: Sequence[PathBundle]):
+        self.parts = parts
+
+    def summands(self):
+        return self.parts
 
     def take(self, index):
-        return SumPaths(self.first.take(index), self.second.take(index))
+        return SumPaths([part.take(index) for part in self.parts])
 
     def averaged(self, spread):
-        return SumPaths(self.first.averaged(spread), self.second.averaged(spread))
+        return SumPaths([part.averaged(spread) for part in self.parts])
 
     def doubles(self, same_points):
-        return max(self.first.doubles(same_points), self.second.doubles(same_points))
+        return max(part.doubles(same_points) for part in self.parts)
 
     def each(self, X):
-        values = self.first.each(X)
-        values += self.second.each(X)
-        return values
+        return self._sum(X, [part.each for part in self.parts])
 
     def gradient(self, X):
-        return self.first.gradient(X) + self.second.gradient(X)
+        return self._sum(X, [part.gradient for part in self.parts])
+
+    def _sum(self, X, functions):
+        first, *others = functions
+        total = first(X)
+        for function in others:
+            total += function(X)
+        return total
+
+
+class LinearPaths(PathBundle):
+    """Linear functions of x - ``centre`` with the weights (S, d + 1, P), the constant first."""
+
+    def __init__(self, weights: Array, centre: Vector) -> None:
+        self.weights = weights
+        self.centre = centre
+
+    def take(self, index):
+        return LinearPaths(self.weights[index], self.centre)
+
+    def averaged(self, spread):
+        return self
+
+    def doubles(self, same_points):
+        return len(self.weights) * sum(self.weights.shape[1:])
+
+    def about(self, centre: Vector) -> LinearPaths:
+        """Return the same functions with another centre."""
+        weights = self.weights.copy()
+        weights[:, 0] += np.tensordot(centre - self.centre, self.weights[:, 1:], axes=(0, 1))
+        return LinearPaths(weights, centre)
+
+    def each(self, X):
+        return (X - self.centre) @ self.weights[:, 1:] + self.weights[:, :1]
+
+    def gradient(self, X):
+        slopes = self.weights[:, 1:].swapaxes(1, 2)[:, None]
+        return np.repeat(slopes, X.shape[1], axis=1)
+
+
+def summed(parts: Sequence[PathBundle]) -> PathBundle:
+    """Return the sums of functions; linear ones are a single bundle, which is the first."""
+    linear = [part for part in parts if isinstance(part, LinearPaths)]
+    others = [part for part in parts if not isinstance(part, LinearPaths)]
+    if linear:
+        centre = linear[0].centre
+        weights = [part.about(centre).weights for part in linear]
+        others.insert(0, LinearPaths(np.sum(weights, axis=0), centre))
+    return others[0] if len(others) == 1 else SumPaths(others)
 
 
 class RescaledPaths(PathBundle):
@@ -182,9 +248,9 @@ class RescaledPaths(PathBundle):
 
 
 class MixedPaths(PathBundle):
-    """Functions that take each output from one of several bundles.
+    """Functions that take each output from one of several bundles, or are zero.
 
-    ``member`` (S, P) is the number of the bundle that each output of each function is taken from. A
+    ``member`` (S, P) is the number of the bundle that each output of each function is taken from, -1 for zero. A
     bundle holds the functions that need it, in their order, whose numbers are ``rows``.
     """
 
@@ -201,20 +267,21 @@ class MixedPaths(PathBundle):
         return max(bundle.doubles(same_points) for bundle, rows in needed if len(rows))
 
     def each(self, X):
-        values = np.empty((len(self.member), X.shape[1], self.member.shape[1]))
+        values = np.zeros((len(self.member), X.shape[1], self.member.shape[1]))
         return self._fill(values, X, [bundle.each for bundle in self.bundles])
 
     def gradient(self, X):
-        slopes = np.empty((len(self.member), X.shape[1], *self.member.shape[1:], X.shape[-1]))
+        slopes = np.zeros((len(self.member), X.shape[1], *self.member.shape[1:], X.shape[-1]))
         return self._fill(slopes, X, [bundle.gradient for bundle in self.bundles])
 
     def _fill(self, values, X, functions):
-        """Set the outputs of all functions, each from the bundle that it is taken from."""
+        """Add the outputs of all functions, each from the bundle that it is taken from."""
         for k, (evaluate, rows) in enumerate(zip(functions, self.rows, strict=True)):
             if len(rows):
                 of_bundle = evaluate(X if len(X) == 1 else X[rows])
-                function, output = np.nonzero(self.member[rows] == k)
-                values[rows[function], :, output] = of_bundle[function, :, output]
+                is_taken = (self.member[rows] == k)[:, None]
+                is_taken = is_taken.reshape(is_taken.shape + (1,) * (values.ndim - 3))
+                values[rows] += np.where(is_taken, of_bundle, 0.0)
         return values
 
 
@@ -683,6 +750,15 @@ class TrendFeatures(Features):
 
     def Kfu(self, i, X):
         return self.kernel.basis(i, X)
+
+    def paths(self, coefficients):
+        """Return the trends with standardised weights (S, K)."""
+        values = self.kernel.values()
+        n_outputs, d = values["slope_scale"].shape
+        scales = np.column_stack([values["intercept_scale"], values["slope_scale"]])
+        weights = coefficients.reshape(-1, n_outputs, 1 + d) * scales
+        centre = np.broadcast_to(values["center"], (d,))
+        return LinearPaths(weights.swapaxes(1, 2).copy(), centre)
 
     def basis(self):
         outputs = range(self.kernel.n_outputs)

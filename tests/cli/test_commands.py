@@ -4,6 +4,9 @@ import json
 import re
 import shlex
 import signal
+import socket
+import struct
+import threading
 from copy import copy, deepcopy
 from itertools import pairwise
 from pathlib import Path
@@ -193,6 +196,49 @@ class TestMargins:
         path = tmp_path / "plane.param"
         path.write_text(parameters)
         refused(words, "margins", "--params", path, *self.WORDS)
+
+
+class TestFly:
+    WORDS = shlex.split(
+        "--airspeed 35 --full aileron=0.4 elevator=0.4 rudder=0.3 --height 100 --gusts 5"
+    )
+
+    @pytest.fixture
+    def port(self):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            return free.getsockname()[1]
+
+    def test_answers_an_autopilot(self, run, port, tmp_path):
+        is_over = threading.Event()
+
+        def autopilot():
+            """Send packets without pulses, whether or not they are answered."""
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+                number = 0
+                while not is_over.wait(0.005):
+                    packet = struct.pack("<HHI16H", 18458, 400, number, *[0] * 16)
+                    link.sendto(packet, ("127.0.0.1", port))
+                    number += 1
+
+        thread = threading.Thread(target=autopilot)
+        thread.start()
+        try:
+            said = run("fly", *self.WORDS, "--seconds", 0.1, "--port", port, "--path", 3)
+        finally:
+            is_over.set()
+            thread.join()
+        assert said["steps"] == 40
+        flight = pd.read_csv(tmp_path / "out" / "flight.csv")
+        assert flight["time"].max() <= 0.1
+        assert_allclose(flight["altitude"], 100.0, atol=1.0)
+
+    def test_silence_is_no_flight(self, command, path, port, capsys):
+        words = ["fly", path, *self.WORDS, "--port", str(port), "--wait", "0.1"]
+        assert command(words) == 1
+        waiting, error = capsys.readouterr().err.splitlines()[-2:]
+        assert waiting == f"waiting for ArduPilot at 127.0.0.1:{port}; Ctrl-C ends"
+        assert error.startswith(f"error: Got no packet at 127.0.0.1:{port} for 0.1 s")
 
 
 class TestDerivatives:

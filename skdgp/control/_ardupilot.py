@@ -1,0 +1,580 @@
+"""A model as the physics of ArduPilot's simulator, by its JSON interface over UDP.
+
+The protocol is that of ArduPilot's ``libraries/SITL/SIM_JSON.cpp`` and its page
+``libraries/SITL/examples/JSON/readme.md``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import socket
+import struct
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from sklearn.base import BaseEstimator
+
+from skdgp._compute.messages import warn
+from skdgp._compute.parallel import one_blas_thread
+from skdgp._compute.typing import Array, Vector
+from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
+from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.checks import check_number
+from skdgp._flight.frames import SEA_LEVEL_DENSITY, body_to_ned, ned_to_body, standard_density
+from skdgp.dynamics import (
+    ATTITUDE,
+    RATES,
+    VELOCITY,
+    Aerodynamics,
+    Aircraft,
+    Ground,
+    Gusts,
+    GustyAir,
+    LinearModel,
+    LocalAir,
+    Motion,
+    Servos,
+    Trim,
+    Turbulence,
+    channels,
+    gust_stream,
+    linearize,
+    rk4_step,
+    thrust_control,
+)
+
+# Number of pulses of a packet by its first word
+PULSES = {18458: 16, 29569: 32}
+# Weights of the outputs of servos in a control, by SERVOn_FUNCTION: elevons and V-tails are mixed
+# by the autopilot, left = pitch - roll, right = pitch + roll; left = pitch + yaw, right = pitch - yaw
+WEIGHTS = {
+    "aileron": {4: 1.0, 77: -0.5, 78: 0.5},
+    "elevator": {19: 1.0, 77: 0.5, 78: 0.5, 79: 0.5, 80: 0.5},
+    "rudder": {21: 1.0, 79: 0.5, 80: -0.5},
+    "throttle": {70: 1.0},
+}
+# ArduPilot's default functions of servos 1 to 4, and default pulses [us]
+USUAL_FUNCTIONS = {1: 4, 2: 19, 3: 70, 4: 21}
+LOW, MIDDLE, HIGH = 1100.0, 1500.0, 1900.0
+# Rate that a positive output of a surface raises
+RAISED = {"aileron": "p", "elevator": "q", "rudder": "r"}
+
+
+@dataclass(frozen=True)
+class FlySettings:
+    """Settings of the simulation behind an autopilot."""
+
+    # Longest step of the integration [s]: the springs of the ground need it
+    longest_step: float = 0.0025
+    # Longest time that a packet asks for [s]: ArduPilot ignores longer ones
+    longest_frame: float = 0.09
+    # Forward airspeed [m/s] that a slower one counts as in the coefficients: on the ground there is
+    # no angle of attack
+    least_airspeed: float = 1.0
+    # Pulses [us] below this are none
+    no_pulse: int = 500
+    # Time between two rows of the table [s]
+    row_step: float = 0.0199
+    # Largest speed [m/s] of a flight that has not diverged
+    fastest: float = 1000.0
+
+
+FLY = FlySettings()
+
+
+class Packet(NamedTuple):
+    """What ArduPilot sends: the steps a second that it asks for, the number of the step, and pulses [us]."""
+
+    rate: int
+    number: int
+    pulses: tuple[int, ...]
+
+
+def read_packet(data: bytes) -> Packet | None:
+    """Return a packet of ArduPilot, or None if the bytes are none."""
+    for magic, n_pulses in PULSES.items():
+        layout = f"<HHI{n_pulses}H"
+        if len(data) == struct.calcsize(layout):
+            first, rate, count, *pulses = struct.unpack(layout, data)
+            if first == magic:
+                return Packet(rate, count, tuple(pulses))
+    return None
+
+
+class Servo(NamedTuple):
+    """An output of the autopilot: its place among the pulses, its weight, and the pulses [us] of its range."""
+
+    place: int
+    weight: float
+    low: float
+    middle: float
+    high: float
+    sign: float
+
+    def surface(self, pulse: float) -> float:
+        """Return the output -1 to 1 of a surface, 0 at the middle pulse."""
+        end = self.high if pulse > self.middle else self.low
+        return self.sign * float(np.clip((pulse - self.middle) / abs(end - self.middle), -1.0, 1.0))
+
+    def throttle(self, pulse: float) -> float:
+        """Return the output 0 to 1 of a throttle."""
+        value = float(np.clip((pulse - self.low) / (self.high - self.low), 0.0, 1.0))
+        return value if self.sign > 0 else 1.0 - value
+
+
+def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
+    """Return the servos of each control by ArduPilot's ``SERVOn_*``, by default aileron, elevator, throttle, rudder.
+
+    Raises ValueError if the pulses of a servo do not increase.
+    """
+    is_told = any(re.fullmatch(r"SERVO\d+_FUNCTION", name) for name in parameters)
+    usual = {} if is_told else USUAL_FUNCTIONS
+    functions = {}
+    for n in range(1, max(PULSES.values()) + 1):
+        functions[n] = int(parameters.get(f"SERVO{n}_FUNCTION", usual.get(n, 0)))
+    servos: dict[str, list[Servo]] = {}
+    for control, weights in WEIGHTS.items():
+        for function, weight in weights.items():
+            numbers = [n for n in functions if functions[n] == function]
+            for n in numbers:
+                servo = _servo(parameters, n, weight / len(numbers))
+                servos.setdefault(control, []).append(servo)
+    return servos
+
+
+def _servo(parameters: Mapping[str, float], n: int, weight: float) -> Servo:
+    low = parameters.get(f"SERVO{n}_MIN", LOW)
+    middle = parameters.get(f"SERVO{n}_TRIM", MIDDLE)
+    high = parameters.get(f"SERVO{n}_MAX", HIGH)
+    if not low <= middle <= high or low == high:
+        raise ValueError(
+            f"Got SERVO{n}_MIN {low:g}, TRIM {middle:g} and MAX {high:g}, but expected pulses that increase."
+        )
+    sign = -1.0 if parameters.get(f"SERVO{n}_REVERSED", 0.0) else 1.0
+    return Servo(n - 1, weight, low, middle, high, sign)
+
+
+class Outputs:
+    """Outputs of an autopilot as controls of a model.
+
+    A positive output rolls right, pitches up or yaws right, as in ArduPilot: the model says which
+    deflections do. A control whose servos send no pulse keeps its value of the trim.
+    """
+
+    def __init__(
+        self,
+        linear: LinearModel,
+        steady: Trim,
+        engine: str | None,
+        full: Mapping[str, float],
+        parameters: Mapping[str, float],
+        no_pulse: float,
+    ) -> None:
+        self.steady = steady.controls
+        self.no_pulse = no_pulse
+        self.engine = "throttle" if engine is None else engine
+        known = [name for name in (*RAISED, self.engine) if name in linear.B.columns]
+        full = {"throttle": 1.0, **full} if self.engine == "throttle" else dict(full)
+        _check_full(full, known)
+        servos = servos_of(parameters)
+        self.servos: dict[str, list[Servo]] = {}
+        self.gains: dict[str, float] = {}
+        for name in known:
+            self.servos[name] = servos.get(name if name in RAISED else "throttle", [])
+            sign = _effect(linear, name) if name in RAISED else 1.0
+            self.gains[name] = sign * full[name]
+
+    def commands(self, pulses: Sequence[int]) -> dict[str, float]:
+        """Return the commanded controls by name."""
+        commands = dict(self.steady)
+        for name, servos in self.servos.items():
+            sent = [
+                servo
+                for servo in servos
+                if servo.place < len(pulses) and pulses[servo.place] > self.no_pulse
+            ]
+            if servos and len(sent) == len(servos):
+                output = 0.0
+                for servo in servos:
+                    read = servo.surface if name in RAISED else servo.throttle
+                    output += servo.weight * read(pulses[servo.place])
+                commands[name] = self.gains[name] * output
+        return commands
+
+
+def _check_full(full: Mapping[str, float], known: Sequence[str]) -> None:
+    """Raise ValueError if a full deflection is missing, of another control, or no number > 0."""
+    for name, value in full.items():
+        if name not in known and name != "throttle":
+            raise ValueError(
+                f"Got full={dict(full)!r}, but {name!r} is no control of this model: expected values of "
+                f"{', '.join(known) or 'none'}."
+            )
+        check_number(f"full {name}", value)
+    lacking = [name for name in known if name not in full]
+    if lacking:
+        raise ValueError(
+            f"Got no value of {', '.join(lacking)} at full output: give deflections [rad] of surfaces, "
+            f"thrust [N] or propeller_speed [rad/s] (--full {lacking[0]}=...)."
+        )
+
+
+def _effect(linear: LinearModel, control: str) -> float:
+    """Return the sign of the effect of a surface on its rate; raise ValueError if it has none."""
+    position = f"{control}_position"
+    # behind a servo the deflection is a state
+    table, name = (linear.A, position) if position in linear.A else (linear.B, control)
+    effect = float(table.loc[RAISED[control], name])
+    if effect == 0.0:
+        raise ValueError(
+            f"Got a model whose {control} does not change {RAISED[control]}, but expected that it does: "
+            "the autopilot could not fly it."
+        )
+    return float(np.sign(effect))
+
+
+class ModelInFlight:
+    """An aircraft with its servos, on the ground or in the air, that is advanced step by step."""
+
+    def __init__(
+        self,
+        motion: Motion,
+        steady: Trim,
+        height: float,
+        wind: Any,
+        turbulence: Turbulence | None,
+        random_state: int,
+        settings: FlySettings = FLY,
+    ) -> None:
+        self.motion = motion
+        self.steady = steady
+        self.height = height
+        self.wind = None if wind is None else np.asarray(wind, dtype=float)
+        self.turbulence = turbulence
+        self.random_state = random_state
+        self.settings = settings
+        self.servos = Servos.of(motion)
+        self.ground = Ground(motion.aircraft, steady.altitude - height)
+        self.start()
+
+    def start(self) -> None:
+        """Put the aircraft on its wheels, heading north, or in the air at its trim."""
+        self.time = 0.0
+        state = np.zeros(13)
+        state[6] = 1.0
+        state[2] = -self.ground.rest
+        if self.height > 0:
+            state = np.array(self.steady.state, dtype=float)
+            state[2] = -self.steady.altitude
+            if self.wind is not None:
+                state[VELOCITY] += ned_to_body(state[ATTITUDE], self.wind)
+        self.state: Vector = state  #: (13,), see `STATE_NAMES`
+        self._deflections: dict[str, Any] = {}
+        self._implicit: Array | None = None
+        self._gust_step = 0.0
+        self._gusts: Any = None
+        self.ended = ""
+        self._specific_force = np.array([0.0, 0.0, -self.motion.gravity])
+        self._met: LocalAir | None = None
+
+    def advance(self, commands: Mapping[str, float], duration: float) -> None:
+        """Fly for a ``duration`` [s] with constant commands."""
+        n_steps = max(1, math.ceil(duration / self.settings.longest_step - 1e-6))
+        step = duration / n_steps
+        commands = self.motion.mixed(commands)
+        for _ in range(n_steps):
+            self._step(commands, step)
+        self.time += duration
+        is_flying = np.isfinite(self.state).all() and np.isfinite(self._specific_force).all()
+        if not is_flying or np.abs(self.state[VELOCITY]).max() > self.settings.fastest:
+            self.ended = f"the flight diverged after {self.time:.1f} s"
+
+    def _step(self, commands: dict[str, Any], step: float) -> None:
+        begun = self._deflections
+        rate = partial(self._rate, commands, begun, self._next_gusts(step))
+        with np.errstate(all="ignore"):  # what diverges is ended
+            state = rk4_step(rate, 0.0, self.state, step)
+        state[ATTITUDE] /= np.linalg.norm(state[ATTITUDE])
+        self.state = state
+        if self.servos.surfaces:
+            self._deflections = self.servos.deflected(commands, step, commands, begun)
+
+    def _rate(
+        self,
+        commands: dict[str, Any],
+        begun: Mapping[str, Any],
+        gusts: Gusts | None,
+        t: float,
+        state: Vector,
+    ) -> Array:
+        """Return d state / dt (13,) at a time [s] after a step began; keep the specific force."""
+        controls = self.servos.deflected(commands, t, commands, begun)
+        now = self.motion.at(state, controls, self._air(state, gusts), self._implicit)
+        self._implicit = now.implicit
+        force, derivative = now.force, now.derivative
+        touching = self.ground.loads(state)
+        if touching is not None:
+            aircraft = self.motion.aircraft
+            force = force + touching[0]
+            derivative[VELOCITY] += touching[0] / aircraft.mass
+            derivative[RATES] += touching[1] @ aircraft.inertia_inverse
+        # of the last stage, at the end of the step
+        self._specific_force = force / self.motion.aircraft.mass
+        return derivative
+
+    def _next_gusts(self, step: float) -> Gusts | None:
+        """Return the gusts of a step, or None in calm air."""
+        if self.turbulence is None:
+            return None
+        if step != self._gust_step:
+            rng = np.random.default_rng(self.random_state)
+            size = (self.turbulence.length, self.turbulence.intensity, self.motion.aircraft.span)
+            self._gust_step = step
+            self._gusts = gust_stream(step, self.steady.airspeed, *size, rng)
+        return Gusts(*(part[None] for part in next(self._gusts)))
+
+    def _air(self, state: Vector, gusts: Gusts | None) -> LocalAir | None:
+        """Return the air at a state; a forward airspeed below the least one counts as that."""
+        local = self._wind_at(0, state)
+        if gusts is not None:
+            local = GustyAir(self._wind_at, gusts)(0, state)
+        forward = state[3]
+        if local is not None:
+            forward = forward - ned_to_body(state[ATTITUDE], local.wind)[0]
+        self._met = local
+        lacking = self.settings.least_airspeed - forward
+        if lacking <= 0.0:
+            return local
+        behind = LocalAir(np.zeros(3)) if local is None else local
+        ahead = body_to_ned(state[ATTITUDE], np.array([lacking, 0.0, 0.0]))
+        return behind._replace(wind=behind.wind - ahead)
+
+    def _wind_at(self, stage: int, state: Vector) -> LocalAir | None:
+        return None if self.wind is None else LocalAir(self.wind)
+
+    def channels(self) -> dict[str, float]:
+        """Return the channels of the present state by name, with accelerometers and density."""
+        wind = None if self._met is None else self._met.wind
+        seen = {name: float(value) for name, value in channels(self.state, wind).items()}
+        seen |= zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True)
+        seen["density"] = float(standard_density(seen["altitude"]))
+        return {"time": self.time, **seen}
+
+    def readings(self) -> str:
+        """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
+        seen = self.channels()
+        position = [seen["north"], seen["east"], seen["down"] + self.ground.altitude]
+        equivalent = seen["airspeed"] * math.sqrt(seen["density"] / SEA_LEVEL_DENSITY)
+        facts = {
+            "timestamp": self.time,
+            "imu": {
+                "gyro": [seen[name] for name in RATE_NAMES],
+                "accel_body": [seen[name] for name in SPECIFIC_FORCE],
+            },
+            "position": position,
+            "attitude": [seen[name] for name in EULER],
+            "quaternion": self.state[ATTITUDE].tolist(),
+            "velocity": [seen[name] for name in EARTH_VELOCITY],
+            "airspeed": equivalent,
+        }
+        return "\n" + json.dumps(facts, separators=(",", ":"), allow_nan=False) + "\n"
+
+
+class Link:
+    """A UDP port at which ArduPilot's simulator is expected; a context manager."""
+
+    def __init__(self, address: str, port: int, settings: FlySettings = FLY) -> None:
+        self.name = f"{address}:{port}"
+        self.settings = settings
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.socket.bind((address, port))
+        except (OSError, OverflowError) as error:
+            self.socket.close()
+            raise ValueError(
+                f"Got the port {self.name}, but it cannot be used ({error}): end the program that has it, or name "
+                "another port."
+            ) from error
+
+    def __enter__(self) -> Link:
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self.socket.close()
+
+    def receive(self, wait: float) -> tuple[Packet, Any] | None:
+        """Return the next packet and its sender, or None if none comes within ``wait`` [s]; warn of other bytes."""
+        end = time.monotonic() + wait
+        while (left := end - time.monotonic()) > 0:
+            self.socket.settimeout(left)
+            try:
+                data, sender = self.socket.recvfrom(2048)
+            except TimeoutError:
+                return None
+            except ConnectionError:  # of an earlier answer, in Windows
+                continue
+            packet = read_packet(data)
+            if packet is not None:
+                return packet, sender
+            warn(
+                f"Got {len(data)} bytes at {self.name} that are no packet of ArduPilot's JSON interface, but expected "
+                "16 or 32 pulses behind the number 18458 or 29569: they are ignored.",
+                stacklevel=3,
+            )
+        return None
+
+    def answer(self, line: str, receiver: Any) -> None:
+        """Send a line; a receiver that is gone is noticed by its silence."""
+        with suppress(OSError):
+            self.socket.sendto(line.encode(), receiver)
+
+
+class Flown(NamedTuple):
+    """A flight behind an autopilot."""
+
+    table: pd.DataFrame  #: A flight table with at most 50 rows a second, of the last start
+    steps: int  #: Packets that were answered by a step
+    computing: float  #: Time that the steps took [s]
+    reason: str  #: Why the flight is over
+
+
+def fly(
+    model: Aerodynamics | BaseEstimator,
+    aircraft: Aircraft,
+    steady: Trim,
+    full: Mapping[str, float],
+    *,
+    parameters: Mapping[str, float] | None = None,
+    height: float = 0.0,
+    path: int | None = None,
+    wind: Any = None,
+    gusts: Turbulence | None = None,
+    random_state: int = 0,
+    thrust: str | None = "auto",
+    address: str = "127.0.0.1",
+    port: int = 9002,
+    wait: float = 60.0,
+    seconds: float = np.inf,
+    ready: Callable[[], None] | None = None,
+    settings: FlySettings = FLY,
+) -> Flown:
+    """Fly a model in ArduPilot's simulator: answer each packet of pulses with a step of the nonlinear motion.
+
+    ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
+    that of ``SIM_JSON.cpp``. The aircraft has the servo lag of its model. A restart of the autopilot
+    starts the flight again.
+
+    Parameters
+    ----------
+    model, aircraft
+        As for :func:`skdgp.dynamics.simulate`.
+    steady : Trim
+        Its altitude [m] is that of the start.
+    full : mapping of str to float
+        Values at full output: deflections [rad] of aileron, elevator and rudder, in the unit of the
+        control; ``thrust`` [N] or ``propeller_speed`` [rad/s] where that sets the thrust.
+    parameters : mapping of str to float, optional
+        ``SERVOn_FUNCTION``, ``_MIN``, ``_TRIM``, ``_MAX``, ``_REVERSED`` of the autopilot, see
+        `read_parameters`. By default servos 1 to 4 are aileron, elevator, throttle and rudder, 1100
+        to 1900 us.
+    height : float, default=0.0
+        Of the start above the ground, at the trim [m]; 0: on the wheels. Places of wheels are guessed
+        from the span.
+    path : int, optional
+        Seed of one aircraft of the posterior; by default the mean flies.
+    wind : array-like (3,), optional
+        Velocity of the air, north, east, down [m/s].
+    gusts : Turbulence, optional
+        Dryden's gusts besides the wind.
+    random_state : int, default=0
+        Of the gusts.
+    thrust : "auto" or None
+        As for :func:`skdgp.dynamics.simulate`.
+    address, port : str and int
+        Of this program.
+    wait : float, default=60.0
+        Longest silence of the autopilot [s].
+    seconds : float, optional
+        Duration of the flight; by default until the autopilot is silent.
+    ready : callable, optional
+        Called once packets are expected.
+    settings : FlySettings
+
+    Returns
+    -------
+    Flown
+
+    Raises
+    ------
+    ValueError
+        If the port is in use, no packet comes, or a control has no value at full output.
+
+    Warns
+    -----
+    UserWarning
+        If other bytes come, which are ignored.
+    """
+    check_number("height", height, is_open=False, unit="m")
+    check_number("wait", wait, unit="s")
+    motion = Motion(model, aircraft, thrust=thrust)
+    linear = linearize(model, aircraft, steady, thrust=thrust)
+    engine = thrust_control(aircraft, thrust)
+    outputs = Outputs(linear, steady, engine, full, parameters or {}, settings.no_pulse)
+    if path is not None:
+        motion.aerodynamics = motion.aerodynamics.sample(1, path)
+    flight = ModelInFlight(motion, steady, height, wind, gusts, random_state, settings)
+    with Link(address, port) as link:
+        if ready is not None:
+            ready()
+        return _serve(link, flight, outputs, wait, seconds)
+
+
+def _serve(
+    link: Link, flight: ModelInFlight, outputs: Outputs, wait: float, seconds: float
+) -> Flown:
+    """Answer packets until the autopilot is silent or the flight is over."""
+    longest = flight.settings.longest_frame
+    rows: list[dict[str, float]] = []
+    last = -1
+    n_steps = 0
+    computing = 0.0
+    line = ""
+    reason = f"{seconds:g} s were flown"
+    with one_blas_thread():
+        while flight.time < seconds and not flight.ended:
+            received = link.receive(wait)
+            if received is None:
+                reason = f"the autopilot is silent for {wait:g} s"
+                break
+            packet, sender = received
+            if packet.number < last:
+                flight.start()
+                rows.clear()
+            # ArduPilot repeats a packet whose answer it did not get
+            if packet.number != last:
+                began = time.perf_counter()
+                commands = outputs.commands(packet.pulses)
+                flight.advance(commands, min(1.0 / max(packet.rate, 1), longest))
+                if flight.ended:
+                    break
+                line = flight.readings()
+                computing += time.perf_counter() - began
+                n_steps += 1
+                last = packet.number
+                if not rows or flight.time - rows[-1]["time"] > flight.settings.row_step:
+                    rows.append(flight.channels() | commands)
+            link.answer(line, sender)
+    if not n_steps and not flight.ended:
+        raise ValueError(
+            f"Got no packet at {link.name} for {wait:g} s, but expected ArduPilot: start "
+            "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
+        )
+    return Flown(pd.DataFrame(rows), n_steps, computing, flight.ended or reason)

@@ -1,0 +1,292 @@
+r"""Frequency responses from a flight, with correlated inputs (CIFER: Tischler & Remple 2012, chapters 7 to 9).
+
+With the spectra of the inputs x and an output y, averaged over windows and over a band,
+
+.. math:: H = S_{xx}^{-1} S_{xy}, \quad
+    \gamma_i^2 = \frac{|S_{iy \cdot r}|^2}{S_{ii \cdot r} S_{yy \cdot r}}, \quad
+    \epsilon_i^2 = \frac{1 - \gamma_i^2}{2 \gamma_i^2 (n_d - q + 1)},
+
+where :math:`S_{\cdot r}` are conditioned spectra, without what the other q - 1 inputs explain,
+:math:`\gamma_i^2` is the partial coherence, :math:`n_d` the number of independent averages and
+:math:`\epsilon` the random error of the gain, relative, and of the phase [rad] (Bendat & Piersol
+2010, section 9.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.signal import detrend
+from scipy.signal.windows import hann
+
+from skdgp._compute.linalg import constant_columns
+from skdgp._compute.typing import Array, Indices, Matrix
+from skdgp._flight.tables import FlightTable, unwrapped
+from skdgp.dynamics._linearize import LinearModel, transfer
+
+
+@dataclass(frozen=True)
+class SpectrumSettings:
+    """Settings of frequency responses from flights."""
+
+    # Longest and shortest windows [s], and windows that a record shall hold
+    window: float = 20.0
+    least_window: float = 4.0
+    n_windows: float = 5.0
+    # Upper over lower end of the band of an average: windows alone average little
+    band: float = 1.25
+    # Bands of a factor of ten in frequency
+    per_decade: int = 20
+    # Periods of the lowest frequency in a window
+    periods: float = 2.0
+    # Highest frequency over that of the sampling
+    highest: float = 0.2
+    # Least partial coherence and largest random error of a response that counts (Tischler & Remple
+    # 2012, sections 8.5 and 9.4)
+    coherence: float = 0.6
+    error: float = 0.2
+    # Response to the input, in power over the noise of the output, that counts as excited, and the
+    # part of the highest frequencies that is noise
+    excited: float = 4.0
+    noise: float = 0.25
+
+
+SPECTRA = SpectrumSettings()
+# Correlations of the powers of neighbouring bins, and of those two apart, of Hann's window
+NEIGHBOURS = (4 / 9, 1 / 36)
+# Correlation of the powers of Hann's windows that overlap by half
+OVERLAP = 1 / 36
+
+
+class Spectra(NamedTuple):
+    """Cross spectra of channels at the bins of a window, and the number of independent windows."""
+
+    frequency: Array  #: [Hz], (n,)
+    cross: Array  #: S_ij = mean of conj(x_i) x_j, (n, c, c)
+    n_windows: float
+
+
+def frequency_response(
+    flight: pd.DataFrame,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    *,
+    linear: LinearModel | None = None,
+    settings: SpectrumSettings = SPECTRA,
+) -> pd.DataFrame:
+    """Return the responses of outputs to inputs, estimated from a flight without a model of the aircraft.
+
+    Name all inputs that moved together: what one explains is not counted for another.
+
+    Parameters
+    ----------
+    flight : DataFrame
+        One flight or several; gaps divide records.
+    inputs, outputs : sequence of str
+        Columns such as ``aileron``, ``rudder`` and ``p``, ``r``, ``ay``.
+    linear : LinearModel, optional
+        Of :func:`linearize`, for the model's response beside the estimate, with the delay of the
+        linear model.
+    settings : SpectrumSettings
+
+    Returns
+    -------
+    DataFrame
+        Rows (output, input, frequency [rad/s]); columns ``gain`` [dB] and ``phase`` [deg] with
+        standard deviations ``gain_std`` and ``phase_std``, ``coherence``, the partial one, and
+        ``excited``: whether coherence, error and power of the response suffice. Where it is False
+        a feedback of noise to the input may give a high coherence and a wrong response. With a
+        linear model ``model_gain``, ``model_phase`` and, of its paths, ``_lower`` and ``_upper``,
+        which hold 95 %.
+
+    Raises
+    ------
+    ValueError
+        If columns are missing, an input is named twice or does not move, or the records are too short.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from scipy.signal import lfilter
+    >>> from skdgp.dynamics import frequency_response
+    >>> time = np.arange(0, 200, 0.02)
+    >>> aileron = np.random.default_rng(0).normal(size=len(time))
+    >>> p = lfilter([0.0, 0.2], [1, -0.96], aileron)
+    >>> flight = pd.DataFrame({"time": time, "aileron": aileron, "p": p})
+    >>> response = frequency_response(flight, ["aileron"], ["p"]).loc[("p", "aileron")]
+    >>> row = response.iloc[response.index.get_indexer([2.0], method="nearest")[0]]
+    >>> row[["gain", "phase"]].astype(float).round(0).tolist()
+    [11.0, -46.0]
+    """
+    inputs, outputs = list(inputs), list(outputs)
+    if not inputs or not outputs or len({*inputs, *outputs}) < len(inputs) + len(outputs):
+        raise ValueError(
+            f"Got inputs={inputs} and outputs={outputs}, but expected names of columns, each once."
+        )
+    table = FlightTable.of(flight, [*inputs, *outputs])
+    spectra = _spectra(table, inputs, outputs, settings)
+    rows = []
+    for band in _bands(spectra.frequency, settings):
+        rows += _responses(spectra, band, inputs, outputs, settings)
+    found = pd.DataFrame(rows).set_index(["output", "input", "frequency"]).sort_index()
+    if linear is not None:
+        found = found.join(_of_model(linear, found.index))
+    return found
+
+
+def _spectra(
+    table: FlightTable, inputs: list[str], outputs: list[str], settings: SpectrumSettings
+) -> Spectra:
+    """Return the spectra of all channels, averaged over windows that overlap by half."""
+    names = [*inputs, *outputs]
+    values = unwrapped(table.table, names)
+    still = np.array(names)[constant_columns(values)].tolist()
+    if still:
+        raise ValueError(f"Got columns {still} that do not move: leave them out.")
+    step = float(np.median(np.diff(table.time)))
+    records = []
+    for rows in table.segments:
+        whole = np.isfinite(values[rows]).all(axis=1)
+        time = table.time[rows][whole]
+        if len(time) > 1 and whole.all():
+            even = np.arange(time[0], time[-1] + 0.5 * step, step)
+            columns = [np.interp(even, time, column) for column in values[rows].T]
+            records.append(np.array(columns))
+    duration = step * sum(record.shape[1] for record in records)
+    longest = step * max((record.shape[1] for record in records), default=0)
+    seconds = min(settings.window, longest, duration / settings.n_windows)
+    if seconds < settings.least_window:
+        raise ValueError(
+            f"Got records of {duration:.1f} s, the longest of {longest:.1f} s, but expected at least "
+            f"{settings.n_windows * settings.least_window:g} s, and one of {settings.least_window:g} s, without gaps "
+            "in these columns."
+        )
+    n = round(seconds / step)
+    transforms = []
+    for record in records:
+        for begin in range(0, record.shape[1] - n + 1, n // 2):
+            part = detrend(record[:, begin : begin + n])
+            transforms.append(np.fft.rfft(part * hann(n, sym=False)))
+    X = np.array(transforms)
+    cross = np.einsum("wif,wjf->fij", X.conj(), X) / len(X)
+    n_independent = len(X) / (1.0 + 2.0 * OVERLAP * (1.0 - 1.0 / len(X)))
+    frequency = np.arange(n // 2 + 1) / (n * step)
+    return Spectra(frequency, cross, n_independent)
+
+
+def _bands(frequency: Array, settings: SpectrumSettings) -> list[Indices]:
+    """Return the bins of each band, without the lowest and highest frequencies."""
+    spacing = frequency[1]
+    low = settings.periods * spacing
+    high = 2.0 * settings.highest * frequency[-1]
+    n_bands = 1 + int(settings.per_decade * np.log10(high / low))
+    half = np.sqrt(settings.band)
+    bands: list[Indices] = []
+    for centre in np.geomspace(low, high, n_bands):
+        bins = np.flatnonzero((frequency >= centre / half) & (frequency <= centre * half))
+        if len(bins) and not (bands and np.array_equal(bins, bands[-1])):
+            bands.append(bins)
+    return bands
+
+
+def _responses(
+    spectra: Spectra,
+    band: Indices,
+    inputs: list[str],
+    outputs: list[str],
+    settings: SpectrumSettings,
+) -> list[dict[str, Any]]:
+    """Return the rows of all outputs and inputs in a band."""
+    S = spectra.cross[band].mean(axis=0)
+    n_averages = spectra.n_windows * _independent_bins(len(band)) - len(inputs) + 1
+    q = len(inputs)
+    rows = []
+    for j, output in enumerate(outputs, start=q):
+        floor = _noise(spectra, j, settings)
+        response = _solved(S[:q, :q], S[:q, j])
+        for i, name in enumerate(inputs):
+            others = [k for k in range(q) if k != i]
+            # conditioned spectra of this input and the output
+            pair = [i, j]
+            conditioned = S[np.ix_(pair, pair)]
+            if others:
+                explained = _solved(S[np.ix_(others, others)], S[np.ix_(others, pair)])
+                conditioned = conditioned - S[np.ix_(pair, others)] @ explained
+            S_ii, S_yy = np.maximum(np.diag(conditioned).real, np.finfo(float).tiny)
+            coherence = min(float(abs(conditioned[0, 1]) ** 2 / (S_ii * S_yy)), 1.0)
+            error = np.inf
+            if coherence > 0 and n_averages > 0:
+                error = float(np.sqrt((1.0 - coherence) / (2.0 * coherence * n_averages)))
+            H = response[i]
+            is_sure = coherence >= settings.coherence and error <= settings.error
+            rows.append(
+                {
+                    "output": output,
+                    "input": name,
+                    "frequency": 2 * np.pi * float(spectra.frequency[band].mean()),
+                    "gain": _decibels(H),
+                    "phase": float(np.rad2deg(np.angle(H))),
+                    "gain_std": 20.0 / np.log(10.0) * error,
+                    "phase_std": float(np.rad2deg(error)),
+                    "coherence": coherence,
+                    "excited": is_sure and abs(H) ** 2 * S_ii > settings.excited * floor,
+                }
+            )
+    return rows
+
+
+def _solved(S: Matrix, b: Array) -> Array:
+    """Return S^-1 b; inputs that always move together share the response."""
+    solution: Any = np.linalg.lstsq(S, b, rcond=1e-10)[0]
+    return solution
+
+
+def _noise(spectra: Spectra, j: int, settings: SpectrumSettings) -> float:
+    """Return the power of the noise of a channel, that of its highest frequencies."""
+    n_highest = max(1, int(settings.noise * len(spectra.frequency)))
+    return float(np.median(spectra.cross[-n_highest:, j, j].real))
+
+
+def _independent_bins(m: int) -> float:
+    """Return the number of independent averages of m neighbouring bins."""
+    near, far = NEIGHBOURS
+    return m**2 / (m + 2.0 * (m - 1) * near + 2.0 * max(m - 2, 0) * far)
+
+
+def _decibels(H: Any) -> Any:
+    return 20.0 * np.log10(np.maximum(np.abs(H), np.finfo(float).tiny))
+
+
+def _of_model(linear: LinearModel, index: pd.Index) -> pd.DataFrame:
+    """Return gain and phase of a linear model, with limits of its paths, at rows (output, input, frequency)."""
+    w = np.unique(index.get_level_values("frequency"))
+    s: Any = 1j * w
+    late = np.exp(-s * linear.delay)[:, None, None]
+    mean = late * transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)
+    paths = None
+    if linear.paths is not None:
+        p = linear.paths
+        paths = late * transfer(p.A, p.B, p.C, p.D, linear.A.index, s)
+    rows = []
+    for output, name, frequency in index:
+        row = {"model_gain": np.nan, "model_phase": np.nan}
+        if output in linear.C.index and name in linear.B.columns:
+            place = (
+                int(np.searchsorted(w, frequency)),
+                linear.C.index.get_loc(output),
+                linear.B.columns.get_loc(name),
+            )
+            H = mean[place]
+            row = {"model_gain": _decibels(H), "model_phase": float(np.rad2deg(np.angle(H)))}
+            if paths is not None:
+                drawn = paths[(slice(None), *place)]
+                turned = row["model_phase"] + np.rad2deg(np.angle(drawn / H))
+                for what, values in (("gain", _decibels(drawn)), ("phase", turned)):
+                    lower, upper = np.quantile(values, [0.025, 0.975])
+                    row |= {f"model_{what}_lower": lower, f"model_{what}_upper": upper}
+        rows.append(row)
+    return pd.DataFrame(rows, index=index)

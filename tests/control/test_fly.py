@@ -1,0 +1,313 @@
+"""Flights behind a stand-in for ArduPilot, which sends packets as SIM_JSON.cpp does and reads lines as it does."""
+
+import json
+import socket
+import struct
+import threading
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from skdgp.control import fly
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, simulate, standard_density, trim
+
+GRAVITY = 9.80665
+AIRCRAFT = Aircraft(
+    name="glider", mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+LEVEL = np.array([-0.03, 0, -0.3, 0, 0.02, 0])
+SLOPES = np.array(
+    [
+        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
+        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
+        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
+        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
+        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
+        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
+    ]
+)
+FULL = {"aileron": 0.4, "elevator": 0.3, "rudder": 0.3, "thrust": 60.0}
+NEUTRAL = (1500, 1500, 1100, 1500)
+RATE = 400
+
+
+def sampler(n_paths, random_state):
+    draws = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8)) * SLOPES
+    return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
+        draws[:, None], X.shape[1], axis=1
+    )
+
+
+def model_with(**changes):
+    return Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler, **changes)
+
+
+MODEL = model_with()
+STEADY = trim(MODEL, AIRCRAFT, 20.0, altitude=250.0)
+
+
+@pytest.fixture
+def port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+class Autopilot:
+    """A stand-in for ArduPilot: what it sends, and the lines that it gets."""
+
+    def __init__(self, port):
+        self.target = ("127.0.0.1", port)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(2)
+        self.count = 0
+        self.read = None
+
+    def send(self, pulses=NEUTRAL, *, count=None, n_pulses=16, rate=RATE):
+        """Send pulses and return what comes back."""
+        self.count = self.count + 1 if count is None else count
+        magic = {16: 18458, 32: 29569}[n_pulses]
+        sent = (*pulses, *[0] * n_pulses)[:n_pulses]
+        packet = struct.pack(f"<HHI{n_pulses}H", magic, rate, self.count, *sent)
+        self.socket.sendto(packet, self.target)
+        line = self.socket.recv(4096)
+        assert line.startswith(b"\n")
+        assert line.endswith(b"\n")
+        assert b" " not in line
+        self.read = json.loads(line)
+        return self.read
+
+
+@pytest.fixture
+def flown(port):
+    """Fly a model behind an autopilot that a function plays; return the result."""
+
+    def flown(play, model=MODEL, steady=STEADY, full=FULL, **options):
+        ready = threading.Event()
+        failures = []
+
+        def run():
+            ready.wait(10)
+            autopilot = Autopilot(port)
+            try:
+                play(autopilot)
+            except BaseException as failure:
+                failures.append(failure)
+            finally:
+                autopilot.socket.close()
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        options = {"wait": 0.3, "port": port, "ready": ready.set} | options
+        try:
+            return fly(model, AIRCRAFT, steady, full, **options)
+        finally:
+            ready.set()
+            thread.join()
+            for failure in failures:
+                raise failure
+
+    return flown
+
+
+@pytest.mark.parametrize("n_pulses", [16, 32])
+def test_the_lines_have_what_ardupilot_asks_for(flown, n_pulses):
+    def play(autopilot):
+        said = autopilot.send((0,) * 4, n_pulses=n_pulses)
+        assert {"timestamp", "imu", "position", "attitude", "velocity"} <= said.keys()
+        assert {*map(len, said["imu"].values())} == {3}
+        assert said["timestamp"] == 1 / RATE
+        w, x, y, z = said["quaternion"]
+        assert_allclose(said["attitude"][1], np.arcsin(2 * (w * y - x * z)), atol=1e-12)
+
+    assert flown(play, height=50.0).steps == 1
+
+
+def test_in_the_air_without_pulses_it_stays_in_trim(flown):
+    def play(autopilot):
+        for _ in range(200):
+            said = autopilot.send((0,) * 16)
+        assert_allclose(said["position"], [20.0 * 0.5, 0.0, -50.0], atol=1e-3)
+        assert_allclose(said["attitude"], [0.0, STEADY.theta, 0.0], atol=1e-4)
+        specific = GRAVITY * np.array([np.sin(STEADY.theta), 0.0, -np.cos(STEADY.theta)])
+        assert_allclose(said["imu"]["accel_body"], specific, atol=1e-3)
+        # equivalent airspeed, of the density at 250 m above the sea
+        assert_allclose(
+            said["airspeed"], 20.0 * np.sqrt(standard_density(250.0) / 1.225), rtol=1e-4
+        )
+
+    result = flown(play, height=50.0)
+    assert "silent for 0.3 s" in result.reason
+    assert_allclose(result.table["altitude"], 250.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.08])
+def test_flies_as_simulate_does(flown, lag):
+    """Half aileron and elevator for 0.5 s, with the lag of the servos."""
+    model = model_with(servo_lag=lag)
+    pulses = (1700, 1600, 1500, 1500)
+    controls = {"aileron": 0.5 * 0.4, "elevator": -0.25 * 0.3, "rudder": 0.0, "thrust": 30.0}
+
+    def play(autopilot):
+        for _ in range(200):
+            autopilot.send(pulses)
+
+    # servos begin at their first command
+    row = flown(play, model=model, height=50.0, seconds=0.5).table.iloc[-1]
+    start = dict(zip(["u", "v", "w"], STEADY.state[3:6], strict=True)) | {"theta": STEADY.theta}
+    start |= {"airspeed": 20.0, "alpha": STEADY.alpha, "beta": 0.0, "altitude": 250.0}
+    expected = simulate(model, AIRCRAFT, start, controls, dt=1 / RATE, duration=0.5)
+    k = int(np.argmin(np.abs(expected["time"] - row["time"])))
+    for name in ("p", "q", "r", "phi", "theta", "altitude", "airspeed"):
+        assert_allclose(row[name], expected[name].iloc[k], rtol=1e-6, atol=1e-7, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("place", "rate", "reverse"), [(0, 0, False), (1, 1, False), (3, 2, False), (0, 0, True)]
+)
+def test_a_positive_output_turns_up_or_right(flown, place, rate, reverse):
+    functions = {"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO3_FUNCTION": 70}
+    parameters = functions | {"SERVO4_FUNCTION": 21, "SERVO1_REVERSED": float(reverse)}
+
+    def play(autopilot):
+        pulses = np.array(NEUTRAL)
+        pulses[place] = 1700
+        gyro = [autopilot.send(pulses)["imu"]["gyro"][rate] for _ in range(40)]
+        assert (gyro[-1] > 0.01) != reverse
+        assert (gyro[-1] < -0.01) == reverse
+
+    flown(play, height=50.0, parameters=parameters)
+
+
+def test_elevons_are_mixed_back(flown):
+    """Left = pitch - roll, right = pitch + roll."""
+    parameters = {"SERVO1_FUNCTION": 77, "SERVO2_FUNCTION": 78, "SERVO3_FUNCTION": 70}
+
+    def play(autopilot):
+        for _ in range(40):
+            said = autopilot.send((1600, 1800, 1500))
+        p, q, _ = said["imu"]["gyro"]
+        assert p > 0.01
+        assert q > 0.01
+
+    row = flown(play, height=50.0, parameters=parameters).table.iloc[-1]
+    assert_allclose(row["aileron"], 0.4 * 0.25)
+    assert_allclose(row["elevator"], -0.3 * 0.5)
+
+
+class TestOnTheGround:
+    def test_stands_on_its_wheels(self, flown):
+        def play(autopilot):
+            for _ in range(200):
+                said = autopilot.send()
+            assert_allclose(said["imu"]["accel_body"], [0, 0, -GRAVITY], atol=0.02)
+            assert_allclose(said["attitude"], 0.0, atol=1e-3)
+            assert_allclose(said["velocity"], 0.0, atol=1e-3)
+            assert -0.1 * AIRCRAFT.span < said["position"][2] < 0.0
+
+        flown(play)
+
+    def test_takes_off(self, flown):
+        def play(autopilot):
+            said = autopilot.send()
+            while said["timestamp"] < 6.0 and said["position"][2] > -1.0:
+                pitch = said["attitude"][1]
+                up = 1.5 * (0.12 - pitch) - 0.5 * said["imu"]["gyro"][1]
+                level = -1.0 * said["attitude"][0] - 0.3 * said["imu"]["gyro"][0]
+                pulses = 1500 + 400 * np.clip([level, up], -1, 1)
+                said = autopilot.send((*pulses.astype(int), 1900, 1500), rate=100)
+            assert said["position"][2] <= -1.0
+
+        flown(play, full=FULL | {"thrust": 200.0})
+
+    def test_a_fall_ends_on_the_ground(self, flown):
+        def play(autopilot):
+            said = autopilot.send()
+            while said["timestamp"] < 2.5:
+                said = autopilot.send((1500, 1350, 1100, 1500), rate=50)
+                assert said["position"][2] < 1.0
+            assert_allclose(said["velocity"][2], 0.0, atol=0.3)
+
+        flown(play, height=3.0)
+
+
+def test_wind_and_gusts_are_felt(flown):
+    airspeeds = []
+
+    def play(autopilot):
+        for _ in range(300):
+            airspeeds.append(autopilot.send((0,) * 16)["airspeed"])
+
+    turbulence = Turbulence(np.full(3, 1.0), np.full(3, 10.0))
+    table = flown(play, height=50.0, wind=[0.0, 5.0, 0.0], gusts=turbulence).table
+    assert_allclose(table["east"].iloc[-1], 5.0 * 0.75, atol=0.5)
+    assert 0.1 < np.std(airspeeds) < 3.0
+
+
+def test_a_path_is_one_aircraft_of_the_posterior(flown):
+    def play(autopilot):
+        for _ in range(100):
+            autopilot.send((1700, 1600, 1500, 1500))
+
+    tables = [flown(play, height=50.0, path=path).table for path in (None, 3, 3, 4)]
+    mean, third, again, fourth = (table["p"].iloc[-1] for table in tables)
+    assert third == again
+    assert len({mean, third, fourth}) == 3
+
+
+def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
+    def play(autopilot):
+        first = autopilot.send(count=7)
+        assert autopilot.send(count=7) == first
+        assert autopilot.send(count=8)["timestamp"] == 2 / RATE
+        assert autopilot.send(count=0) == first
+
+    assert flown(play, height=50.0).steps == 3
+
+
+@pytest.mark.parametrize(
+    "garbage", [b"", b"hello", bytes(40), struct.pack("<HHI16H", 29569, 400, 1, *[1500] * 16)]
+)
+def test_garbage_is_named_and_ignored(flown, garbage):
+    def play(autopilot):
+        autopilot.socket.sendto(garbage, autopilot.target)
+        autopilot.send()
+
+    with pytest.warns(UserWarning, match=f"Got {len(garbage)} bytes .* but expected 16 or 32"):
+        assert flown(play).steps == 1
+
+
+class TestRefuses:
+    def test_a_port_in_use(self, port):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+            taken.bind(("127.0.0.1", port))
+            with pytest.raises(ValueError, match=rf"Got the port 127.0.0.1:{port}, but .* another"):
+                fly(MODEL, AIRCRAFT, STEADY, FULL, port=port)
+
+    def test_silence(self, port):
+        with pytest.raises(ValueError, match=r"Got no packet .* for 0.1 s, but expected ArduPilot"):
+            fly(MODEL, AIRCRAFT, STEADY, FULL, port=port, wait=0.1)
+
+    @pytest.mark.parametrize(
+        ("full", "message"),
+        [
+            ({"aileron": 0.4}, "Got no value of elevator, rudder, thrust at full output"),
+            (FULL | {"flap": 1.0}, "'flap' is no control of this model"),
+            (FULL | {"elevator": 0.0}, "full elevator"),
+        ],
+    )
+    def test_other_full_deflections(self, full, message):
+        with pytest.raises(ValueError, match=message):
+            fly(MODEL, AIRCRAFT, STEADY, full)
+
+    def test_a_surface_without_effect(self):
+        idle = np.where(np.arange(8) == 6, 0.0, SLOPES)
+        model = Aerodynamics(lambda X: LEVEL + X @ idle.T, NAMES)
+        with pytest.raises(ValueError, match="whose aileron does not change p"):
+            fly(model, AIRCRAFT, STEADY, FULL)
+
+    def test_pulses_that_do_not_increase(self):
+        with pytest.raises(ValueError, match="SERVO1_MIN 2000, TRIM 1500"):
+            fly(MODEL, AIRCRAFT, STEADY, FULL, parameters={"SERVO1_MIN": 2000.0})

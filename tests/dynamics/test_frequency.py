@@ -1,0 +1,183 @@
+"""Frequency responses from flights of a known linear aircraft, whose inputs move together."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import lsim
+
+from skdgp.dynamics import (
+    Aerodynamics,
+    Aircraft,
+    SpectrumSettings,
+    frequency_response,
+    linearize,
+    trim,
+)
+
+AIRCRAFT = Aircraft(
+    name="glider", mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
+)
+NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+LEVEL = np.array([-0.03, 0, -0.3, 0, 0.02, 0])
+SLOPES = np.array(
+    [
+        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
+        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
+        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
+        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
+        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
+        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
+    ]
+)
+STATES = ["v", "phi", "p", "r"]
+STEP, DURATION = 0.02, 120.0
+NOISE = {"p": 0.02, "r": 0.01, "ay": 0.1}
+
+
+@pytest.fixture(scope="module")
+def linear():
+    def sampler(n_paths, random_state):
+        draws = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8)) * SLOPES
+        return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
+            draws[:, None], X.shape[1], axis=1
+        )
+
+    model = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler)
+    return linearize(model, AIRCRAFT, trim(model, AIRCRAFT, 20.0), n_paths=20)
+
+
+def band_limited(rng, n, low, high):
+    """Return noise of unit power in a band [Hz]."""
+    spectrum = np.fft.rfft(rng.normal(size=n))
+    frequency = np.fft.rfftfreq(n, STEP)
+    spectrum[(frequency < low) | (frequency > high)] = 0.0
+    values = np.fft.irfft(spectrum, n)
+    return values / values.std()
+
+
+def flown(linear, seed, correlated=0.7, high=3.0, feedback=0.0):
+    """Return a flight of the lateral motion with an aileron that the rudder follows in part, and noise."""
+    rng = np.random.default_rng(seed)
+    n = round(DURATION / STEP)
+    time = STEP * np.arange(n)
+    aileron = 0.05 * band_limited(rng, n, 0.1, high)
+    rudder = correlated * aileron + 0.05 * band_limited(rng, n, 0.1, high)
+    A = linear.A.loc[STATES, STATES].to_numpy()
+    B = linear.B.loc[STATES, ["aileron", "rudder"]].to_numpy()
+    C = linear.C.loc[["p", "r", "ay"], STATES].to_numpy()
+    D = linear.D.loc[["p", "r", "ay"], ["aileron", "rudder"]].to_numpy()
+    _, Y, _ = lsim((A, B, C, D), np.column_stack([aileron, rudder]), time)
+    Y = Y + rng.normal(size=Y.shape) * [NOISE[name] for name in ("p", "r", "ay")]
+    table = {"time": time, "aileron": aileron, "rudder": rudder}
+    return pd.DataFrame(table | dict(zip(("p", "r", "ay"), Y.T, strict=True)))
+
+
+def errors(found):
+    """Return errors in gain [dB] and phase [deg] of rows with the true model beside them."""
+    phase = (found["phase"] - found["model_phase"] + 180) % 360 - 180
+    return (found["gain"] - found["model_gain"]).to_numpy(), phase.to_numpy()
+
+
+def test_correlated_inputs_are_told_apart(linear):
+    found = frequency_response(flown(linear, 0), ["aileron", "rudder"], ["p", "r"], linear=linear)
+    excited = found[found["excited"]]
+    main = pd.concat([excited.loc[("p", "aileron")], excited.loc[("r", "rudder")]])
+    frequency = main.index
+    assert frequency.min() < 2.0
+    assert frequency.max() > 15.0
+    gain, phase = errors(main)
+    assert np.sqrt(np.mean(gain**2)) < 0.5
+    assert np.sqrt(np.mean(phase**2)) < 4.0
+
+
+def test_without_the_other_input_the_response_is_wrong(linear):
+    """The rudder that follows the aileron then counts as part of it."""
+    flight = flown(linear, 0, correlated=2.0)
+    alone = frequency_response(flight, ["aileron"], ["r"], linear=linear)
+    both = frequency_response(flight, ["aileron", "rudder"], ["r"], linear=linear)
+    band = slice(4.0, 12.0)
+    of_alone = np.abs(errors(alone.loc[("r", "aileron")].loc[band])[0]).mean()
+    of_both = np.abs(errors(both.loc[("r", "rudder")].loc[band])[0]).mean()
+    assert of_alone > 10 * of_both
+
+
+def test_errors_are_as_large_as_stated(linear):
+    """Over flights in other noise, 68 and 95 % of the gains and phases are within one and two deviations."""
+    scores = []
+    for seed in range(8):
+        found = frequency_response(
+            flown(linear, seed), ["aileron", "rudder"], ["p", "r", "ay"], linear=linear
+        )
+        sure = found[found["excited"]]
+        gain, phase = errors(sure)
+        scores += [gain / sure["gain_std"], phase / sure["phase_std"]]
+    scores = np.abs(np.concatenate(scores))
+    assert 0.5 < np.mean(scores < 1.0) < 0.85
+    assert 0.85 < np.mean(scores < 2.0) < 0.995
+
+
+def test_bands_of_the_model_hold_its_mean(linear):
+    found = frequency_response(flown(linear, 1), ["aileron", "rudder"], ["p"], linear=linear)
+    for what in ("gain", "phase"):
+        inside = found[f"model_{what}"].between(
+            found[f"model_{what}_lower"], found[f"model_{what}_upper"]
+        )
+        assert inside.mean() > 0.9
+
+
+def test_beyond_the_excitation_nothing_counts(linear):
+    """A feedback of the noisy rate moves the aileron there: coherence is high, the response that of -1 / K."""
+    rng = np.random.default_rng(0)
+    n = round(DURATION / STEP)
+    excitation = 0.05 * band_limited(rng, n, 0.1, 1.0)
+    noise = rng.normal(0, 0.05, n)
+    decay = np.exp(-10.0 * STEP)
+    p, aileron = np.zeros(n), np.zeros(n)
+    state = 0.0
+    for k in range(n):
+        p[k] = state + noise[k]
+        aileron[k] = excitation[k] - 0.05 * p[k]
+        state = decay * state + (1 - decay) * 6.0 * aileron[k]
+    flight = pd.DataFrame({"time": STEP * np.arange(n), "aileron": aileron, "p": p})
+    found = frequency_response(flight, ["aileron"], ["p"]).loc[("p", "aileron")]
+    above = found.loc[15.0:]
+    assert above["coherence"].min() > 0.8
+    assert_allclose(above["gain"], 20 * np.log10(1 / 0.05), atol=2.0)
+    assert not above["excited"].any()
+    assert found.loc[1.5:5.0, "excited"].all()
+
+
+def test_gaps_divide_records(linear):
+    flight = flown(linear, 2)
+    parts = flight[(flight["time"] < 50) | (flight["time"] > 60)]
+    found = frequency_response(parts, ["aileron", "rudder"], ["p"], linear=linear)
+    main = found[found["excited"]].loc[("p", "aileron")]
+    assert np.sqrt(np.mean(errors(main)[0] ** 2)) < 0.7
+
+
+class TestRefuses:
+    @pytest.mark.parametrize(
+        ("inputs", "outputs", "message"),
+        [
+            ([], ["p"], "but expected names of columns, each once"),
+            (["aileron", "aileron"], ["p"], "each once"),
+            (["flap"], ["p"], "flap"),
+            (["still"], ["p"], r"Got columns \['still'\] that do not move"),
+        ],
+    )
+    def test_names(self, linear, inputs, outputs, message):
+        flight = flown(linear, 0).assign(still=0.1)
+        with pytest.raises(ValueError, match=message):
+            frequency_response(flight, inputs, outputs)
+
+    def test_short_records(self, linear):
+        with pytest.raises(
+            ValueError, match=r"Got records of 10.0 s, .* but expected at least 20 s"
+        ):
+            frequency_response(flown(linear, 0).iloc[:500], ["aileron"], ["p"])
+        shorter = SpectrumSettings(least_window=1.0)
+        found = frequency_response(
+            flown(linear, 0).iloc[:500], ["aileron"], ["p"], settings=shorter
+        )
+        assert len(found)

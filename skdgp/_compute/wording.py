@@ -459,6 +459,8 @@ REASONS = _by_code(
     "the same accelerometers",
     diverging="the error is {error:.3g} of the spread, so a constant predicts better",
     implausible_sizes="implausible {names}",
+    too_little_flown="learned from {seconds:.3g} s and {each:.2g} rows for each regressor: a "
+    "judgement needs {least_seconds:g} s and {least_rows:g} rows",
     wrong_signs="wrong sign of {names}",
     bands_too_narrow="the bands do not hold on the test flights: {coverages:.0%} of the "
     "measured values",

@@ -27,7 +27,7 @@ from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
-from skdgp.report import FitRecord, TrainingRecord
+from skdgp.report import Extent, FitRecord, TrainingRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +92,7 @@ def learn(
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
         conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
+        flown=Extent.of(list(flights.train.values())).seconds,
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:

@@ -15,7 +15,14 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_COLUMNS
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    COEFFICIENTS,
+    ELEVONS,
+    HIGH_LIFT,
+    MIXED,
+    THRUST_COLUMNS,
+)
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._pipeline import (
@@ -137,7 +144,7 @@ def _pipeline_for(
         if flights.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
     if flights.has_full_throws:
-        pipeline.control_units_ = dict.fromkeys(ALL_SURFACES, FULL_THROW)
+        pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline
 
 

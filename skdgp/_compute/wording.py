@@ -249,6 +249,8 @@ def _paths_reason(finding: Finding) -> str:
         text, unit, factor = SENSORS[contradiction["sensor"]]
         residual = factor * contradiction["residual"]
         noise = factor * contradiction["noise"]
+        if contradiction["is_smoothed"]:
+            text = f"{contradiction['sensor']} is smoothed, so its noise is not known"
         parts.append(f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})")
     if not parts:
         return "no sensor contradicts the others"

@@ -185,7 +185,9 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     reconstruction = None
     step = pipeline["flightpathreconstruction"]
     if isinstance(step, FlightPathReconstruction):
-        not_converged = [str(name) for name, converged in step.converged_.items() if not converged]
+        if step.used_:
+            converged = step.converged_.items()
+            not_converged = [str(name) for name, has_converged in converged if not has_converged]
         gusts_unknown = step.doubt_
         reconstruction = step.finding_
     return FitRecord(

@@ -90,6 +90,7 @@ class Code(Enum):
     ERRORS_SMALL = "errors_small"
     ERRORS_TOO_LARGE = "errors_too_large"
     LEAST_SQUARES_BETTER = "least_squares_better"
+    TOO_LITTLE_FLOWN = "too_little_flown"
 
     # flight mechanics
     CONTROLS_KNOWN = "controls_known"

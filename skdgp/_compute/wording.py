@@ -249,6 +249,8 @@ def _paths_reason(finding: Finding) -> str:
         text, unit, factor = SENSORS[contradiction["sensor"]]
         residual = factor * contradiction["residual"]
         noise = factor * contradiction["noise"]
+        if contradiction["is_smoothed"]:
+            text = f"{contradiction['sensor']} is smoothed, so its noise is not known"
         parts.append(f"{text} (residual {residual:.2g} {unit}, noise {noise:.2g})")
     if not parts:
         return "no sensor contradicts the others"
@@ -459,6 +461,8 @@ REASONS = _by_code(
     "the same accelerometers",
     diverging="the error is {error:.3g} of the spread, so a constant predicts better",
     implausible_sizes="implausible {names}",
+    too_little_flown="learned from {seconds:.3g} s and {each:.2g} rows for each regressor: a "
+    "judgement needs {least_seconds:g} s and {least_rows:g} rows",
     wrong_signs="wrong sign of {names}",
     bands_too_narrow="the bands do not hold on the test flights: {coverages:.0%} of the "
     "measured values",

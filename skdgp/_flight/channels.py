@@ -40,8 +40,9 @@ THRUST_COLUMNS = ("thrust", *THRUST_FORCES)
 THRUST_MOMENTS = ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
-# Controls that a pilot sets and no loop moves
 HIGH_LIFT = ("flap", "spoiler")
+# Further controls, zero in normal flight
+AUXILIARY = (*HIGH_LIFT, "differential_throttle")
 
 CHANNELS = {
     "time": Channel("s", "time on the log's one clock, increasing within a flight"),
@@ -84,6 +85,9 @@ CHANNELS = {
     "v_down": Channel("m/s", "ground velocity, down"),
     # Controls and propulsion.
     "throttle": Channel("", "throttle, 0 to 1"),
+    "differential_throttle": Channel(
+        "", "throttle of the left less the right engine, > 0 yaws right"
+    ),
     "propeller_speed": Channel("rad/s", "propeller speed Omega"),
     "elevator": Channel("rad", "elevator, > 0 pitches down"),
     "aileron": Channel("rad", "aileron, > 0 rolls right"),
@@ -114,7 +118,19 @@ LONGITUDINAL = ("CX", "CZ", "Cm")
 LATERAL = ("CY", "Cl", "Cn")
 # Coefficients and regressors whose sign changes in a mirror at the x-z plane
 MIRRORED = frozenset(
-    (*LATERAL, "beta", "beta_dot", "p", "r", "p_dot", "r_dot", "ay", "aileron", "rudder")
+    (
+        *LATERAL,
+        "beta",
+        "beta_dot",
+        "p",
+        "r",
+        "p_dot",
+        "r_dot",
+        "ay",
+        "aileron",
+        "rudder",
+        "differential_throttle",
+    )
 )
 
 # columns that end so are noise-free truth of a simulation: for scoring only

@@ -23,6 +23,7 @@ from skdgp._flight.channels import (
     BODY_VELOCITY,
     EARTH_VELOCITY,
     EULER,
+    HIGH_LIFT,
     POSITION,
     RATES,
     SPECIFIC_FORCE,
@@ -57,8 +58,9 @@ POSSIBLE = {
     "density": (1e-3, 3.0),
     "altitude": (-1000.0, 1e5),
     "throttle": (-0.1, 1.5),
+    "differential_throttle": (-1.5, 1.5),
     "propeller_speed": (-1e4, 1e4),
-    **_within(np.pi / 2, *ALL_SURFACES),
+    **_within(np.pi / 2, *ALL_SURFACES, *HIGH_LIFT),
 }
 
 

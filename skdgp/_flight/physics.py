@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -71,6 +71,9 @@ class PhysicsSettings:
     lag_spacing: float = 0.2
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
+    # the same where the angle that a surface turns the aircraft to was not measured: it answers
+    # with the other sign, soon after
+    possible_lag_without_angle: float = 1 / 8
     # flights shorter than this [s] are judged together with others only
     long_flight: float = 30.0
 
@@ -120,6 +123,10 @@ class Signals:
     def rotation(self) -> Array:
         """Rotation matrices from body to earth axes (n, 3, 3)."""
         return euler_to_matrix(self["phi"], self["theta"], self["psi"])
+
+    def with_channels(self, changed: dict[str, Vector]) -> Signals:
+        """Return the signals with other channels."""
+        return replace(self, channels=self.channels | changed)
 
     def vector(self, names: tuple[str, ...]) -> Matrix:
         """Return channels as vectors (n, k)."""
@@ -183,18 +190,17 @@ def roll(flight: Signals) -> Regression:
     by_pitch = flight["q"] * np.sin(phi)
     by_yaw = flight["r"] * np.cos(phi)
     coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
-    y = flight.change(phi) - flight.integral(coupling)
     x = flight.integral(flight["p"])
-    return Regression.with_intercept(y, x)
+    return Regression.with_intercept(flight.change(phi), x, flight.integral(coupling))
 
 
 def pitch(flight: Signals) -> Regression:
     """Return the terms of theta_dot = q cos phi - r sin phi."""
     phi = flight["phi"]
     coupling = flight["r"] * np.sin(phi)
-    y = flight.change(flight["theta"]) + flight.integral(coupling)
+    y = flight.change(flight["theta"])
     x = flight.integral(flight["q"] * np.cos(phi))
-    return Regression.with_intercept(y, x)
+    return Regression.with_intercept(y, x, flight.integral(coupling))
 
 
 def yaw(flight: Signals) -> Regression:
@@ -203,9 +209,9 @@ def yaw(flight: Signals) -> Regression:
     cosine = np.cos(flight["theta"])
     coupling = flight["q"] * np.sin(phi) / cosine
     turn = flight["r"] * np.cos(phi) / cosine
-    y = flight.change(flight["psi"]) - flight.integral(coupling)
+    y = flight.change(flight["psi"])
     x = flight.integral(turn)
-    return Regression.with_intercept(y, x)
+    return Regression.with_intercept(y, x, flight.integral(coupling))
 
 
 def position(flight: Signals, name: str, velocity: str) -> Regression:
@@ -249,6 +255,19 @@ def level_force(flight: Signals, axis: int) -> Regression:
     y = np.sum(direction * change[:, :2], axis=1)
     x = np.sum(direction * impulse[:, :2], axis=1)
     return Regression.with_intercept(y, x)
+
+
+def own_force(flight: Signals, axis: int) -> Regression:
+    """Return the terms of a level component of v_dot = R f + g that one accelerometer has a part in.
+
+    Its impulse is x, and y the change of velocity less the impulse of the others.
+    """
+    names = SPECIFIC_FORCE[:axis] + SPECIFIC_FORCE[axis + 1 :]
+    still = {name: np.zeros(len(flight.segment)) for name in names}
+    moving = {SPECIFIC_FORCE[axis]: np.zeros(len(flight.segment))}
+    change, x, _ = level_force(flight.with_channels(still), axis)
+    _, others, _ = level_force(flight.with_channels(moving), axis)
+    return Regression.with_intercept(change - others, x)
 
 
 def gravity(flight: Signals) -> Regression:
@@ -307,7 +326,14 @@ EQUAL: Interval = (1 / 1.5, 1.5)
 GUSTY: Interval = (-0.5, 1.5)
 POSITIVE: Interval = (0.0, np.inf)
 NEGATIVE: Interval = (-np.inf, 0.0)
-EXPECTED = {EQUAL: "1", GUSTY: "0 to 1", POSITIVE: "a positive one", NEGATIVE: "a negative one"}
+NONE: Interval = (0.0, 0.0)
+EXPECTED = {
+    NONE: "0",
+    EQUAL: "1",
+    GUSTY: "0 to 1",
+    POSITIVE: "a positive one",
+    NEGATIVE: "a negative one",
+}
 # lags that are tried [s], > 0 where y is late against x
 NO_LAG = (0.0,)
 KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
@@ -328,6 +354,11 @@ class Check:
     # error of x [unit of x]: a signal of no larger root mean square decides nothing
     noise: float = 0.0
     lags: tuple[float, ...] = NO_LAG
+    # a check that must fail too: accelerometers ahead of the centre of gravity feel the yawing by
+    # beta, so the sign of ay alone tells nothing
+    witness: Check | None = None
+    # angle of the flow that the response depends on, if one
+    angle: str | None = None
 
     @property
     def needs(self) -> set[str]:
@@ -336,7 +367,7 @@ class Check:
 
 
 def _integral(
-    name: str, rate: str, regression: Callable, uses: tuple[str, ...] = (), noise: float = 0.02
+    name: str, rate: str, regression: Callable, uses: tuple[str, ...] = (), noise: float = 0.008
 ) -> Check:
     y = f"the change of {name}"
     x = f"the integral of {rate}"
@@ -361,22 +392,46 @@ def _force(channels: tuple[str, ...], axis: int) -> Check:
     return Check(channels, y, x, regression, EQUAL, FORCE_CHANNELS, 0.5, KINEMATIC_LAGS)
 
 
-def _effect(name: str, effects: tuple[str, ...], slopes: Interval) -> Check:
+def _effect(
+    name: str,
+    effects: tuple[str, ...],
+    slopes: Interval,
+    witness: tuple[str, Interval] | None = None,
+) -> Check:
     y = f"the change of {name}" if name in RATES else name
     x = effects[0]
     regression = partial(response, name=name, effects=effects)
     lags = SURFACE_LAGS if x in ALL_SURFACES else NO_LAG
-    return Check((x, name), y, x, regression, slopes, ("airspeed",), lags=lags)
+    uses = ("airspeed",)
+    angle = next((effect for effect in effects if effect in VANES), None)
+    check = Check((x, name), y, x, regression, slopes, uses, lags=lags, angle=angle)
+    if witness is None:
+        return check
+    response_of_witness, slopes_of_witness = witness
+    other = _effect(response_of_witness, effects, slopes_of_witness)
+    return replace(check, uses=(*uses, response_of_witness), witness=other)
 
 
+def _own_force(name: str, axis: int) -> Check:
+    y = "the change of velocity less the other forces"
+    x = f"the integral of {name}"
+    regression = partial(own_force, axis=axis)
+    return Check((name,), y, x, regression, POSITIVE, FORCE_CHANNELS, 0.05, KINEMATIC_LAGS)
+
+
+LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
 FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
-# In this order: a check is left out if it uses a channel that an earlier one has found wrong.
+PITCH = _integral("theta", "q", pitch, ("r", "phi"))
+YAW = _integral("psi", "r", yaw, ("q", "phi", "theta"))
+NORTH = _position("north", "v_north")
+EAST = _position("east", "v_east")
+# A check is left out if it uses a channel that a clearer one has found wrong.
 CHECKS = (
     _integral("phi", "p", roll, ("q", "r", "theta")),
-    _integral("theta", "q", pitch, ("r", "phi")),
-    _integral("psi", "r", yaw, ("q", "phi", "theta")),
-    _position("north", "v_north"),
-    _position("east", "v_east"),
+    PITCH,
+    YAW,
+    NORTH,
+    EAST,
     _position("down", "v_down"),
     _position("altitude", "v_down"),
     Check(
@@ -401,15 +456,62 @@ CHECKS = (
         uses=FORCE_CHANNELS,
         noise=0.5,
     ),
-    _force(("theta", "psi", "v_north", "v_east"), axis=0),
-    _force(("phi", "psi", "v_north", "v_east"), axis=1),
+    _force(("theta", "psi", "v_north", "v_east", "ax", "az"), axis=0),
+    _force(("phi", "psi", "v_north", "v_east", "ay", "az"), axis=1),
     _force(("v_down", "az"), axis=2),
+    _own_force("ax", axis=0),
+    _own_force("ay", axis=1),
     _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
-    _effect("ay", ("beta", "p", "r", "aileron", "rudder"), NEGATIVE),
+    _effect("ay", ("beta", *LATERAL_EFFECTS), NEGATIVE, witness=("r", POSITIVE)),
     _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
     _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
     _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
     Check(("throttle", "ax"), "ax", "throttle", thrust, POSITIVE, ("airspeed", "az"), 0.01),
+)
+
+
+def _crossed(responses: tuple[str, str], wrong: str, right: str, others: tuple[str, ...]) -> Check:
+    """Return the check of the first response by the channel of another axis, beside its own one."""
+    name, _ = responses
+    check = _effect(name, (wrong, right, *others), NONE)
+    proper = _effect(name, (right, wrong, *others), NONE)
+    return replace(check, channels=(wrong, right), uses=(*responses, "airspeed"), witness=proper)
+
+
+def _swapped(check: Check, first: str, second: str) -> Check:
+    """Return an integral as if two channels were exchanged, beside the one as they are."""
+
+    def regression(flight: Signals) -> Regression:
+        exchanged = {first: flight[second], second: flight[first]}
+        return check.regression(flight.with_channels(exchanged))
+
+    response, own = check.channels
+    other = second if own == first else first
+    x = f"the integral of {other}"
+    uses = (response, *check.uses)
+    return replace(
+        check,
+        channels=(own, other),
+        x=x,
+        uses=uses,
+        regression=regression,
+        slopes=NONE,
+        witness=check,
+    )
+
+
+# Pairs of channels, each of which is judged by the responses of both axes
+EXCHANGES = (
+    (_swapped(PITCH, "q", "r"), _swapped(YAW, "q", "r")),
+    (_swapped(NORTH, "v_north", "v_east"), _swapped(EAST, "v_north", "v_east")),
+    (
+        _crossed(("p", "q"), "elevator", "aileron", ("beta", "p", "r", "rudder")),
+        _crossed(("q", "p"), "aileron", "elevator", ("alpha", "q")),
+    ),
+    (
+        _crossed(("az", "ay"), "beta", "alpha", ("q", "elevator")),
+        _crossed(("ay", "az"), "alpha", "beta", LATERAL_EFFECTS),
+    ),
 )
 
 # Channels of the checks. Of the commanded ones a repeated value is a new sample.
@@ -482,10 +584,18 @@ def _contradictions_of(flights: FlightTable, settings: PhysicsSettings) -> list[
             contradictions.append(judgement)
         else:
             confirmed.update(check.channels)
+    # the clearest first, of which others may be consequences
+    contradictions.sort(key=_clearness, reverse=True)
+    contradictions += _exchanges(signals)
     suspects = _with_suspects(contradictions, confirmed)
     if not {*ELEVONS} <= {*flights.table.columns}:
         return suspects
     return [_of_elevons(contradiction) for contradiction in suspects]
+
+
+def _clearness(judgement: Judgement) -> tuple[bool, float]:
+    """Return the order of contradictions: equal signals before signs, then by correlation."""
+    return judgement.check.slopes == EQUAL, abs(judgement.slope.correlation)
 
 
 def _of_elevons(contradiction: Judgement) -> Judgement:
@@ -540,13 +650,18 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
         least *= 1 - (check.noise / best.size) ** 2
         slope = slopes[0.0]
     else:
-        enough = settings.possible_lag * best.explained
+        share = settings.possible_lag
+        if check.angle is not None and check.angle not in signals:
+            share = settings.possible_lag_without_angle
+        enough = share * best.explained
         possible = [slope for slope in slopes.values() if slope.explained >= enough]
         slope = min(possible, key=lambda slope: abs(slope.t(least, most)))
         if abs(slope.correlation) < settings.least_correlation:
             return None
     t = slope.t(least, most)
     if abs(t) < settings.least_t:
+        return None
+    if check.witness is not None and _judged(check.witness, signals) is None:
         return None
     return Judgement(check, check.channels, "slope", slope, t)
 
@@ -566,6 +681,35 @@ def _judged_lag(check: Check, slopes: dict[float, Slope], settings: PhysicsSetti
     # a uniform distribution between the lags that are tried
     std = settings.lag_spacing / np.sqrt(12)
     return Judgement(check, check.channels, "lag", best._replace(value=lag, std=std), t)
+
+
+def _exchanges(signals: Signals) -> list[Judgement]:
+    """Return the pairs of channels that are exchanged: each explains the other's response better."""
+    found = []
+    for exchange in EXCHANGES:
+        judgements = []
+        for check in exchange:
+            if check.needs <= signals.channels.keys():
+                judgements.append(_judged_exchange(check, signals))
+        if len(judgements) == len(exchange) and all(judgements):
+            found += [judgement for judgement in judgements[:1] if judgement]
+    return found
+
+
+def _judged_exchange(check: Check, signals: Signals) -> Judgement | None:
+    """Return the judgement of a response by the wrong channel, None if the right one explains more."""
+    slopes = slopes_by_lag(check, signals)
+    if not slopes or check.witness is None:
+        return None
+    best = max(slopes.values(), key=lambda slope: slope.explained)
+    proper = slopes_by_lag(check.witness, signals)
+    explained = max((slope.explained for slope in proper.values()), default=0.0)
+    settings = signals.settings
+    t = best.t(0.0, 0.0)
+    is_weak = abs(best.correlation) < settings.least_correlation or abs(t) < settings.least_t
+    if is_weak or best.explained <= explained:
+        return None
+    return Judgement(check, check.channels, "slope", best, t)
 
 
 def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:

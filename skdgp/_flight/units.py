@@ -14,6 +14,7 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     EARTH_VELOCITY,
+    HIGH_LIFT,
     RATES,
     SPECIFIC_FORCE,
     WRAPPED,
@@ -36,7 +37,7 @@ USUAL = {
     **dict.fromkeys(("alpha", "beta", "theta"), 1.7),
     "phi": LARGEST_ANGLE["phi"] + ANGLE_NOISE,
     "psi": LARGEST_ANGLE["psi"] + ANGLE_NOISE,
-    **dict.fromkeys(ALL_SURFACES, 1.6),
+    **dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), 1.6),
     **dict.fromkeys(RATES, 20.0),
 }
 # the rates that turn the angles that go round

@@ -13,11 +13,11 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     ALL_SURFACES,
+    AUXILIARY,
     BODY_VELOCITY,
     CHANNELS,
     EULER,
     HAT,
-    HIGH_LIFT,
     LENGTHS,
     THRUST_FORCES,
     THRUST_MOMENTS,
@@ -51,7 +51,7 @@ from skdgp.dynamics._rigid_body import (
 PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 # Channels that are set, not rebuilt from the state; a control may also have a name that is no
 # channel
-CONTROLS = (*ALL_SURFACES, *HIGH_LIFT, *PROPULSION, "gust")
+CONTROLS = (*ALL_SURFACES, *AUXILIARY, *PROPULSION, "gust")
 # Largest deflection [rad] of a control whose training range is not known
 DEFLECTION = np.pi / 4
 # Channels that follow from the loads, and so from the coefficients that they may be regressors of

@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HAT, HIGH_LIFT
+from skdgp._flight.channels import ALL_SURFACES, AUXILIARY, CHANNELS, HAT
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
 from skdgp._flight.units import degrees_error
@@ -313,8 +313,10 @@ class SteadyFlight:
             is_unmoved = name in ALL_SURFACES and not has_moved
             if name in names and name != engine and (name in ENGINE or is_unmoved):
                 held.setdefault(name, float(np.mean(limits)))
+            elif name in names and name in AUXILIARY:
+                held.setdefault(name, float(np.clip(0.0, *limits)))
         free = [name for name in names if name not in held]
-        settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, *HIGH_LIFT, engine}
+        settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, *AUXILIARY, engine}
         lacking = [name for name in free if name in settings]
         if lacking:
             raise ValueError(

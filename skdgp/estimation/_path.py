@@ -45,6 +45,7 @@ from skdgp.estimation._sensors import (
 )
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
+TINY = 1e-9  # avoids a division by zero
 CALIBRATED = (*INERTIAL_BIASES, *MEAN_WIND)
 """Constants that are estimated where sensors have no lags."""
 
@@ -238,11 +239,11 @@ def _variance_component(
     if name in PATH_NOISE:
         prior_count = settings.prior_count
         prior_squares = prior_count * (PATH_NOISE[name] / std) ** 2
-        least = settings.least_noise
+        least = settings.least_noise * PATH_NOISE[name]
     redundancy = max(sums.n_samples - sums.trace, 1.0)
     total = sums.squares + prior_squares
     weight = redundancy + prior_count
-    slope = sums.squares / (total + settings.least_noise) - redundancy / weight / 2
+    slope = sums.squares / (total + TINY) - redundancy / weight / 2
     stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / sums.n_samples))
     return max(std * (total / weight) ** (stride / 2), least)
 
@@ -273,6 +274,8 @@ class Contradiction(NamedTuple):
     sensor: str
     residual: float
     noise: float
+    # whether the readings show less noise than any sensor, so that the residual tells nothing of it
+    is_smoothed: bool = False
 
 
 INERTIAL_SENSORS = {"gyro": RATE, "accelerometer": FORCE}
@@ -288,6 +291,7 @@ def contradictions(
 
     The ratio is ``air_ratio`` or ``inertial_ratio`` of the settings. ``residuals`` are the noises
     of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
+    A sensor that shows hardly any was smoothed, so its noise is not known.
     """
     contradicted = []
     for sensor, columns in (INERTIAL_SENSORS | AIR_SENSORS).items():
@@ -295,6 +299,7 @@ def contradictions(
         largest = settings.inertial_ratio if is_inertial else settings.air_ratio
         residual = residuals[sensor]
         noise = white_noise(flights, columns)
+        is_smoothed = noise < settings.least_noise * PATH_NOISE[sensor]
         if residual > largest * noise:
-            contradicted.append(Contradiction(sensor, residual, noise))
+            contradicted.append(Contradiction(sensor, residual, noise, is_smoothed))
     return contradicted

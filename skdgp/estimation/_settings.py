@@ -22,8 +22,8 @@ class PathSettings:
     start_attitude: float = 1.0
     # residuals that the initial noise of a sensor counts for, where a flight shows nothing; guess
     prior_count: float = 10.0
-    # least noise of a sensor [SI]; avoids a division by zero
-    least_noise: float = 1e-9
+    # least noise of a sensor, as a fraction of the usual one: recorders smooth, and errors last; guess
+    least_noise: float = 0.2
     # Gauss-Newton steps that may change lags by whole samples; trials
     delay_steps: int = 6
     # Gauss-Newton steps at most; trials

@@ -15,7 +15,14 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, MIXED, THRUST_COLUMNS
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    COEFFICIENTS,
+    ELEVONS,
+    HIGH_LIFT,
+    MIXED,
+    THRUST_COLUMNS,
+)
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._pipeline import (
@@ -27,7 +34,7 @@ from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
-from skdgp.report import FitRecord, TrainingRecord
+from skdgp.report import Extent, FitRecord, TrainingRecord
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +99,7 @@ def learn(
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
         conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
+        flown=Extent.of(list(flights.train.values())).seconds,
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
@@ -136,7 +144,7 @@ def _pipeline_for(
         if flights.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
     if flights.has_full_throws:
-        pipeline.control_units_ = dict.fromkeys(ALL_SURFACES, FULL_THROW)
+        pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline
 
 
@@ -177,7 +185,9 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     reconstruction = None
     step = pipeline["flightpathreconstruction"]
     if isinstance(step, FlightPathReconstruction):
-        not_converged = [str(name) for name, converged in step.converged_.items() if not converged]
+        if step.used_:
+            converged = step.converged_.items()
+            not_converged = [str(name) for name, has_converged in converged if not has_converged]
         gusts_unknown = step.doubt_
         reconstruction = step.finding_
     return FitRecord(

@@ -14,6 +14,7 @@ from sklearn.linear_model import LinearRegression
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
+    ALL_SURFACES,
     CHANNELS,
     COEFFICIENTS,
     ELEVONS,
@@ -118,7 +119,7 @@ def prepare(
     Warns of faults, contradictions and assumptions.
     """
     aircraft = as_aircraft(aircraft)
-    servos = servos_for(reading.get("servos"), flights, test)
+    servos = servos_for(reading.get("servos"), flights, test, regressors=regressors)
     options = {**reading, "servos": servos, "needed": MEASURED}
     train = named_flights(flights, **options)
     check_controls(train, regressors)
@@ -156,10 +157,11 @@ def as_aircraft(aircraft: Any) -> Aircraft:
     return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
 
 
-def servos_for(servos: Any, *flights: Any) -> Any:
-    """Return ``servos``, or without them "full throw" for logs of autopilots whose parameters name servos.
+def servos_for(servos: Any, *flights: Any, regressors: str | Sequence[str]) -> Any:
+    """Return ``servos``, or without them "full throw" for logs of autopilots.
 
-    Raises ValueError of logs without servos beside tables, whose surfaces are in radians.
+    None where no surface is a regressor, and no parameter names servos. Raises ValueError of logs
+    without servos beside tables, whose surfaces are in radians.
     """
     items: list[Any] = []
     for part in flights:
@@ -172,7 +174,8 @@ def servos_for(servos: Any, *flights: Any) -> Any:
             "Got logs of autopilots without servos beside tables, but expected surfaces in one "
             "unit: give servos, a file of the angles of the surfaces."
         )
-    return FULL_THROW if any(map(names_servos, items)) else None
+    needs_surfaces = not {*ALL_SURFACES}.isdisjoint(_names(regressors))
+    return FULL_THROW if needs_surfaces or any(map(names_servos, items)) else None
 
 
 def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:

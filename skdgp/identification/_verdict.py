@@ -56,11 +56,14 @@ def judge(
     doubts = _doubts(fit, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
-    uses = (
+    uses: tuple[Use, ...] = (
         _prediction(table, _by_construction(evaluations, fit)),
         _simulation(mechanics, fit.regressors),
         _control(mechanics, table, faults),
     )
+    too_little = _too_little(fit)
+    if too_little is not None:
+        uses = tuple(_unknown(use, too_little) for use in uses)
     better, worse = _against_least_squares(table)
     warnings = [*faults, *_scored(table, evaluations, worse)]
     if not fit.converged:
@@ -81,6 +84,30 @@ def judge(
         uses=tuple(_with_doubts(use, doubts) for use in uses),
         findings=tuple(warnings),
     )
+
+
+def _too_little(fit: FitRecord) -> Finding | None:
+    """Return the finding of a model that learned from too few seconds or rows to be judged, if it did."""
+    if fit.training is None:
+        return None
+    seconds = np.inf if fit.training.flown is None else fit.training.flown
+    each = fit.training.samples / len(fit.regressors)
+    if seconds >= THRESHOLDS.flown and each >= THRESHOLDS.rows:
+        return None
+    numbers = {
+        "seconds": seconds,
+        "each": each,
+        "least_seconds": THRESHOLDS.flown,
+        "least_rows": THRESHOLDS.rows,
+    }
+    return Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers)
+
+
+def _unknown(use: Use, finding: Finding) -> Use:
+    """Return a judgement that is "unknown" in place of "yes" and "partly"."""
+    if use.fit not in ("yes", "partly"):
+        return use
+    return Use(use.purpose, "unknown", (finding,))
 
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:

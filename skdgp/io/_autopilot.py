@@ -51,6 +51,7 @@ from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
+from skdgp.io._ulog_csv import is_ulog_csv, read_ulog_csv
 
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
@@ -163,11 +164,15 @@ class FlightLog(NamedTuple):
 
 def is_log(path: object) -> bool:
     """Return whether this is the path of a log of an autopilot."""
-    return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in AUTOPILOTS
+    if not isinstance(path, str | os.PathLike):
+        return False
+    return Path(path).suffix.lower() in AUTOPILOTS or is_ulog_csv(Path(path))
 
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is."""
+    if is_ulog_csv(path):
+        return read_ulog_csv(path)
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
@@ -184,6 +189,7 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
     with np.errstate(all="ignore"):
         log = read_log(path)
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
+        controls = {**log.commands, **controls}
         speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
@@ -291,6 +297,8 @@ def _surface(log: Log, name: str, control: Control) -> Source:
         values = values + weight * servo.deflection(_pulses(log, name, servo))
         largest += abs(weight) * max(np.abs(servo.angles))
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
+    if name in log.commands:
+        note = "as commanded"
     servos = [servo for _, servo in control]
     channels = " ".join(servo.channel for servo in servos)
     valid = np.isfinite(values)

@@ -23,6 +23,7 @@ from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
     NOTHING,
+    OPENING,
     QUATERNION,
     UP,
     Control,
@@ -129,8 +130,12 @@ SERVOS = {
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
 MOST_SERVOS = 16
-# motors of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
-LIFT_MOTORS = range(33, 41)
+# Functions that open from zero: flaps, by the pilot alone or by the autopilot, and airbrakes
+OPENED = {2: "flap", 3: "flap", 110: "spoiler"}
+# of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
+TWIN = (73, 74)
+# motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
+LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
 # fraction of the range of pulses above which a motor runs; a guess
 RUNNING = 0.05
 # differential spoilers, outer and inner, left and right, and bits of DSPOILER_OPTS
@@ -253,6 +258,7 @@ def _log(
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
+    outputs = topics.get("RCOU", NOTHING)
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
@@ -260,12 +266,13 @@ def _log(
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=remarks,
+        remarks=(*remarks, *mounting_remarks(outputs, parameters)),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        controls=controls_of(topics.get("RCOU", NOTHING), parameters),
+        controls=controls_of(outputs, parameters),
         aliases=ALIASES,
         lifting=_lift_motors(parameters),
+        commands=commands_of(outputs, parameters),
     )
 
 
@@ -275,7 +282,7 @@ def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float
     motors = []
     for n in range(1, MOST_SERVOS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-        if function in LIFT_MOTORS and not tilted >> (function - LIFT_MOTORS[0]) & 1:
+        if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
             low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
             high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
             motors.append(("RCOU", f"C{n}", low + RUNNING * (high - low), np.inf))
@@ -408,40 +415,91 @@ def controls_of(
     outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, Control]:
     """Return surfaces by SERVOn_FUNCTION, and controls of a V-tail; ``name`` is the channel of output n."""
-    # the first logged output of each function
+    servos = _servos_of(outputs, parameters, name)
+    controls: dict[str, Control] = {}
+    for function, servo in servos.items():
+        if function in SERVOS:
+            surface, _ = SERVOS[function]
+            controls[surface] = ((1.0, servo),)
+        elif function in OPENED:
+            controls[OPENED[function]] = ((1.0, servo),)
+    for control, weights in MIXES.items():
+        if weights.keys() <= servos.keys():
+            controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
+    if servos.keys() >= {*FLAPERONS}:
+        controls = _flaperons(servos, outputs) | controls
+    return _spoilers(servos, parameters) | controls
+
+
+def _servos_of(
+    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> dict[int, Servo]:
+    """Return the first logged servo of each SERVOn_FUNCTION."""
     servos: dict[int, Servo] = {}
     for n in range(1, MOST_SERVOS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
         servo = _servo(parameters, n, name.format(n), function)
         if servo.field in outputs:
             servos.setdefault(function, servo)
-    controls: dict[str, Control] = {}
-    for function, servo in servos.items():
-        if function in SERVOS:
-            surface, _ = SERVOS[function]
-            controls[surface] = ((1.0, servo),)
-    for control, weights in MIXES.items():
-        if weights.keys() <= servos.keys():
-            controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
-    return _wing_mixes(servos, outputs, parameters) | controls
+    return dict(sorted(servos.items()))
 
 
-def _wing_mixes(
-    servos: Mapping[int, Servo], outputs: Topic, parameters: Mapping[str, float]
+def commands_of(
+    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
 ) -> dict[str, Control]:
-    """Return the controls of flaperons and differential spoilers (ArduPlane/servos.cpp).
+    """Return the throttle of the left less the right engine of a twin."""
+    servos = _servos_of(outputs, parameters, name)
+    if not servos.keys() >= {*TWIN}:
+        return {}
+    left, right = (servos[function] for function in TWIN)
+    return {"differential_throttle": ((1.0, left), (-1.0, right))}
 
-    flaperons = aileron +- flap; outer spoilers = -+ aileron + rudder of one side, inner ones the
-    rudder against it. Of flaperons that move against each other alone, the right one is mounted
-    against the parameters, and the aileron is their half difference.
+
+def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:
+    """Return whether the fast motion of flaperons, by ailerons, is in their sum, as by the parameters.
+
+    Flaps, which are in the other one, move slowly.
     """
-    if servos.keys() >= {*FLAPERONS}:
-        left, right = (servos[function] for function in FLAPERONS)
-        commands = [servo.deflection(outputs[servo.field]) for servo in (left, right)]
-        together = np.nanstd(commands[0] + commands[1])
-        against = np.nanstd(commands[0] - commands[1])
-        sign = 1.0 if together >= RUNNING * against else -1.0
-        return {"aileron": ((0.5, left), (0.5 * sign, right))}
+    commands = [servo.deflection(outputs[servo.field]) for servo in (left, right)]
+    together = np.nanmean(np.abs(np.diff(commands[0] + commands[1])))
+    against = np.nanmean(np.abs(np.diff(commands[0] - commands[1])))
+    return bool(together >= against)
+
+
+def _flaperons(servos: Mapping[int, Servo], outputs: Topic) -> dict[str, Control]:
+    """Return aileron and flap of flaperons: aileron + flap on the left, aileron - flap on the right.
+
+    Where they move against each other one is mounted against the parameters (ArduPlane/servos.cpp).
+    """
+    left, right = (servos[function] for function in FLAPERONS)
+    sign = 1.0 if _moves_together(left, right, outputs) else -1.0
+    return {
+        "aileron": ((0.5, left), (0.5 * sign, right)),
+        "flap": ((0.5, left), (-0.5 * sign, right)),
+    }
+
+
+def mounting_remarks(
+    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> tuple[str, ...]:
+    """Return a remark on flaperons of which one is mounted against the parameters, if so."""
+    servos = _servos_of(outputs, parameters, name)
+    if not servos.keys() >= {*FLAPERONS}:
+        return ()
+    left, right = (servos[function] for function in FLAPERONS)
+    if _moves_together(left, right, outputs):
+        return ()
+    return (
+        f"flaperons {left.channel} and {right.channel} move against each other: the aileron is "
+        "half their difference, as if the right one were mounted against SERVOn_REVERSED",
+    )
+
+
+def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> dict[str, Control]:
+    """Return the controls of differential spoilers (ArduPlane/servos.cpp).
+
+    Outer spoilers are -+ aileron + rudder of one side, inner ones the rudder against it.
+    """
     if not servos.keys() >= {*SPOILERS[:2]}:
         return {}
     left, right, *inner = (servos[function] for function in SPOILERS if function in servos)
@@ -470,6 +528,9 @@ def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int)
     for key, usual in USUAL_PULSES.items():
         inputs.append(parameters.get(f"SERVO{n}_{key}", usual))
     is_reversed = bool(parameters.get(f"SERVO{n}_REVERSED", 0.0))
+    if function in (*OPENED, *TWIN):
+        low, _, high = inputs
+        return Servo(channel, (low, high), OPENING[::-1] if is_reversed else OPENING)
     _, is_turned = SERVOS.get(function, ("", False))
     throws = DOWN if is_turned != is_reversed else UP
     return Servo(channel, tuple(inputs), throws)

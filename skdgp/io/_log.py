@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
@@ -198,6 +198,8 @@ class Servo(NamedTuple):
 # full throws of a servo, and of one that is turned
 UP = (-1.0, 0.0, 1.0)
 DOWN = UP[::-1]
+# of one that moves to one side alone
+OPENING = (0.0, 1.0)
 # Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
@@ -232,6 +234,8 @@ class Log:
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
     lifting : tuple of (str, str, float, float)
         Topic, field and its limits while rotors carry a VTOL, or in transition.
+    commands : dict of str to Control
+        Outputs that need no angles: the throttle of the left less the right engine.
     """
 
     kind: str
@@ -246,6 +250,7 @@ class Log:
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     lifting: tuple[tuple[str, str, float, float], ...] = ()
+    commands: Mapping[str, Control] = field(default_factory=dict)
 
     def instances(self, name: str) -> list[Instance]:
         """Return the instances of a topic that have messages, by number."""
@@ -304,7 +309,7 @@ def instance_name(name: str, instance: int) -> str:
 
 # -- servo files (TOML): pulse widths to surface angles; mixing by the parameters of the autopilot
 
-MOVED = (*ALL_SURFACES, "throttle")
+MOVED = (*ALL_SURFACES, *HIGH_LIFT, "throttle")
 KEYS = {"channel", "points"}
 # What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to
 # 1; with ", reversed rudder" after it, some of the other sign than the autopilot's parameters say
@@ -372,12 +377,7 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     none.
     """
     if not log.controls:
-        logged = [name for name in log.outputs if name in log.topics]
-        raise FlightReadError(
-            f"Got outputs {logged} without parameters that name their surfaces, but expected some of "
-            f"{list(log.outputs)}, and SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls "
-            "before a fixed mixer (actuator_controls_0): log them, or write the servo file by hand."
-        )
+        raise FlightReadError(lacking_servos(log))
     throws = {}
     disordered = []
     for name, control in log.controls.items():
@@ -391,6 +391,16 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
             "write the servo file by hand."
         )
     return throws
+
+
+def lacking_servos(log: Log) -> str:
+    """Return the message that nothing in a log tells which outputs move surfaces."""
+    logged = [name for name in log.outputs if name in log.topics]
+    return (
+        f"Got outputs {logged} without parameters that name their surfaces, but expected some of "
+        f"{list(log.outputs)}, and SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls "
+        "before a fixed mixer (actuator_controls_0): log them, or write the servo file by hand."
+    )
 
 
 def _increases(inputs: ArrayLike) -> bool:

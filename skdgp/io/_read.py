@@ -29,7 +29,7 @@ from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
-from skdgp.io._log import Topic
+from skdgp.io._log import Topic, lacking_servos
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
@@ -75,8 +75,8 @@ def read_flight(
     ----------
     path : str or path
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.ulg`` (PX4) and ``.tlog``
-        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` and ``.log``
-        (ArduPilot).
+        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` and ``.log`` (ArduPilot), or a
+        folder of ulog2csv (PX4).
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
@@ -340,6 +340,7 @@ def inspect_log(
     with reading(path):
         flown = on_one_clock(path, servos=servos)
     longest = max(flown.parts, key=lambda part: len(part.table))
+    lacking = [] if servos is not None or flown.log.controls else [lacking_servos(flown.log)]
     try:
         table = flight_table(flown, path.stem, airborne=True)
         faults = _faults(table)
@@ -354,7 +355,7 @@ def inspect_log(
         topics=_topics(longest.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
-        remarks=(*flown.remarks, *faults),
+        remarks=(*flown.remarks, *lacking, *faults),
     )
 
 

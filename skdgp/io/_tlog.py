@@ -20,7 +20,7 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import controls_of
+from skdgp.io._dataflash import commands_of, controls_of, mounting_remarks
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -120,8 +120,10 @@ def read_tlog(path: Path) -> Log:
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
+    channels = OUTPUTS + ".servo{}_raw"
     attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
+    outputs = topics.get(OUTPUTS, NOTHING)
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
@@ -129,10 +131,11 @@ def read_tlog(path: Path) -> Log:
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicles[0] if vehicles else None,
-        remarks=damage(skipped),
+        remarks=(*damage(skipped), *mounting_remarks(outputs, parameters, channels)),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        controls=controls_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"),
+        controls=controls_of(outputs, parameters, channels),
+        commands=commands_of(outputs, parameters, channels),
     )
 
 

@@ -22,6 +22,7 @@ from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE
 from skdgp.io._log import (
     DOWN,
     NOTHING,
+    OPENING,
     QUATERNION,
     UP,
     Control,
@@ -209,11 +210,15 @@ SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elev
 # Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No
 # flaps, airbrakes, wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp).
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
+# Left and right flaps
+FLAPS = (9, 10)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
 # Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
 CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
+# The flaps of actuator_controls, which open from zero
+FLAPS_FIELD = "control[4]"
 
 
 def read_ulog(path: Path) -> Log:
@@ -251,18 +256,32 @@ def read_ulog(path: Path) -> Log:
     if log.file_corruption:
         remarks = ("parts of the file could not be read and were skipped", *remarks)
     parameters = _parameters(log)
+    firmware = f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}"
+    return px4_log(topics, parameters, kind="PX4 ULog", firmware=firmware, remarks=remarks)
+
+
+def px4_log(
+    topics: dict[str, Topic],
+    parameters: dict[str, float],
+    *,
+    kind: str,
+    firmware: str,
+    remarks: tuple[str, ...] = (),
+) -> Log:
+    """Return the log of topics and parameters of PX4."""
     return Log(
-        kind="PX4 ULog",
+        kind=kind,
         topics=topics,
         rules=_rules(topics, parameters),
         parameters=parameters,
-        firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}",
+        firmware=firmware,
         vehicle=_vehicle(topics, parameters),
         remarks=remarks,
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
         controls=_controls(topics, parameters),
         lifting=LIFTING,
+        commands=_commands(topics, parameters),
     )
 
 
@@ -372,14 +391,14 @@ class _File(io.BytesIO):
 def _topic(data_set: Any, places: list[int]) -> Topic:
     """Return the messages of a topic; places are approximate where pyulog refused messages."""
     fields = numeric_fields(data_set.data)
-    time = _sampled(data_set.name, fields) * 1e-6
+    time = sampled(data_set.name, fields) * 1e-6
     order = np.array(places, dtype=float)
     if len(order) != len(time):
         order = np.linspace(order[0], order[-1], len(time))
     return Topic(time, order, fields)
 
 
-def _sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
+def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     """Return when something was sampled, or if that is not logged or an output, published [us]."""
     published = fields["timestamp"]
     if "timestamp_sample" not in fields or name.startswith("actuator"):
@@ -420,7 +439,7 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
     for n in range(MOST_SURFACES):
         if f"control[{n}]" in outputs:
             types[n] = whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
-    mixed = _mixed_controls(types, parameters)
+    mixed = _mixed_controls(types, parameters) | _flaps(types, parameters)
     controls = _single_controls(types) or _fixed_controls(topics)
     if mixed:
         for name in ELEVONS:
@@ -462,8 +481,53 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
     """Return the controls before a fixed mixer."""
     for name in FIXED_MIXERS:
         if "control[2]" in topics.get(name, NOTHING):
-            return {
+            controls: dict[str, Control] = {
                 control: ((1.0, Servo(f"{name}.control[{n}]", UP, throws)),)
                 for control, (n, throws) in CONTROLS.items()
             }
+            if FLAPS_FIELD in topics[name] and np.ptp(topics[name][FLAPS_FIELD]) > 0:
+                flaps = Servo(f"{name}.{FLAPS_FIELD}", OPENING, OPENING)
+                controls["flap"] = ((1.0, flaps),)
+            return controls
     return {}
+
+
+def _flaps(types: Mapping[int, int], parameters: Mapping[str, float]) -> dict[str, Control]:
+    """Return the mean of the flaps, 0 to 1.
+
+    Their outputs are (2 f - 1) CA_SV_CSn_FLAP, in versions without this parameter f on the left
+    and -f on the right (ActuatorEffectivenessControlSurfaces.cpp).
+    """
+    servos = []
+    for n, kind in types.items():
+        scale = parameters.get(f"CA_SV_CS{n}_FLAP")
+        if kind not in FLAPS or scale == 0:
+            continue
+        closed, opened = (0.0, 1.0) if kind == FLAPS[0] else (0.0, -1.0)
+        if scale is not None:
+            closed, opened = -scale, scale
+        throws = OPENING if closed < opened else OPENING[::-1]
+        ends = (min(closed, opened), max(closed, opened))
+        servos.append(Servo(f"actuator_servos.control[{n}]", ends, throws))
+    if not servos:
+        return {}
+    return {"flap": tuple((1 / len(servos), servo) for servo in servos)}
+
+
+def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
+    """Return the mean throttle of the left less that of the right engines of a fixed wing, by CA_ROTORn_PY."""
+    outputs = topics.get("actuator_motors", NOTHING)
+    if _vehicle(topics, parameters) == "VTOL":
+        return {}
+    sides: dict[bool, list[Servo]] = {True: [], False: []}
+    for n in range(MOST_ENGINES):
+        place = parameters.get(f"CA_ROTOR{n}_PY", 0.0)
+        channel = f"control[{n}]"
+        if place and channel in outputs and np.isfinite(outputs[channel]).any():
+            servo = Servo(f"actuator_motors.{channel}", OPENING, OPENING)
+            sides[place < 0].append(servo)
+    if not all(sides.values()):
+        return {}
+    left = [(1 / len(sides[True]), servo) for servo in sides[True]]
+    right = [(-1 / len(sides[False]), servo) for servo in sides[False]]
+    return {"differential_throttle": (*left, *right)}

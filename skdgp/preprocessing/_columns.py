@@ -14,6 +14,7 @@ from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.channels import (
+    AUXILIARY,
     CHANNELS,
     ELEVONS,
     HAT,
@@ -40,6 +41,8 @@ from skdgp.preprocessing._table import (
 
 RATED = (*VANES, *RATES)
 CONTROLS = ("throttle", *SURFACES)
+# Standard deviation [rad, or a fraction] from which an auxiliary control is one of a named set; a guess
+LEAST_MOTION = 0.01
 ELEVON_MIXING = ((0.5, 0.5), (0.5, -0.5))
 
 
@@ -227,7 +230,8 @@ class RegressorSelector(TableTransformer):
 
     In the named sets a non-dimensional rate (``p_hat``) replaces the rate where present. Controls
     that the aircraft does not have (throttle, elevator, aileron, rudder, but not all surfaces) are
-    left out and listed in ``absent_``. All other columns are needed. Raises ValueError if a column
+    left out and listed in ``absent_``; flap, spoiler and differential_throttle are added where they
+    move. All other columns are needed. Raises ValueError if a column
     is missing (with the nearest name) or not numeric, or has NaN or infinite values in
     ``transform``.
 
@@ -351,6 +355,9 @@ class RegressorSelector(TableTransformer):
                 self.absent_.append(name)
         if {*SURFACES} <= {*self.absent_}:
             check_columns(table, SURFACES)
+        for name in present(AUXILIARY, table):
+            if np.nanstd(numeric(table, [name])) > LEAST_MOTION:
+                names.append(name)
         return [name for name in names if name not in self.absent_]
 
 

@@ -29,6 +29,8 @@ class TrainingRecord:
     conditions : mapping of str to float
         Medians of the columns of the training flights, where derivatives are judged; empty of
         models that do not know them.
+    flown : float, optional
+        Duration of the training flights [s]; None of models that do not know it.
     """
 
     samples: int
@@ -39,12 +41,13 @@ class TrainingRecord:
     least_squares: Mapping[str, Mapping[str, float]]
     flights: Mapping[str, int]
     conditions: Mapping[str, float] = field(default_factory=dict)
+    flown: float | None = None
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> TrainingRecord | None:
         """Return the record in plain values, as of a model file; None if these lack it."""
         names = {entry.name for entry in fields(cls)}
-        if not values.keys() >= names - {"conditions"}:
+        if not values.keys() >= names - {"conditions", "flown"}:
             return None
         return cls(**{name: values[name] for name in names & values.keys()})
 

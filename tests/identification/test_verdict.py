@@ -194,6 +194,22 @@ def test_least_squares_by_coefficient():
     )
 
 
+@pytest.mark.parametrize(
+    ("flown", "samples", "fit"),
+    [(60.0, 1000, "yes"), (29.0, 1000, "unknown"), (60.0, 79, "unknown"), (None, 1000, "yes")],
+)
+def test_little_flown_or_few_rows_leave_it_open(flown, samples, fit):
+    training = replace(FIT.training, flown=flown, samples=samples)
+    uses = verdict(fit={"training": training}).uses
+    assert {use.fit for use in uses} == {fit}
+
+
+def test_little_flown_does_not_hide_a_no():
+    training = replace(FIT.training, flown=5.0)
+    found = verdict([evaluation(error=1.5)], fit={"training": training})
+    assert use(found, "predict coefficients")[0] == "no"
+
+
 class TestPrediction:
     def test_an_error_above_the_threshold(self):
         found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.49, 0.1, 0.51])])

@@ -233,7 +233,7 @@ class TestRefusals:
         ("options", "message"),
         [
             ({"airborne": -1.0}, "airborne=-1.0, but expected True"),
-            ({"servos": {"flap": {}}}, "'flap' in the servo file"),
+            ({"servos": {"canard": {}}}, "'canard' in the servo file"),
             ({"servos": ABSENT}, "no such field: expected one of"),
         ],
     )

@@ -38,6 +38,9 @@ def named(*names):
     return pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
 
 
+SLOPES = ["--regressors", "alpha,q_hat"]
+
+
 class TestSummary:
     def test_a_log_that_lacks_nothing(self, whole):
         summary = inspect_log(whole, servos=SERVOS)
@@ -135,7 +138,9 @@ class TestCommand:
             assert len(flight.table) == len(read_flight(whole, airborne=airborne)) > 0
         (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
         files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
-        assert command(["identify", str(whole), *files, "--airborne", "300"]) == 1
+        assert command(["identify", str(whole), *files]) == 1
+        assert "SERVOn_FUNCTION" in capsys.readouterr().err
+        assert command(["identify", str(whole), *files, "--airborne", "300", *SLOPES]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 

@@ -143,3 +143,44 @@ class TestVehicles:
         table = read(log, "log.bin", servos="full throw", airborne=False)
         inside = table.iloc[10:-10]
         assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)
+        assert_allclose(inside.flap[inside.time > 30.5], 0.2, atol=0.01)
+
+    def test_flaperons_against_their_parameters_are_told(self, read, dataflash):
+        functions = {"SERVO1_FUNCTION": 24.0, "SERVO5_FUNCTION": 25.0}
+        log = gyros(dataflash(**functions))
+        aileron, flap = 0.3 * np.sin(SLOW), 0.9 * (SLOW > 30)
+        left, right = 1500 + 400 * (aileron + flap), 1500 + 400 * (flap - aileron)
+        log.topic("RCOU", SLOW, C1=("H", left), C5=("H", right))
+        with pytest.warns(FlightDataWarning, match="move against each other"):
+            table = read(log, "log.bin", servos="full throw", airborne=False)
+        inside = table.iloc[10:-10]
+        assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)
+
+    @pytest.mark.parametrize("reverse", [0.0, 1.0])
+    def test_flaps_and_a_twin_of_ardupilot(self, read, dataflash, reverse):
+        """Ranges from MIN to MAX; throttle +- half the rudder's part (ArduPlane/servos.cpp)."""
+        functions = {"SERVO3_FUNCTION": 73.0, "SERVO4_FUNCTION": 74.0, "SERVO6_FUNCTION": 3.0}
+        ends = {
+            f"SERVO{n}_{end}": us for n in (3, 4, 6) for end, us in (("MIN", 1e3), ("MAX", 2e3))
+        }
+        log = gyros(dataflash(**functions, **ends, SERVO6_REVERSED=reverse))
+        yaw, flap = 0.1 * np.sin(SLOW), 0.4
+        pulse = 1000 + 1000 * (1 - flap if reverse else flap)
+        engines = {"C3": ("H", 1600 + 500 * yaw), "C4": ("H", 1600 - 500 * yaw)}
+        log.topic("RCOU", SLOW, **engines, C6=("H", pulse))
+        table = read(log, "log.bin", servos="full throw", airborne=False).iloc[10:-10]
+        assert_allclose(table.flap, flap)
+        assert_allclose(table.differential_throttle, 0.1 * np.sin(table.time), atol=0.002)
+
+    @pytest.mark.parametrize("scales", [{}, {"CA_SV_CS0_FLAP": 0.8, "CA_SV_CS1_FLAP": -0.8}])
+    def test_flaps_and_a_twin_of_px4(self, read, ulog, scales):
+        """(2 f - 1) CA_SV_CSn_FLAP, without it f on the left, -f on the right."""
+        sides = {"CA_ROTOR0_PY": -0.5, "CA_ROTOR1_PY": 0.5}
+        log = ulog(CA_SV_CS0_TYPE=9, CA_SV_CS1_TYPE=10, **sides, **scales)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        servos = [-0.16, 0.16] if scales else [0.4, -0.4]
+        log.topic("actuator_servos", SLOW, control=np.tile(servos, (len(SLOW), 1)))
+        log.topic("actuator_motors", SLOW, control=np.tile([0.6, 0.5], (len(SLOW), 1)))
+        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        assert_allclose(table.flap, 0.4, atol=1e-6)
+        assert_allclose(table.differential_throttle, 0.1, atol=1e-6)

@@ -35,7 +35,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("name", "entry", "message"),
         [
-            ("flap", ENDS, "Got 'flap' in the servo file, but expected one of"),
+            ("canard", ENDS, "Got 'canard' in the servo file, but expected one of"),
             (
                 "rudder",
                 "25",

@@ -1,0 +1,71 @@
+"""Reader of logs of PX4 that ulog2csv of pyulog converted: a folder of one table for each topic and instance."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pandas as pd
+
+from skdgp.io._log import Log, Topic, instance_name, numeric_fields
+from skdgp.io._tables import FlightReadError
+from skdgp.io._ulog import px4_log, sampled
+
+# one of these topics is in every log of a flight; what stands before its name are the log's name
+ANCHORS = ("sensor_combined", "vehicle_attitude", "vehicle_angular_velocity")
+ANCHOR = re.compile(rf"(.+_)?({'|'.join(ANCHORS)})_0\.csv")
+TOPIC = re.compile(r"(.+)_(\d+)\.csv")
+
+
+def is_ulog_csv(path: Path) -> bool:
+    """Return whether this is a folder with tables of ulog2csv, or the table of one of the anchors."""
+    if path.is_dir():
+        return bool(_prefixes(path))
+    return ANCHOR.fullmatch(path.name) is not None
+
+
+def _prefixes(folder: Path) -> list[str]:
+    """Return what stands before the topics of each log in a folder."""
+    matches = [ANCHOR.fullmatch(file.name) for file in folder.iterdir()]
+    return sorted({match[1] or "" for match in matches if match})
+
+
+def read_ulog_csv(path: Path) -> Log:
+    """Return the log in a folder, or the one that a table is of; raise FlightReadError if there are several."""
+    folder = path if path.is_dir() else path.parent
+    prefixes = _prefixes(folder)
+    match = ANCHOR.fullmatch(path.name)
+    if match:
+        prefixes = [match[1] or ""]
+    if len(prefixes) > 1:
+        raise FlightReadError(
+            f"Got a folder with the logs {prefixes}, but expected one: give its file "
+            f"{prefixes[0]}{ANCHORS[0]}_0.csv or move it to a folder of its own."
+        )
+    topics = {}
+    for file in sorted(folder.iterdir()):
+        found = TOPIC.fullmatch(file.name.removeprefix(prefixes[0]))
+        if found and file.name.startswith(prefixes[0]):
+            topic = _topic(found[1], file)
+            if topic is not None:
+                topics[instance_name(found[1], int(found[2]))] = topic
+    return px4_log(topics, {}, kind="PX4 ULog as CSV", firmware="PX4")
+
+
+def _topic(name: str, file: Path) -> Topic | None:
+    """Return the messages of a topic; None of an empty table, or one without time."""
+    try:
+        table = pd.read_csv(file)
+    except pd.errors.EmptyDataError:
+        return None
+    except (ValueError, UnicodeDecodeError) as error:
+        raise FlightReadError(
+            f"Got {file.name} that cannot be read, but expected a table of ulog2csv: {error}"
+        ) from error
+    if "timestamp" not in table or table.empty:
+        return None
+    fields = numeric_fields({str(column): table[column].to_numpy() for column in table})
+    if "timestamp" not in fields:
+        return None
+    # in one file each: the places among other topics follow from the times of publication
+    return Topic(sampled(name, fields) * 1e-6, fields["timestamp"] * 1e-6, fields)

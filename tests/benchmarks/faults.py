@@ -1,0 +1,233 @@
+"""Faults put into simulated flights: how many are found, and how often is a sound channel accused?
+
+    python tests/benchmarks/faults.py [--flights N] [--out OUT]
+
+Sixty flights of the aircraft of small_uav.py in its airs, with ideal, real, held and vibrating
+sensors in turn, and with vanes. Each sound way to record them (a recorder that smooths, sensors
+ahead of the centre of gravity, without vanes, late GPS, 5 Hz) must raise nothing. Each fault is put
+into each flight: signs, exchanged axes, units, gravity, axes of another convention, delays. It is
+found if a contradiction, or the check of units, names a faulty channel, and accuses falsely if a
+contradiction names sound channels alone. The table has for each way and each fault the flights
+that could show it, and the percentages found and accused.
+"""
+
+import itertools
+import warnings
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from _common import Kept, finish, parser_of
+from numpy.random import default_rng
+from scipy import signal
+from small_uav import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, Fleet, logged
+
+from skdgp._flight.physics import find_contradictions
+from skdgp._flight.tables import FlightTable
+from skdgp._flight.units import check_flight
+from skdgp.dynamics import euler_to_matrix
+
+SECONDS = 120.0
+GRAVITY, DEGREES, KNOT, FOOT = 9.80665, 180 / np.pi, 0.514444, 0.3048
+VANE_NOISE, POSITION_NOISE = 0.005, 0.5  # rad, m
+ARM = 0.25  # of the sensors ahead of the centre of gravity, over the span
+CORNER = 2.0  # Hz, of a recorder that smooths
+FORCES, RATES = ["ax", "ay", "az"], ["p", "q", "r"]
+EULER = ["phi", "theta", "psi"]
+VELOCITY = ["v_north", "v_east", "v_down"]
+SURFACES = ["elevator", "aileron", "rudder"]
+COMMANDS = [*SURFACES, "throttle"]
+
+
+def with_vanes(rows, rng, kind):
+    """Return a table of one flight with vanes, position and altitude."""
+    table = logged(rows.copy(), rng, kind).drop(columns=["thrust_x", "alpha_true"])
+    angles = rows[:, 7:9]
+    table[["alpha", "beta"]] = angles + VANE_NOISE * rng.standard_normal(angles.shape)
+    position = STEP * EVERY * np.cumsum(rows[:, 11:14], axis=0)
+    position += POSITION_NOISE * rng.standard_normal(position.shape)
+    table[["north", "east"]] = position[:, :2]
+    table["altitude"] = 200 - position[:, 2]
+    table["psi"] = np.angle(np.exp(1j * table["psi"]))
+    return table
+
+
+def smoothed(table):
+    """Return a table whose sensors are smoothed without delay."""
+    corner = signal.butter(2, CORNER, fs=1 / (STEP * EVERY), output="sos")
+    names = [name for name in table if name not in ("time", "density", *COMMANDS)]
+    values = table[names].to_numpy(copy=True)
+    values[:, names.index("psi")] = np.unwrap(values[:, names.index("psi")])
+    result = table.copy()
+    result[names] = signal.sosfiltfilt(corner, values, axis=0)
+    return result
+
+
+def ahead(table, arm):
+    """Return a table whose accelerometers are ahead of the centre of gravity [m]."""
+    p, q, r = rates = table[RATES].to_numpy().T
+    _, q_dot, r_dot = signal.savgol_filter(rates, 15, 2, 1, STEP * EVERY, axis=1)
+    moved = table.copy()
+    moved[FORCES] += arm * np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
+    return moved
+
+
+def late(table, seconds, names):
+    """Return a table with late channels."""
+    time = table["time"]
+    delayed = table.copy()
+    for name in names:
+        delayed[name] = np.interp(time - seconds, time, np.unwrap(table[name]))
+    return delayed
+
+
+def thinned(table, every=10):
+    """Return every tenth row: 5 Hz."""
+    return table.iloc[::every].reset_index(drop=True)
+
+
+def without(table, *names):
+    return table.drop(columns=[*names])
+
+
+def ways(table, span):
+    """Return the sound ways to record a flight, by name."""
+    moved = ahead(table, ARM * span)
+    return {
+        "as logged": table,
+        "smoothed": smoothed(table),
+        "sensors ahead": moved,
+        "without beta": without(table, "beta"),
+        "without vanes": without(table, "alpha", "beta"),
+        "ahead, without beta": without(moved, "beta"),
+        "ahead, without vanes": without(moved, "alpha", "beta"),
+        "smoothed, ahead, without beta": without(smoothed(moved), "beta"),
+        "5 Hz, smoothed": thinned(smoothed(table)),
+        "GPS late by 0.2 s": late(table, 0.2, VELOCITY),
+        "without position": without(table, "north", "east", "altitude"),
+    }
+
+
+def scaled(table, factor, names):
+    """Return a table with channels multiplied."""
+    changed = table.copy()
+    changed[names] *= factor
+    return changed
+
+
+def exchanged(table, first, second):
+    """Return a table with two channels exchanged."""
+    return table.rename(columns={first: second, second: first})
+
+
+def without_gravity(table):
+    down = euler_to_matrix(table["phi"], table["theta"], table["psi"])[:, 2]
+    changed = table.copy()
+    changed[FORCES] += GRAVITY * down
+    return changed
+
+
+def from_east(table):
+    return table.assign(psi=np.pi / 2 - table["psi"])
+
+
+SIGNED = ["alpha", "beta", *RATES, *FORCES, *EULER, *VELOCITY, "altitude", *SURFACES]
+EXCHANGED = [
+    ("p", "q"),
+    ("q", "r"),
+    ("ax", "az"),
+    ("ay", "az"),
+    ("phi", "theta"),
+    ("v_north", "v_east"),
+]
+EXCHANGED += [("elevator", "aileron"), ("alpha", "beta")]
+SCALED = {
+    "alpha in deg": (DEGREES, ["alpha"]),
+    "beta in deg": (DEGREES, ["beta"]),
+    "attitude in deg": (DEGREES, EULER),
+    "rates in deg/s": (DEGREES, RATES),
+    "forces in g": (1 / GRAVITY, FORCES),
+    "airspeed in kt": (1 / KNOT, ["airspeed"]),
+    "airspeed in km/h": (3.6, ["airspeed"]),
+    "velocity in ft/s": (1 / FOOT, VELOCITY),
+    "altitude in ft": (1 / FOOT, ["altitude"]),
+    "p at half scale": (0.5, ["p"]),
+}
+LATE = {"p": 0.8, "theta": 0.8, "v_down": 0.8, "az": 0.8, "airspeed": 2.0}
+
+
+def faults():
+    """Return by name what puts a fault into a table, and the channels that are wrong then."""
+    puts = {}
+    for name in SIGNED:
+        puts[f"sign of {name}"] = (partial(scaled, factor=-1.0, names=[name]), [name])
+    for first, second in EXCHANGED:
+        put = partial(exchanged, first=first, second=second)
+        puts[f"{first} and {second} exchanged"] = (put, [first, second])
+    for name, (factor, channels) in SCALED.items():
+        puts[name] = (partial(scaled, factor=factor, names=channels), channels)
+    for name, seconds in LATE.items():
+        puts[f"{name} late by {seconds} s"] = (partial(late, seconds=seconds, names=[name]), [name])
+    puts["gravity removed"] = (without_gravity, FORCES)
+    puts["heading from east"] = (from_east, ["psi"])
+    return puts
+
+
+def named(table):
+    """Return the sets of channels that checks of units and of physics name."""
+    try:
+        check_flight(table, ["time"])
+    except ValueError as error:
+        return [{name for name in table if f"'{name}'" in str(error) or f" {name}" in str(error)}]
+    return [{*each.channels} for each in find_contradictions(FlightTable.of(table))]
+
+
+def score(table, wrong):
+    """Return whether a wrong channel is named, and whether sound ones alone are."""
+    sets = named(table)
+    is_found = any(channels & {*wrong} for channels in sets)
+    accused = [sorted(channels) for channels in sets if not channels & {*wrong}]
+    return {"found": is_found, "accused": accused}
+
+
+def fly(n):
+    """Return key, table and span of n flights."""
+    cases = list(itertools.islice(itertools.product((91, 92), AIRCRAFT, AIRS), n))
+    rngs = [default_rng([*map(ord, name + air), seed]) for seed, name, air in cases]
+    planes = [AIRCRAFT[name] for _, name, _ in cases]
+    airs = [AIRS[air] for _, _, air in cases]
+    rows = Fleet(planes, airs, rngs, SECONDS, [0.05] * n).fly()
+    for k, (seed, name, air) in enumerate(cases):
+        kind = list(SENSORS)[k % len(SENSORS)]
+        key = {"aircraft": name, "air": air, "seed": seed, "sensors": kind}
+        yield key, with_vanes(rows[:, k], rngs[k], kind), planes[k]["span"]
+
+
+def main(words=None):
+    parser = parser_of(__doc__)
+    parser.add_argument("--flights", type=int, default=60)
+    options = parser.parse_args(words)
+    warnings.simplefilter("ignore")
+    kept = Kept(options, "faults")
+    for key, table, span in fly(options.flights):
+        recorded = ways(table, span)
+        for way, sound in recorded.items():
+            kept.run(key | {"case": way, "kind": "sound"}, score, sound, [])
+        for fault, (put, wrong) in faults().items():
+            if all(table[name].nunique() > 1 for name in wrong):
+                kept.run(key | {"case": fault, "kind": "fault"}, score, put(table), wrong)
+        if table["rudder"].nunique() > 1:
+            wrong = scaled(recorded["ahead, without beta"], -1.0, ["rudder"])
+            case = "sign of rudder, ahead, without beta"
+            kept.run(key | {"case": case, "kind": "fault"}, score, wrong, ["rudder"])
+    runs = pd.DataFrame([*kept.memory.values()])
+    runs["accused"] = runs["accused"].str.len() > 0
+    shares = (
+        runs.groupby(["kind", "case"], sort=False)[["found", "accused"]].mean().mul(100).round(1)
+    )
+    shares["flights"] = runs.groupby(["kind", "case"], sort=False).size()
+    finish(options, "faults", shares=shares.reset_index().to_dict("records"))
+
+
+if __name__ == "__main__":
+    main()

@@ -142,6 +142,13 @@ def test_lag_wind_and_gusts_are_found():
     assert "servos" in found.summary
 
 
+def test_rows_without_a_sample_tell_nothing_of_the_noise():
+    """The airspeed has a noise of 0.3 m/s, and one sample in five rows."""
+    flight = flown(GUSTY, 12.0)
+    flight.table.loc[np.arange(len(flight.table)) % 5 != 0, "airspeed"] = np.nan
+    assert_allclose(flight.estimate().noise["airspeed"], 0.3, rtol=0.25)
+
+
 def test_turns_tell_wind_and_scale_of_the_pitot():
     """And derivatives are right although the airspeed is not: a scale of 4 % makes forces wrong by 8 %."""
     flight = flown(GUSTY, 30.0, bank=0.5)

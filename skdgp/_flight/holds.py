@@ -43,6 +43,8 @@ class HoldSettings:
     successive: float = 0.7
     # least fraction of rows with values: sparse channels repeat none
     sampled: float = 0.9
+    # fourth differences of polynomials, over the standard deviation of a channel
+    rounding: float = 1e-9
 
 
 HOLDS = HoldSettings()
@@ -93,17 +95,10 @@ def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None
     if not is_sampled.any() or whole.mean() < settings.sampled:
         return None
     changes = 1 + np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
-    if len(changes) < settings.least_changes:
+    period = steady_period(changes, settings)
+    if period is None:
         return None
-    gaps = np.diff(changes)
-    usual = np.median(gaps)
-    period = gaps[np.abs(gaps - usual) <= max(1.0, settings.jitter * usual)].mean()
-    if period < settings.least_period:
-        return None
-    n_periods = np.maximum(np.rint(gaps / period), 1)
-    on_clock = np.abs(gaps - n_periods * period) <= settings.jitter * period + 0.1
-    if on_clock.mean() < settings.on_clock or np.mean(n_periods == 1) < settings.successive:
-        return None
+    n_periods = _numbers_of_periods(np.diff(changes), period)
     before = np.arange(changes[0] - period, -0.5, -period)[::-1]
     between = [
         np.linspace(first, last, int(n), endpoint=False)
@@ -111,6 +106,46 @@ def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None
     ]
     after = np.arange(changes[-1], len(values) - 0.5, period)
     return np.unique(np.rint(np.concatenate([before, *between, after])).astype(int))
+
+
+def steady_period(changes: Indices, settings: HoldSettings = HOLDS) -> float | None:
+    """Return the steady period [rows] of a clock that shows in the rows of changes, None if there is none."""
+    if len(changes) < settings.least_changes:
+        return None
+    gaps = np.diff(changes)
+    usual = np.median(gaps)
+    period = float(gaps[np.abs(gaps - usual) <= max(1.0, settings.jitter * usual)].mean())
+    if period < settings.least_period:
+        return None
+    n_periods = _numbers_of_periods(gaps, period)
+    on_clock = np.abs(gaps - n_periods * period) <= settings.jitter * period + 0.1
+    if on_clock.mean() < settings.on_clock or np.mean(n_periods == 1) < settings.successive:
+        return None
+    return period
+
+
+def _numbers_of_periods(gaps: Indices, period: float) -> Vector:
+    """Return the number of periods in each gap between changes, at least one."""
+    return np.maximum(np.rint(gaps / period), 1)
+
+
+def interpolated_period(time: Vector, values: Vector, settings: HoldSettings = HOLDS) -> float:
+    """Return the period [s] of the samples of a channel that is polynomial between these, zero if it is not.
+
+    Polynomials are splines of third order, or straight lines. Their divided differences of fourth
+    order are zero where no sample lies inside of five rows, so the period must have four rows.
+    """
+    scale = float(np.nanstd(values))
+    if len(time) < 5 or not scale > 0:
+        return 0.0
+    differences = values
+    for order in range(1, 5):
+        differences = np.diff(differences) / (time[order:] - time[:-order])
+    step = float(np.median(np.diff(time)))
+    is_bend = np.abs(differences) * step**4 > settings.rounding * scale
+    bends = 1 + np.flatnonzero(is_bend[1:] & ~is_bend[:-1])
+    period = steady_period(bends, settings)
+    return 0.0 if period is None else period * step
 
 
 def without_repeats(table: pd.DataFrame, groups: Iterable[Sequence[str]]) -> pd.DataFrame:

@@ -56,7 +56,7 @@ PATH_Y = 6
 PATH_Z = 7
 TURN = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
-NOT_SAMPLED = 1e12  # variance of a sensor without a sample, over its usual one
+NOT_SAMPLED = 1e12  # variance of a sensor without a sample [SI], whatever its noise
 BIASES = {name: BIASED[name] for name in [*SHARED, *OWN] if name in BIASED}
 """Places of the biased among the sensors."""
 
@@ -343,7 +343,7 @@ def linearized(
         residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
-        weight=np.where(is_sampled, 1.0, NOT_SAMPLED),
+        missing=np.where(is_sampled, 0.0, NOT_SAMPLED),
         response=_means(response),
     )
 

@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
+from skdgp._flight.holds import interpolated_period
 from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
 from skdgp.estimation._path import estimate_path
@@ -47,13 +48,14 @@ class Record(NamedTuple):
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) of the sensors, without biases of the path; NaN where not sampled
     inputs: Inputs  # as logged
+    periods: Vector  # (k,) of the samples that surfaces are interpolated between, zero if none [s]
     answers: Matrix | None = None  # (n, k) part of the surfaces that answers gusts (autopilot)
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
-        flight, *arrays, inputs, _ = self
+        flight, *arrays, inputs, periods, _ = self
         parts = [values[rows] for values in arrays]
-        return Record._make([flight, *parts, inputs.part(rows), None])
+        return Record._make([flight, *parts, inputs.part(rows), periods, None])
 
     def with_axial_force(self, mass: float) -> Record:
         """Return the record with the measured axial force in place of thrust and CX."""
@@ -70,10 +72,14 @@ class Record(NamedTuple):
         motion of a surface is a first-order process of the surface's own correlation (Cochrane &
         Orcutt 1949): inputs hold their values for a while.
         """
-        X = _past_sums(innovation, self.median_step, settings)
         surfaces = self.inputs.surfaces - self.inputs.surfaces.mean(axis=0)
         answers = np.empty_like(surfaces)
+        sums = {
+            period: _sums_around(innovation, self.median_step, period, settings)
+            for period in set(self.periods)
+        }
         for k, surface in enumerate(surfaces.T):
+            X = sums[self.periods[k]]
             residual = surface - X @ _least_squares(X, surface)
             rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, TINY)
             X_rest = X[1:] - rho * X[:-1]
@@ -112,16 +118,17 @@ class Record(NamedTuple):
         return np.any(np.isfinite(self.measured[1:]), axis=0)
 
 
-def _past_sums(innovation: Matrix, step: float, settings: AirSettings) -> Matrix:
+def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSettings) -> Matrix:
     """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample.
 
-    And of a little later: a surface between samples of a slow clock follows from a later one, too.
+    And of a ``period`` [s] later: a surface between samples of a slow clock follows from the next
+    one, too.
     """
     n = len(innovation) + 1
     reach = max(settings.answer_time / step, 2.0)
-    edges = np.unique(np.geomspace(1, reach, settings.answer_bins).round().astype(int))
-    later = np.linspace(-settings.later_time / step, 0, settings.later_bins + 1).round()
-    edges = np.append(np.unique(later.astype(int)), edges)
+    past = np.geomspace(1, reach, settings.answer_bins).round()
+    later = np.linspace(-period / step, 0, settings.later_bins + 1).round()
+    edges = np.unique(np.concatenate([later, past]).astype(int))
     before = np.zeros((edges[-1] + 2, innovation.shape[1]))
     after = np.zeros((-edges[0], innovation.shape[1]))
     total = np.cumsum(np.concatenate([before, innovation, after]), axis=0)
@@ -172,6 +179,7 @@ def _whole_flight(
         attitude=to_body.as_matrix(),
         measured=np.column_stack([*path.inertial(sensors), vanes]),
         inputs=Inputs(inputs[:, :n_surfaces], inputs[:, n_surfaces:-1], inputs[:, -1]),
+        periods=np.array([interpolated_period(sensors.time, v) for v in inputs.T[:n_surfaces]]),
     )
 
 

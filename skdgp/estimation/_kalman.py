@@ -47,7 +47,7 @@ class Linearization(NamedTuple):
     residual_slopes: Array  # (n - 1, m, p)
     step: Vector  # (n - 1,) [s]
     surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
-    weight: Matrix  # (n - 1, m) variance of a sensor in units of its own, huge where not sampled
+    missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
     response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
 
     def part(self, first: int, last: int) -> Linearization:
@@ -181,7 +181,7 @@ def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
     Phi[:, :, decaying, decaying] = np.exp(-step * noise.decay[:, decaying])
     Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.rate * step)
     Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
-    sensor = noise.sensor * linear.weight[:, None]
+    sensor = noise.sensor + linear.missing[:, None]
     shift = linear.predicted - linear.states[1:]
     return _StepModel(
         Phi=Phi,

@@ -122,9 +122,8 @@ class AirSettings:
     answer_time: float = 8.0
     # bins of these delays, wider the longer
     answer_bins: int = 16
-    # time that surfaces between samples of a slow clock look ahead [s], and its bins
-    later_time: float = 0.2
-    later_bins: int = 4
+    # bins of the period after a sample: surfaces between samples of a slow clock look ahead
+    later_bins: int = 2
     # least singular value of the instruments, relative to the largest
     least_direction: float = 1e-6
 

@@ -17,7 +17,7 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import FlightPathReconstruction
+from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 from skdgp.report import Code
 
 BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "small_uav.py"
@@ -140,6 +140,27 @@ def test_lag_wind_and_gusts_are_found():
         assert std[name] < 1.5
     assert 0.3 < found.gusts[0] < 0.8
     assert "servos" in found.summary
+
+
+def test_surfaces_of_slow_clocks_are_known_by_their_samples_alone():
+    """Whether rows repeat the samples, or hold a spline through them."""
+    flight = flown(GUSTY, 12.0)
+    table = flight.table
+    table[SURFACES] = table.loc[np.arange(len(table)) // 5 * 5, SURFACES].to_numpy()
+    with pytest.warns(FlightDataWarning, match="slower clocks"):
+        between = FlightCheck().fit_transform(table)
+    assert np.any(between[SURFACES] != table[SURFACES])
+    settings = AirSettings(max_passes=2)
+    repeated = estimate_air_motion(table, flight.aircraft, settings=settings)
+    splines = estimate_air_motion(between, flight.aircraft, settings=settings)
+    assert_frame_equal(repeated.derivatives, splines.derivatives)
+
+
+def test_rows_without_a_sample_tell_nothing_of_the_noise():
+    """The airspeed has a noise of 0.3 m/s, and one sample in five rows."""
+    flight = flown(GUSTY, 12.0)
+    flight.table.loc[np.arange(len(flight.table)) % 5 != 0, "airspeed"] = np.nan
+    assert_allclose(flight.estimate().noise["airspeed"], 0.3, rtol=0.25)
 
 
 def test_turns_tell_wind_and_scale_of_the_pitot():

@@ -401,24 +401,23 @@ class _JointSearch(NamedTuple):
         noise = self.noise
 
         # Stage 2. From shared widths, stage 3 needs few iterations, and ends at optima that predict
-        # better than those reached from arbitrary widths. Few values show them, unless slopes of this
-        # fit propagate noise of the regressors.
+        # better than those reached from arbitrary widths. Few values show them.
         start = self._start(kernel)
         shared = self._start(coarse(kernel))
         n_iter = 0
         of_exact_regressors = -np.inf
-        step = 1 if options.input_noise else -(-data.n_values // options.settings.coarse_values)
+        step = -(-data.n_values // options.settings.coarse_values)
         if shared.n_dims < start.n_dims or options.input_noise or step > 1:
             half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
             few = data.every(step)
             shared, noise, end = self._climb(shared, noise, self.bounds, few, half)
             n_iter = end.n_iter
-            of_exact_regressors = end.value
             start = from_coarse(kernel, start, shared)
 
         bounds = self.bounds
         if options.input_noise:
             # slopes of the kernel of stage 2 propagate noise of the regressors
+            of_exact_regressors = self._likelihood(shared, noise, data)
             data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
             noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
             bounds = np.concatenate([bounds, input_bounds])
@@ -469,6 +468,12 @@ class _JointSearch(NamedTuple):
         latest = leave_one_out_error(kernel, noise, data)
         change = abs(latest - earlier) * n_iter / end.n_since
         return change <= settings.irrelevant_change * latest
+
+    def _likelihood(self, kernel, noise, data):
+        try:
+            return log_likelihood(kernel, noise, data)
+        except np.linalg.LinAlgError:
+            return -np.inf
 
     def _start(self, kernel):
         return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)

@@ -456,7 +456,18 @@ def _variance(kernel, i, j, X, n_rows):
     """Return cov(y_i(x), y_j(x)) at each row x of X, (n,)."""
     if i == j:
         return kernel.block_diag(i, X)
+    total = np.zeros(len(X))
+    for term in kernel.summands():
+        if term.couples(i, j):
+            total += _variance_of_term(term, i, j, X, n_rows)
+    return total
+
+
+def _variance_of_term(term, i, j, X, n_rows):
+    """Return the same of one term, which is a constant for a stationary one."""
+    if term.is_stationary():
+        return term.block(i, j, X[:1], X[:1])[0]
     parts = []
     for rows in gen_batches(len(X), n_rows):
-        parts.append(np.diag(kernel.block(i, j, X[rows], X[rows])))
+        parts.append(np.diag(term.block(i, j, X[rows], X[rows])))
     return np.concatenate(parts)

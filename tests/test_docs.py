@@ -20,7 +20,7 @@ RUN_ELSEWHERE = {
 # Pages of which it matters little what their models learned: short fits of short flights do
 UNJUDGED = {"README.md", "ten_minutes.md"}
 # Pages that use a minute of flights, 40 s of it in calm air
-MINUTE = {"preprocessing.md", "simulation.md", "design.md"}
+MINUTE = {"preprocessing.md", "simulation.md", "after.md"}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
@@ -43,7 +43,7 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
         request.getfixturevalue("hasty_fits")
         request.getfixturevalue("no_mechanics")
         request.getfixturevalue("short_flights")
-    if page.name == "design.md":
+    if page.name == "after.md":
         request.getfixturevalue("few_manoeuvres")
     if page.name in MINUTE:
         first_minute = request.getfixturevalue("first_minute")

@@ -89,8 +89,8 @@ def frequency_response(
     inputs, outputs : sequence of str
         Columns such as ``aileron``, ``rudder`` and ``p``, ``r``, ``ay``.
     linear : LinearModel, optional
-        Of :func:`linearize`, for the model's response beside the estimate, with the delay of the
-        linear model.
+        Of :func:`linearize`, for the model's response beside the estimate, without its delay, which
+        lies before the logged commands.
     settings : SpectrumSettings
 
     Returns
@@ -265,12 +265,11 @@ def _of_model(linear: LinearModel, index: pd.Index) -> pd.DataFrame:
     """Return gain and phase of a linear model, with limits of its paths, at rows (output, input, frequency)."""
     w = np.unique(index.get_level_values("frequency"))
     s: Any = 1j * w
-    late = np.exp(-s * linear.delay)[:, None, None]
-    mean = late * transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)
+    mean = transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)
     paths = None
     if linear.paths is not None:
         p = linear.paths
-        paths = late * transfer(p.A, p.B, p.C, p.D, linear.A.index, s)
+        paths = transfer(p.A, p.B, p.C, p.D, linear.A.index, s)
     rows = []
     for output, name, frequency in index:
         row = {"model_gain": np.nan, "model_phase": np.nan}

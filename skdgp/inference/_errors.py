@@ -412,9 +412,9 @@ def block_errors(
 def instrumented(
     Q: Matrix, y: Vector, records: Sequence[Indices], settings: ErrorSettings = SETTINGS
 ) -> tuple[Vector, Matrix, Mask]:
-    """Return weights (m,) of y by two-stage least squares, errors by block (n_blocks, m), and whether they are determined.
+    """Return weights (m,) of y (n,) by two-stage least squares, their errors, and whether they are determined.
 
-    Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
+    Errors are by block, (n_blocks, m). Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
     ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
     motion, such as a gust, correlates with present regressors and so biases least squares. Part of
     the bias remains, the more the longer gusts last.

@@ -414,8 +414,8 @@ def instrumented(
 ) -> tuple[Vector, Matrix, Mask]:
     """Return weights (m,) of y (n,) by two-stage least squares, their errors, and whether they are determined.
 
-    Errors are by block, (n_blocks, m). Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
-    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
+    Errors are by block, (n_blocks, m). Instruments are earlier rows of the terms Q (n, m) in the
+    same record, by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
     motion, such as a gust, correlates with present regressors and so biases least squares. Part of
     the bias remains, the more the longer gusts last.
     """

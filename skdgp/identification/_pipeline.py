@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from itertools import combinations
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -38,6 +39,8 @@ DIFFERENTIATED = (*VANES, *RATES)
 ENGINE_REGRESSORS = ("throttle", "airspeed")
 # Least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
 LEAST_GAIN = 0.02
+# Fraction of the blocks, at least, in which it lowers the error; a guess
+MOST_BLOCKS = 0.6
 # Smaller errors of a linear model, over the spread, are equal
 LEAST_ERROR = 0.01
 
@@ -176,15 +179,29 @@ def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
     return step if is_used else None
 
 
+class EngineRegressors(NamedTuple):
+    """The regressors of a set, with those that an unknown thrust needs.
+
+    Attributes
+    ----------
+    names : list of str
+    without_effect : ndarray of bool (P, d)
+        Whether a regressor of throttle and airspeed is of no use to an output.
+    """
+
+    names: list[str]
+    without_effect: Matrix
+
+
 def engine_regressors(
     selector: RegressorSelector, table: pd.DataFrame, targets: Any, n_blocks: int = 5
-) -> list[str]:
-    """Return a set of regressors, with those of throttle and airspeed that an unknown thrust needs.
+) -> EngineRegressors:
+    """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
 
-    Each choice of the two is judged by the errors of a linear model on blocks of consecutive rows
-    that are held out in turn, over the spread of each coefficient. Their geometric mean
-    decides: a regressor that explains the thrust in CX may lead the others astray. Of equal choices
-    the one with the fewest regressors is taken.
+    For each coefficient each choice of the two is judged by the errors of a linear model on blocks of
+    consecutive rows that are held out in turn. More regressors are taken if they lower the error as
+    a whole, and in most blocks. A coefficient that does not need a regressor of another one has no
+    slope by it: throttle explains the thrust in CX and may lead CZ astray.
 
     Parameters
     ----------
@@ -203,33 +220,47 @@ def engine_regressors(
     everything_known = np.column_stack([table[names].to_numpy(float), Y])
     is_learned = np.isfinite(everything_known).all(axis=1)
     Y = Y[is_learned]
-    fixed = [name for name in names if name not in ENGINE_REGRESSORS]
     if len(Y) < n_blocks * len(names):  # too few to judge
-        return names
+        return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
+    fixed = [name for name in names if name not in ENGINE_REGRESSORS]
+    engine = [name for name in ENGINE_REGRESSORS if name in names]
     blocks = np.arange(len(Y)) * n_blocks // len(Y)
-    best: tuple[float, list[str]] = (np.inf, names)
-    for added in ([], ["throttle"], ["airspeed"], [*ENGINE_REGRESSORS]):
-        chosen = [*fixed, *(name for name in added if name in names)]
-        X = table.loc[is_learned, chosen].to_numpy(float)
-        error = _held_out_error(X, Y, blocks)
-        if error < (1 - LEAST_GAIN) * best[0]:
-            best = error, chosen
-    return best[1]
+    choices = [choice for k in range(len(engine) + 1) for choice in combinations(engine, k)]
+    errors = []
+    for choice in choices:
+        X = table.loc[is_learned, [*fixed, *choice]].to_numpy(float)
+        errors.append(_held_out_errors(X, Y, blocks))
+    needed = [choices[_best_choice(of_choices)] for of_choices in np.transpose(errors, (2, 0, 1))]
+    chosen = [name for name in names if name in fixed or any(name in each for each in needed)]
+    without_effect = np.zeros((len(needed), len(chosen)), bool)
+    for output, each in enumerate(needed):
+        for place, name in enumerate(chosen):
+            without_effect[output, place] = name in engine and name not in each
+    return EngineRegressors(chosen, without_effect)
 
 
-def _held_out_error(X: Matrix, Y: Matrix, blocks: Indices) -> float:
-    """Return the error of linear models of Y (n, P) on blocks of rows held out in turn, over the spread of Y.
+def _best_choice(errors: Matrix) -> int:
+    """Return the place of the best choice by errors (choices, blocks), which grow in size."""
+    best = 0
+    for place in range(1, len(errors)):
+        gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
+        is_mostly_better = np.mean(errors[place] < errors[best]) >= MOST_BLOCKS
+        if gain > LEAST_GAIN and is_mostly_better:
+            best = place
+    return best
 
-    The geometric mean of the outputs.
-    """
-    errors = np.empty_like(Y)
+
+def _held_out_errors(X: Matrix, Y: Matrix, blocks: Indices) -> Matrix:
+    """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
+    spread = np.std(Y, axis=0)
+    errors = []
     for block in np.unique(blocks):
         held_out = blocks == block
         model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
-        errors[held_out] = model.predict(X[held_out]) - Y[held_out]
-    spread = np.std(Y, axis=0)
-    relative = np.sqrt(np.mean(errors**2, axis=0))[spread > 0] / spread[spread > 0]
-    return float(np.exp(np.mean(np.log(np.maximum(relative, LEAST_ERROR)))))
+        residuals = model.predict(X[held_out]) - Y[held_out]
+        relative = np.sqrt(np.mean(residuals**2, axis=0)) / np.where(spread > 0, spread, 1.0)
+        errors.append(np.maximum(relative, LEAST_ERROR))
+    return np.array(errors)
 
 
 class FlightPipeline(Pipeline):
@@ -286,33 +317,51 @@ class FlightPipeline(Pipeline):
         place = list(self.named_steps).index("regressorselector")
         before = self[:place]
         made = before.fit_transform(X, y)
+        without_effect = None
         if choose_engine:
-            self.set_params(regressorselector__regressors=engine_regressors(self[place], made, y))
+            choice = engine_regressors(self[place], made, y)
+            self.set_params(regressorselector__regressors=choice.names)
+            without_effect = choice.without_effect
         steps = self[place:-1]
         transformed = np.asarray(steps.fit_transform(made, y))
         self.steps = [*before.steps, *steps.steps, (name, last)]  # a memory fits clones
-        last.fit(transformed, y, **self._known_slopes(transformed, y) | self._clock(X) | parameters)
+        slopes = self._known_slopes(transformed, y, without_effect)
+        last.fit(transformed, y, **slopes | self._clock(X) | parameters)
         self._learn_turbulence(X)
         return transformed
 
-    def _known_slopes(self, X: Matrix, y: Any) -> dict[str, KnownSlopes]:
-        """Return the slopes that the motion of the air shows, as a parameter of the last step, if it uses them.
+    def _known_slopes(
+        self, X: Matrix, y: Any, without_effect: Matrix | None
+    ) -> dict[str, KnownSlopes]:
+        """Return the slopes that are known, as a parameter of the last step, if it uses them.
+
+        These are zeros by the choice of the engine's regressors, and those that the motion of the
+        air shows.
+        """
+        if not isinstance(self[-1], DependentGPRegressor):
+            return {}
+        slopes = self._slopes_of_air(X, y)
+        if without_effect is not None and without_effect.any():
+            slopes = KnownSlopes.with_zeros(slopes, without_effect)
+        return {} if slopes is None else {"slopes": slopes}
+
+    def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
+        """Return the slopes that the motion of the air shows.
 
         Where gusts are not known, least squares with the deviations of small aircraft in general.
         """
         reconstruction = reconstruction_of(self)
-        if reconstruction is None or not isinstance(self[-1], DependentGPRegressor):
-            return {}
+        if reconstruction is None:
+            return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = outputs, self.named_steps["regressorselector"].regressors_
         scaler = self.named_steps.get("standardscaler")
         scale = scaler.scale_ if isinstance(scaler, StandardScaler) else np.ones(X.shape[1])
         if reconstruction.air_motion_ is not None:
-            slopes = KnownSlopes(*reconstruction.air_motion_.slopes(*names))
-            return {"slopes": slopes.scaled(scale)}
+            return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
         if reconstruction.doubt_ is not None:
-            return {"slopes": KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)}
-        return {}
+            return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
+        return None
 
     def _learn_turbulence(self, X):
         self.seconds_ = None

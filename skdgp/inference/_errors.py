@@ -25,7 +25,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale, consecutive
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
 from skdgp.kernels import (
     LinearPaths,
@@ -52,6 +52,8 @@ class ErrorSettings:
     fewest: int = 10
     #: Delays of the instruments, in autocorrelation times of the errors
     delays: tuple[int, ...] = (2, 4, 6)
+    #: F statistic of the first stage below which instruments are weak (Staiger & Stock 1997)
+    least_f: float = 10.0
     #: Fraction of the largest eigenvalue below which instruments count as equal
     singular: float = 1e-10
 
@@ -239,7 +241,7 @@ def function_errors(
     - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
       slopes d of the residuals, with standard deviation s. These count as :math:`\sqrt{d^2 - s^2}`,
-      the part beyond chance;
+      the part beyond chance, zero of weak instruments;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
       of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
       counts by one number for each regressor.
@@ -304,9 +306,9 @@ def _gust_bias(
     Q: Matrix, residual: Vector, records: Sequence[Indices], settings: ErrorSettings
 ) -> Vector:
     """Return the slopes that instruments find in the residuals, beyond chance, and zero for the constant, (m,)."""
-    change, scatter = instrumented(Q, residual, records, settings)
+    change, scatter, is_determined = instrumented(Q, residual, records, settings)
     beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
-    bias = np.sign(change) * np.sqrt(beyond_chance)
+    bias = np.sign(change) * np.sqrt(beyond_chance) * is_determined
     bias[0] = 0.0
     return bias
 
@@ -390,11 +392,11 @@ def block_errors(
 
 def instrumented(
     Q: Matrix, y: Vector, records: Sequence[Indices], settings: ErrorSettings = SETTINGS
-) -> tuple[Vector, Matrix]:
-    """Return weights (m,) of y (n,) by two-stage least squares, and their errors by block, (n_blocks, m).
+) -> tuple[Vector, Matrix, Mask]:
+    """Return weights (m,) of y (n,) by two-stage least squares, their errors, and whether they are determined.
 
-    Instruments are earlier rows of the terms Q (n, m) in the same record, by more than the errors
-    ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
+    Errors are by block, (n_blocks, m). Instruments are earlier rows of the terms Q (n, m) in the
+    same record, by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
     motion, such as a gust, correlates with present regressors and so biases least squares. Part of
     the bias remains, the more the longer gusts last.
     """
@@ -404,7 +406,8 @@ def instrumented(
     first = lag * longest
     long = [rows for rows in records if len(rows) > first]
     if not long:
-        return np.zeros(Q.shape[1]), np.zeros((2, Q.shape[1]))
+        m = Q.shape[1]
+        return np.zeros(m), np.zeros((2, m)), np.zeros(m, bool)
     now = [rows[first:] for rows in long]
     past = []
     for delay in settings.delays:
@@ -421,7 +424,31 @@ def instrumented(
     weights = inverse @ (expected.T @ y)  # second stage
     of_records = [np.arange(place.start, place.stop) for place in consecutive(now)]
     parts = blocks(of_records, settings=settings)
-    return weights, block_errors(expected, y - Q @ weights, parts, settings, inverse)
+    errors = block_errors(expected, y - Q @ weights, parts, settings, inverse)
+    count = len(Q) / max(lag, 1)
+    return weights, errors, determined_by_instruments(Q, inverse, count, settings)
+
+
+def determined_by_instruments(
+    Q: Matrix, inverse: Matrix, count: float, settings: ErrorSettings
+) -> Mask:
+    r"""Return the terms Q (n, m) whose weights by two-stage least squares instruments determine, (m,).
+
+    The partial R^2 of a term (Shea 1997) is the variance of its weight by least squares over that by
+    two-stage least squares, ``inverse`` (m, m). With N independent samples, ``count``, and k
+    delays of the instruments,
+
+    .. math:: F = \frac{R^2}{1 - R^2} \frac{N}{k}.
+
+    Of weaker instruments weights are nearly arbitrary, and so are their standard deviations.
+    """
+    of_least_squares = np.diag(settings.inverse(Q.T @ Q))
+    of_two_stages = np.diag(inverse)
+    explained = np.zeros(len(inverse))
+    np.divide(of_least_squares, of_two_stages, out=explained, where=of_two_stages > 0)
+    explained = np.clip(explained, 0.0, 1 - settings.singular)
+    statistic = explained / (1 - explained) * count / len(settings.delays)
+    return statistic >= settings.least_f
 
 
 def mean_noise(posterior: Posterior) -> Vector:

@@ -95,57 +95,61 @@ def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None
     if not is_sampled.any() or whole.mean() < settings.sampled:
         return None
     changes = 1 + np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
-    period = steady_period(changes, settings)
-    if period is None:
-        return None
-    n_periods = _numbers_of_periods(np.diff(changes), period)
-    before = np.arange(changes[0] - period, -0.5, -period)[::-1]
-    between = [
-        np.linspace(first, last, int(n), endpoint=False)
-        for first, last, n in zip(changes[:-1], changes[1:], n_periods, strict=True)
-    ]
-    after = np.arange(changes[-1], len(values) - 0.5, period)
-    return np.unique(np.rint(np.concatenate([before, *between, after])).astype(int))
+    return clock_rows(changes, len(values), settings)
 
 
-def steady_period(changes: Indices, settings: HoldSettings = HOLDS) -> float | None:
-    """Return the steady period [rows] of a clock that shows in the rows of changes, None if there is none."""
+def clock_rows(changes: Indices, n: int, settings: HoldSettings = HOLDS) -> Indices | None:
+    """Return the rows of n of a steady clock that shows in the rows of changes, None if there is none."""
     if len(changes) < settings.least_changes:
         return None
     gaps = np.diff(changes)
     usual = np.median(gaps)
-    period = float(gaps[np.abs(gaps - usual) <= max(1.0, settings.jitter * usual)].mean())
+    period = gaps[np.abs(gaps - usual) <= max(1.0, settings.jitter * usual)].mean()
     if period < settings.least_period:
         return None
-    n_periods = _numbers_of_periods(gaps, period)
+    n_periods = np.maximum(np.rint(gaps / period), 1)
     on_clock = np.abs(gaps - n_periods * period) <= settings.jitter * period + 0.1
     if on_clock.mean() < settings.on_clock or np.mean(n_periods == 1) < settings.successive:
         return None
-    return period
+    before = np.arange(changes[0] - period, -0.5, -period)[::-1]
+    between = [
+        np.linspace(first, last, int(number), endpoint=False)
+        for first, last, number in zip(changes[:-1], changes[1:], n_periods, strict=True)
+    ]
+    after = np.arange(changes[-1], n - 0.5, period)
+    return np.unique(np.rint(np.concatenate([before, *between, after])).astype(int))
 
 
-def _numbers_of_periods(gaps: Indices, period: float) -> Vector:
-    """Return the number of periods in each gap between changes, at least one."""
-    return np.maximum(np.rint(gaps / period), 1)
+def interpolated_rows(
+    time: Vector, values: Vector, settings: HoldSettings = HOLDS
+) -> Indices | None:
+    """Return the rows of the samples of a channel that is a cubic spline between these, None if it is not.
 
-
-def interpolated_period(time: Vector, values: Vector, settings: HoldSettings = HOLDS) -> float:
-    """Return the period [s] of the samples of a channel that is polynomial between these, zero if it is not.
-
-    Polynomials are splines of third order, or straight lines. Their divided differences of fourth
-    order are zero where no sample lies inside of five rows, so the period must have four rows.
+    Divided differences of fourth order are zero where no sample lies inside of five rows, so samples
+    must be four rows or more apart.
     """
     scale = float(np.nanstd(values))
     if len(time) < 5 or not scale > 0:
-        return 0.0
+        return None
     differences = values
     for order in range(1, 5):
         differences = np.diff(differences) / (time[order:] - time[:-order])
     step = float(np.median(np.diff(time)))
     is_bend = np.abs(differences) * step**4 > settings.rounding * scale
-    bends = 1 + np.flatnonzero(is_bend[1:] & ~is_bend[:-1])
-    period = steady_period(bends, settings)
-    return 0.0 if period is None else period * step
+    # the last but one of the five rows
+    samples = 4 + np.flatnonzero(is_bend[1:] & ~is_bend[:-1])
+    return clock_rows(samples, len(time), settings)
+
+
+def error_between_samples(time: Vector, values: Vector, samples: Indices) -> Vector:
+    """Return the size of the error of a spline (n,) between the rows of its samples, zero at these.
+
+    Half of the curvature of the samples, in trials on simulated inputs at 10 Hz.
+    """
+    number = np.interp(time, time[samples], np.arange(len(samples)))
+    fraction = number % 1.0
+    curvature = np.abs(np.gradient(np.gradient(values[samples])))
+    return 2 * fraction * (1 - fraction) * np.interp(number, np.arange(len(samples)), curvature)
 
 
 def without_repeats(table: pd.DataFrame, groups: Iterable[Sequence[str]]) -> pd.DataFrame:

@@ -280,12 +280,21 @@ class _Expansion:
         return self.inputs.surfaces - late
 
     def surface_noise(self, by_start: Array) -> Array:
-        """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step."""
+        """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step.
+
+        Or by their error between samples of a slow clock.
+        """
         jump = np.diff(self.inputs.surfaces, axis=0)
-        push = by_start[:, RATES, ERRORS] @ self.model.by_surfaces * jump[:, None]
+        error = np.where(self.record.periods > 0, _means(self.record.surface_errors), jump)
+        push = by_start[:, RATES, ERRORS] @ self.model.by_surfaces * error[:, None]
         covariance = np.zeros((len(jump), N_STATES, N_STATES))
         covariance[:, TURN, TURN] = push @ push.mT
         return covariance
+
+    def surface_readings(self, by_end: Array) -> Matrix:
+        """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
+        by_surfaces = by_end[..., ERRORS] @ self.model.by_surfaces
+        return np.sum((by_surfaces * self.record.surface_errors[1:, None]) ** 2, axis=-1)
 
 
 def linearized(
@@ -313,6 +322,7 @@ def linearized(
     # sensors at its end, from the past alone
     past, by_end, past_slopes = expansion.readings(end)
     noise_slopes = by_end @ expansion.end_variables(end)[..., :N_STATES]
+    surface_readings = expansion.surface_readings(by_end)
     by_errors = by_end.copy()
     by_errors[..., :6] = 0.0
     past_slopes += by_end[..., :6] @ step_slopes
@@ -343,6 +353,7 @@ def linearized(
         residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
+        surface_readings=surface_readings,
         missing=np.where(is_sampled, 0.0, NOT_SAMPLED),
         response=_means(response),
     )

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
-from skdgp._flight.holds import interpolated_period
+from skdgp._flight.holds import error_between_samples, interpolated_rows
 from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
 from skdgp.estimation._path import estimate_path
@@ -47,8 +47,9 @@ class Record(NamedTuple):
     velocity: Matrix  # (n, 3) over the ground, body axes [m/s]
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) of the sensors, without biases of the path; NaN where not sampled
+    surface_errors: Matrix  # (n, k) size between samples of a slow clock, zero at these [rad]
     inputs: Inputs  # as logged
-    periods: Vector  # (k,) of the samples that surfaces are interpolated between, zero if none [s]
+    periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
     answers: Matrix | None = None  # (n, k) part of the surfaces that answers gusts (autopilot)
 
     def part(self, rows: slice) -> Record:
@@ -171,6 +172,8 @@ def _whole_flight(
     path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
     to_body = path.attitude.inv()
     inputs = interpolate_missing(sensors.time, logged)
+    surfaces = inputs[:, :n_surfaces]
+    periods, surface_errors = _own_clocks(sensors.time, surfaces)
     return Record(
         flight=number,
         rows=flight.rows,
@@ -178,9 +181,22 @@ def _whole_flight(
         velocity=to_body.apply(path.velocity),
         attitude=to_body.as_matrix(),
         measured=np.column_stack([*path.inertial(sensors), vanes]),
-        inputs=Inputs(inputs[:, :n_surfaces], inputs[:, n_surfaces:-1], inputs[:, -1]),
-        periods=np.array([interpolated_period(sensors.time, v) for v in inputs.T[:n_surfaces]]),
+        surface_errors=surface_errors,
+        inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
+        periods=periods,
     )
+
+
+def _own_clocks(time: Vector, surfaces: Matrix) -> tuple[Vector, Matrix]:
+    """Return periods (k,) and errors (n, k) of surfaces between the samples of slow clocks, zero of others."""
+    periods = np.zeros(surfaces.shape[1])
+    errors = np.zeros_like(surfaces)
+    for k, surface in enumerate(surfaces.T):
+        samples = interpolated_rows(time, surface)
+        if samples is not None:
+            periods[k] = np.median(np.diff(time[samples]))
+            errors[:, k] = error_between_samples(time, surface, samples)
+    return periods, errors
 
 
 def _thinned(time: Vector, rows: Indices, sample_rate: float) -> slice:

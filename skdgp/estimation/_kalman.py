@@ -47,6 +47,7 @@ class Linearization(NamedTuple):
     residual_slopes: Array  # (n - 1, m, p)
     step: Vector  # (n - 1,) [s]
     surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
+    surface_readings: Matrix  # (n - 1, m) variance of the sensors per kappa^2
     missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
     response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
 
@@ -182,6 +183,7 @@ def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
     Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.rate * step)
     Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
     sensor = noise.sensor + linear.missing[:, None]
+    sensor = sensor + noise.surface[:, None] * linear.surface_readings[:, None]
     shift = linear.predicted - linear.states[1:]
     return _StepModel(
         Phi=Phi,

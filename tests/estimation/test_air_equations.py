@@ -62,7 +62,9 @@ def flight_of_sines(n=30):
         0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
         attitude,
         measured,
+        np.zeros((n, 3)),
         inputs,
+        np.zeros(3),
     )
     derivatives = derivatives_of(TERMS, SURFACES)
     value = {name: DERIVATIVES.get(name, (0.01, 0))[0] for name in derivatives}
@@ -193,7 +195,8 @@ def linear_system(rng, n=7, N=3, m=2):
         residual_slopes=zero,
         step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
-        weight=np.ones((n - 1, m)),
+        surface_readings=np.zeros((n - 1, m)),
+        missing=np.zeros((n - 1, m)),
         response=zero,
     )
     noises = Noise(

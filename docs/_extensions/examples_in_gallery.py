@@ -8,6 +8,7 @@ from sphinx_gallery.scrapers import figure_rst
 
 STARTED = time.time()
 SMALLER = {
+    "after_the_model.py": ["--samples", "400", "--paths", "30"],
     "closed_loop.py": ["--rounds", "1"],
     "fly_the_model.py": ["--samples", "400", "--paths", "30"],
     "grid_search_flights.py": [

@@ -11,7 +11,7 @@ from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
 from skdgp._cli._use import read_model_to_fly, trimmed
 from skdgp._compute.files import csv_writer
-from skdgp.control import Loop, autopilot_loops, read_parameters, suggest_gains
+from skdgp.control import FlySettings, Loop, autopilot_loops, read_parameters, suggest_gains
 from skdgp.control import fly as fly_model
 from skdgp.control import margins as margins_of
 from skdgp.dynamics import Turbulence, linearize
@@ -167,7 +167,7 @@ def _gusts_of(options: Any, model: Any) -> Turbulence | None:
     if options.gusts in (None, 0.0):
         return None
     if options.gusts != "flown":
-        return Turbulence.low_altitude(max(options.height, GUST_HEIGHT), options.gusts)
+        return Turbulence.low_altitude(max(options.height, FlySettings.gust_height), options.gusts)
     flown = model.pipeline.turbulence_
     if flown is None:
         raise ValueError(
@@ -177,8 +177,6 @@ def _gusts_of(options: Any, model: Any) -> Turbulence | None:
     return flown
 
 
-# Height [m] whose gusts are met by a flight that begins lower
-GUST_HEIGHT = 100.0
 COMMANDS: opt.Commands = {
     margins: {
         "": {

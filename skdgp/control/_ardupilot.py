@@ -83,6 +83,8 @@ class FlySettings:
     no_pulse: int = 500
     # Time between two rows of the table [s]
     row_step: float = 0.0199
+    # Least height [m] of gusts, which vanish at the ground
+    gust_height: float = 100.0
     # Largest speed [m/s] of a flight that has not diverged
     fastest: float = 1000.0
 

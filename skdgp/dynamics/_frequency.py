@@ -209,13 +209,7 @@ def _responses(
         floor = _noise(spectra, j, settings)
         response = _solved(S[:q, :q], S[:q, j])
         for i, name in enumerate(inputs):
-            others = [k for k in range(q) if k != i]
-            # conditioned spectra of this input and the output
-            pair = [i, j]
-            conditioned = S[np.ix_(pair, pair)]
-            if others:
-                explained = _solved(S[np.ix_(others, others)], S[np.ix_(others, pair)])
-                conditioned = conditioned - S[np.ix_(pair, others)] @ explained
+            conditioned = _conditioned(S, i, j, q)
             S_ii, S_yy = np.maximum(np.diag(conditioned).real, np.finfo(float).tiny)
             coherence = min(float(abs(conditioned[0, 1]) ** 2 / (S_ii * S_yy)), 1.0)
             error = np.inf
@@ -237,6 +231,17 @@ def _responses(
                 }
             )
     return rows
+
+
+def _conditioned(S: Array, i: int, j: int, q: int) -> Array:
+    """Return the spectra (2, 2) of input i and channel j without what the other of q inputs explain."""
+    pair = [i, j]
+    others = [k for k in range(q) if k != i]
+    spectra = S[np.ix_(pair, pair)]
+    if not others:
+        return spectra
+    explained = _solved(S[np.ix_(others, others)], S[np.ix_(others, pair)])
+    return spectra - S[np.ix_(pair, others)] @ explained
 
 
 def _solved(S: Matrix, b: Array) -> Array:

@@ -592,25 +592,6 @@ class FeatureBasis:
         return None
 
 
-class LinearBasis:
-    """Linear functions x^T slopes + constant, with ``slopes`` (d, C)."""
-
-    def __init__(self, slopes: Matrix, constant: Vector) -> None:
-        self.matrix = slopes
-        self.constant = constant
-
-    def __call__(self, X: Matrix) -> Matrix:
-        return X @ self.matrix + self.constant
-
-    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
-        slopes = [w @ self.matrix[:, places].T for w, places in zip(weights, columns, strict=True)]
-        of_outputs = np.stack(slopes, axis=1)[:, None]
-        return np.repeat(of_outputs, X.shape[1], axis=1)
-
-    def averaged(self, spread: Vector) -> LinearBasis:
-        return self
-
-
 class ValueFeatures(Features):
     """The values of output ``outputs[f]`` of the kernel ``joint`` at the inputs ``Z[f]`` (k, d), for each block f.
 
@@ -759,12 +740,6 @@ class TrendFeatures(Features):
         weights = coefficients.reshape(-1, n_outputs, 1 + d) * scales
         centre = np.broadcast_to(values["center"], (d,))
         return LinearPaths(weights.swapaxes(1, 2).copy(), centre)
-
-    def basis(self):
-        outputs = range(self.kernel.n_outputs)
-        slopes = np.hstack([self.kernel.basis_slopes(i)[:, 0] for i in outputs])
-        constant = np.hstack([self.Kfu(i, np.zeros((1, len(slopes))))[0] for i in outputs])
-        return LinearBasis(slopes, constant), [self.columns(i) for i in outputs]
 
     def Kfu_derivative(self, i, X):
         slopes = self.kernel.basis_slopes(i)

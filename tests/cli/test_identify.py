@@ -349,6 +349,7 @@ def test_demo_is_honest(command, tmp_path, monkeypatch, capsys):
         ),
         (400, "compare_methods", ["--samples", "90"]),
         (1000, "fly_the_model", ["--samples", "60", "--paths", "5"]),
+        (1000, "after_the_model", ["--samples", "60", "--paths", "5"]),
     ],
     indirect=["short_flights"],
 )

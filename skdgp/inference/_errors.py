@@ -415,9 +415,9 @@ def instrumented(
     """Return weights (m,) of y (n,) by two-stage least squares, their errors, and whether they are determined.
 
     Errors are by block, (n_blocks, m). Instruments are earlier rows of the terms Q (n, m) in the
-    same record, by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989, section 8.1). An error that causes
-    motion, such as a gust, correlates with present regressors and so biases least squares. Part of
-    the bias remains, the more the longer gusts last.
+    same record, by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989,
+    section 8.1). An error that causes motion, such as a gust, correlates with present regressors
+    and so biases least squares. Part of the bias remains, the more the longer gusts last.
     """
     longest = settings.delays[-1]
     lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]

@@ -71,8 +71,7 @@ class PhysicsSettings:
     lag_spacing: float = 0.2
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
-    # the same where the angle that a surface turns the aircraft to was not measured: it answers
-    # with the other sign, soon after
+    # the same where the angle that a surface turns the aircraft to was not measured
     possible_lag_without_angle: float = 1 / 8
     # flights shorter than this [s] are judged together with others only
     long_flight: float = 30.0
@@ -650,12 +649,7 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
         least *= 1 - (check.noise / best.size) ** 2
         slope = slopes[0.0]
     else:
-        share = settings.possible_lag
-        if check.angle is not None and check.angle not in signals:
-            share = settings.possible_lag_without_angle
-        enough = share * best.explained
-        possible = [slope for slope in slopes.values() if slope.explained >= enough]
-        slope = min(possible, key=lambda slope: abs(slope.t(least, most)))
+        slope = _slope_of_response(check, slopes, signals)
         if abs(slope.correlation) < settings.least_correlation:
             return None
     t = slope.t(least, most)
@@ -664,6 +658,20 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
     if check.witness is not None and _judged(check.witness, signals) is None:
         return None
     return Judgement(check, check.channels, "slope", slope, t)
+
+
+def _slope_of_response(check: Check, slopes: dict[float, Slope], signals: Signals) -> Slope:
+    """Return the slope that the sign is judged by: of all possible lags the one nearest to its expected sign.
+
+    Where the angle was not measured, the earliest one: it answers to a surface, with the other sign.
+    """
+    settings = signals.settings
+    best = max(slope.explained for slope in slopes.values())
+    if check.angle is not None and check.angle not in signals:
+        enough = settings.possible_lag_without_angle * best
+        return slopes[min(lag for lag, slope in slopes.items() if slope.explained >= enough)]
+    possible = [s for s in slopes.values() if s.explained >= settings.possible_lag * best]
+    return min(possible, key=lambda slope: abs(slope.t(*check.slopes)))
 
 
 def _judged_lag(check: Check, slopes: dict[float, Slope], settings: PhysicsSettings) -> Judgement:

@@ -27,13 +27,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
-from skdgp.kernels import (
-    LinearPaths,
-    MultiOutputKernel,
-    PathBundle,
-    independent_processes,
-    prior_paths,
-)
+from skdgp.kernels import MultiOutputKernel, PathBundle, independent_processes, prior_paths
 
 
 @dataclass(frozen=True)
@@ -170,6 +164,31 @@ class FunctionErrors(NamedTuple):
             method=self.method[..., outputs],
             discrepancy=self.discrepancy[outputs],
         )
+
+
+class LinearPaths(PathBundle):
+    """Linear functions of x - ``centre`` with the weights (S, d + 1, P)."""
+
+    def __init__(self, weights: Array, centre: Vector) -> None:
+        self.weights = weights
+        self.centre = centre
+
+    def take(self, index):
+        return LinearPaths(self.weights[index], self.centre)
+
+    def averaged(self, spread):
+        return self
+
+    def doubles(self, same_points):
+        return len(self.weights) * sum(self.weights.shape[1:])
+
+    def each(self, X):
+        return _basis(X - self.centre) @ self.weights
+
+    def gradient(self, X):
+        slopes = self.weights[:, 1:].swapaxes(1, 2)[:, None]
+        n = X.shape[1]
+        return np.repeat(slopes, n, axis=1)
 
 
 class PosteriorWithErrors(Posterior):
@@ -397,8 +416,8 @@ def instrumented(
 
     Errors are by block, (n_blocks, m). Instruments are earlier rows of the terms Q (n, m) in the
     same record, by more than the errors ``y`` of least squares last (Soderstrom & Stoica 1989,
-    section 8.1). An error that causes motion, such as a gust, correlates with present regressors and
-    so biases least squares. Part of the bias remains, the more the longer gusts last.
+    section 8.1). An error that causes motion, such as a gust, correlates with present regressors
+    and so biases least squares. Part of the bias remains, the more the longer gusts last.
     """
     longest = settings.delays[-1]
     lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]

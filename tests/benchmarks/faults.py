@@ -1,6 +1,6 @@
 """Faults put into simulated flights: how many are found, and how often is a sound channel accused?
 
-    python tests/benchmarks/faults.py [--flights N] [--out OUT]
+    python tests/benchmarks/faults.py [--first K] [--every N] [--out OUT]
 
 Sixty flights of the aircraft of small_uav.py in its airs, with ideal, real, held and vibrating
 sensors in turn, and with vanes. Each sound way to record them (a recorder that smooths, sensors
@@ -27,7 +27,7 @@ from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_flight
 from skdgp.dynamics import euler_to_matrix
 
-SECONDS = 120.0
+N_FLIGHTS, SECONDS = 60, 120.0
 GRAVITY, DEGREES, KNOT, FOOT = 9.80665, 180 / np.pi, 0.514444, 0.3048
 VANE_NOISE, POSITION_NOISE = 0.005, 0.5  # rad, m
 ARM = 0.25  # of the sensors ahead of the centre of gravity, over the span
@@ -205,11 +205,12 @@ def fly(n):
 
 def main(words=None):
     parser = parser_of(__doc__)
-    parser.add_argument("--flights", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0, help="flight to begin with")
+    parser.add_argument("--every", type=int, default=1, help="flights to go on by")
     options = parser.parse_args(words)
     warnings.simplefilter("ignore")
     kept = Kept(options, "faults")
-    for key, table, span in fly(options.flights):
+    for key, table, span in itertools.islice(fly(N_FLIGHTS), options.first, None, options.every):
         recorded = ways(table, span)
         for way, sound in recorded.items():
             kept.run(key | {"case": way, "kind": "sound"}, score, sound, [])

@@ -1,6 +1,8 @@
 """Writers of small logs: PX4 ULog, ArduPilot DataFlash and telemetry, message by message, to be damaged."""
 
+import lzma
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -358,6 +360,13 @@ def ardupilot(flight):
     outputs = {"C1": pulse("aileron"), "C2": pulse("elevator", -1000), "C3": ("H", 1100)}
     add("RCOU", 50, code="H", **outputs, C4=pulse("rudder"))
     return bytes(log)
+
+
+@pytest.fixture
+def vtol_bench(write):
+    """Return the beginning of a log of a PX4 VTOL on the bench, of pyulog's tests (BSD licence beside)."""
+    packed = Path(__file__).parent / "data" / "px4_vtol_bench.ulg.xz"
+    return write(lzma.decompress(packed.read_bytes()), "bench.ulg")
 
 
 ARRIVAL = 1.7e9  # Arrival less the clock of the vehicle [s]

@@ -149,12 +149,15 @@ class TestCommand:
         assert "o such file" in capsys.readouterr().err
 
 
+def test_a_bench_of_a_vtol(vtol_bench):
+    summary = inspect_log(vtol_bench)
+    assert summary.vehicle == "VTOL"
+    assert "never stays above 13.3 m/s" in summary.remarks[-1]
+
+
 @pytest.mark.shared
 class TestSharedLogs:
     def test_benches(self, shared_data):
-        summary = inspect_log(shared_data / "logs" / "pyulog_sample_log_small_vtol_bench.ulg")
-        assert summary.vehicle == "VTOL"
-        assert "never stays above 13.3 m/s" in summary.remarks[-1]
         summary = inspect_log(shared_data / "logs" / "pyflightcoach_elevator_bench.BIN")
         assert summary.firmware.startswith("ArduPlane V4.0.6")
         assert "no valid airspeed" in summary.remarks[-1]

@@ -28,7 +28,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     measured = aerodynamic_coefficients(table, model.aircraft, **loads)
     regressors, noise_ratio = flight_regressors(model.pipeline, table)
     regressor = model.pipeline[-1]
-    mean = regressor.predict(regressors)
+    mean = model.pipeline.mean_of_rows(regressors, noise_ratio)
     rows = std_rows(len(table))
     std = _interpolated_std(regressor, regressors, noise_ratio, rows)
     replayed = None

@@ -50,7 +50,7 @@ class LearnedModel:
         Options of the identification, given or chosen, and ``horizons`` of the evaluation.
     """
 
-    pipeline: Pipeline
+    pipeline: FlightPipeline
     aircraft: Aircraft
     fit: FitRecord
     settings: dict[str, Any]

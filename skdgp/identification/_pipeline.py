@@ -167,6 +167,48 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     return np.asarray(flight), ratio
 
 
+class RegressionCalibration(NamedTuple):
+    r"""Linear function that turns a function into the mean coefficients of logged rows.
+
+    Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
+    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With A and b by least
+    squares of the residuals of the training rows, it is
+
+    .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
+
+    where :math:`\rho` is the variance of the noise of the regressors over its value in the training
+    flights, at most one: more noise than that was never compared.
+    """
+
+    intercept: Vector  # (P,)
+    slopes: Matrix  # (d, P)
+
+    @classmethod
+    def of_residuals(
+        cls, X: Matrix, residuals: Matrix, without_effect: Matrix | None = None
+    ) -> RegressionCalibration:
+        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown.
+
+        Regressors ``without_effect`` (P, d) get no slope.
+        """
+        P, d = residuals.shape[1], X.shape[1]
+        design = np.column_stack([np.ones(len(X)), X])
+        used = np.ones((P, 1 + d), dtype=bool)
+        if without_effect is not None:
+            used[:, 1:] = np.logical_not(without_effect)
+        coefficients = np.zeros((P, 1 + d))
+        for residual, columns, weights in zip(residuals.T, used, coefficients, strict=True):
+            known = np.isfinite(residual)
+            fitted = np.linalg.lstsq(design[known][:, columns], residual[known], rcond=None)[0]
+            weights[columns] = fitted
+        return cls(coefficients[:, 0], coefficients[:, 1:].T)
+
+    def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
+        """Return what is added to the function (n, P), at ratios (n,) of the variance of noise."""
+        fraction = np.minimum(noise_ratio, 1.0)
+        return fraction[:, None] * (self.intercept + X @ self.slopes)
+
+
 def regressor_names(pipeline: Pipeline) -> list[str]:
     """Return the names of the regressors of the last step."""
     return [str(name) for name in pipeline["regressorselector"].regressors_]
@@ -285,10 +327,15 @@ class FlightPipeline(Pipeline):
         :func:`identify`.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
+    calibration_ : RegressionCalibration or None
+        Added by ``predict`` to the function of the last step, where its slopes were estimated apart
+        from the samples, as in flights without vanes. Simulations, derivatives and exports use the
+        function.
     """
 
     steps: list[tuple[str, Any]]
     control_units_: Mapping[str, str] = MappingProxyType({})
+    calibration_: RegressionCalibration | None = None
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
@@ -325,33 +372,38 @@ class FlightPipeline(Pipeline):
         steps = self[place:-1]
         transformed = np.asarray(steps.fit_transform(made, y))
         self.steps = [*before.steps, *steps.steps, (name, last)]  # a memory fits clones
-        slopes = self._known_slopes(transformed, y, without_effect)
+        of_air = self._slopes_of_air(transformed, y)
+        slopes = self._known_slopes(of_air, without_effect)
         last.fit(transformed, y, **slopes | self._clock(X) | parameters)
+        self.calibration_ = None
+        if of_air is not None:
+            residuals = np.asarray(y, dtype=float) - last.predict(transformed)
+            self.calibration_ = RegressionCalibration.of_residuals(
+                transformed, residuals, without_effect
+            )
         self._learn_turbulence(X)
         return transformed
 
     def _known_slopes(
-        self, X: Matrix, y: Any, without_effect: Matrix | None
+        self, slopes: KnownSlopes | None, without_effect: Matrix | None
     ) -> dict[str, KnownSlopes]:
         """Return the slopes that are known, as a parameter of the last step, if it uses them.
 
-        These are zeros by the choice of the engine's regressors, and those that the motion of the
-        air shows.
+        These are zeros by the choice of the engine's regressors, and those of the motion of the air.
         """
         if not isinstance(self[-1], DependentGPRegressor):
             return {}
-        slopes = self._slopes_of_air(X, y)
         if without_effect is not None and without_effect.any():
             slopes = KnownSlopes.with_zeros(slopes, without_effect)
         return {} if slopes is None else {"slopes": slopes}
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
-        """Return the slopes that the motion of the air shows.
+        """Return the slopes that the motion of the air shows, for a last step that uses them.
 
         Where gusts are not known, least squares with the deviations of small aircraft in general.
         """
         reconstruction = reconstruction_of(self)
-        if reconstruction is None:
+        if reconstruction is None or not isinstance(self[-1], DependentGPRegressor):
             return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = outputs, self.named_steps["regressorselector"].regressors_
@@ -393,10 +445,25 @@ class FlightPipeline(Pipeline):
         ``include_input_noise`` replaces the ratio of this flight, unless it is True.
         """
         uncertain = params.get("return_std") or params.get("return_cov")
-        if not uncertain or params.get("include_input_noise", True) is not True:
+        by_ratio = uncertain and params.get("include_input_noise", True) is True
+        if not by_ratio and self.calibration_ is None:
             return super().predict(X, **params)
         check_is_fitted(self)
         regressors, ratio = flight_regressors(self, X)
-        if isinstance(self[-1], DependentGPRegressor):
+        if by_ratio and isinstance(self[-1], DependentGPRegressor):
             params = params | {"include_input_noise": ratio}
-        return self[-1].predict(regressors, **params)
+        if not uncertain:
+            return self.mean_of_rows(regressors, ratio, **params)
+        mean, uncertainty = self[-1].predict(regressors, **params)
+        return mean + self._added(regressors, ratio), uncertainty
+
+    def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:
+        """Return the mean coefficients (n, P) of logged rows, from the two of `flight_regressors`."""
+        mean = self[-1].predict(regressors, **params)
+        return np.asarray(mean + self._added(regressors, noise_ratio))
+
+    def _added(self, regressors: Matrix, noise_ratio: Vector) -> Matrix | float:
+        """Return what the calibration adds to the function."""
+        if self.calibration_ is None:
+            return 0.0
+        return self.calibration_(regressors, noise_ratio)

@@ -240,6 +240,36 @@ def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
     assert_array_less(0.92 * std, flown.loc[names, "std"])  # of 500 paths, 3 %
 
 
+def test_predictions_of_logged_rows_have_no_larger_errors_than_least_squares():
+    """The function has the slopes of the aircraft, which are too steep for regressors with errors."""
+    model = pipeline()
+    table = in_gusts().table
+    Y = aerodynamic_coefficients(table, in_gusts().aircraft).to_numpy()
+    X = np.asarray(model[:-1].transform(table))
+    design = np.column_stack([np.ones(len(X)), X])
+    least_squares = design @ np.linalg.lstsq(design, Y, rcond=None)[0]
+    mean, std = model.predict(table, return_std=True)
+    assert_allclose(mean, model.predict(table))
+    assert std.shape == mean.shape
+    of_rows, of_function, least = (
+        np.sqrt(np.mean((Y - predicted) ** 2, axis=0))
+        for predicted in (mean, model[-1].predict(X), least_squares)
+    )
+    assert_array_less(of_rows, 1.03 * least)
+    assert np.max(of_function / least) > 1.05
+
+
+def test_less_noise_of_the_regressors_needs_less_calibration():
+    """None in calm air, where the mean is the function; rougher air than in training was never compared."""
+    model = pipeline()
+    X = np.asarray(model[:-1].transform(in_gusts().table))[:50]
+    function = model[-1].predict(X)
+    added = [model.mean_of_rows(X, np.full(50, ratio)) - function for ratio in (0.0, 0.5, 1.0, 2.0)]
+    assert np.all(added[0] == 0)
+    assert_allclose(2 * added[1], added[2], atol=1e-9)
+    assert_array_equal(added[3], added[2])
+
+
 def test_calm_flight_without_inputs_has_wide_bands():
     """Where the wind is known from one heading alone, errors of the path seem to be sideslip without moments."""
     flight = flown("calm", 8.0, inputs=False, seed=5)

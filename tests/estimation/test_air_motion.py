@@ -163,6 +163,7 @@ def test_rows_without_a_sample_tell_nothing_of_the_noise():
     assert_allclose(flight.estimate().noise["airspeed"], 0.3, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_turns_tell_wind_and_scale_of_the_pitot():
     """And derivatives are right although the airspeed is not: a scale of 4 % makes forces wrong by 8 %."""
     flight = flown(GUSTY, 30.0, bank=0.5)
@@ -177,6 +178,7 @@ def test_turns_tell_wind_and_scale_of_the_pitot():
     assert found.misfit < 1.2
 
 
+@pytest.mark.slow
 def test_improbable_constants_of_sensors_widen_all_bands():
     """A thrust of half the true size is five standard deviations from what a bench tells."""
     right, flight = found_in_gusts(), in_gusts()
@@ -270,6 +272,7 @@ def test_less_noise_of_the_regressors_needs_less_calibration():
     assert_array_equal(added[3], added[2])
 
 
+@pytest.mark.slow
 def test_calm_flight_without_inputs_has_wide_bands():
     """Where the wind is known from one heading alone, errors of the path seem to be sideslip without moments."""
     flight = flown("calm", 8.0, inputs=False, seed=5)
@@ -296,6 +299,7 @@ def test_aircraft_known_without_thrust_is_reconstructed_by_its_measured_axial_fo
     assert_frame_equal(flight.estimate(known=without).air, without.air)
 
 
+@pytest.mark.slow
 def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     flight = in_gusts()
     found = flight._replace(table=flight.table.drop(columns="thrust_x")).estimate()

@@ -217,6 +217,7 @@ def test_trim_is_that_of_jsbsim(load, portable_of, propeller):
     assert thrust == pytest.approx(expected.thrust, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize("short_flights", [1500], indirect=True)
 def test_code_of_the_page_flies_steadily(tmp_path, monkeypatch):

@@ -341,6 +341,7 @@ def test_a_log_is_sparse_earlier_and_searched_shorter():
     assert DependentGPRegressor(optimizer=None, max_iter=7).fit(X[:20], Y[:20]).max_iter_ == 7
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_rounding_of_the_regressors_decides_nothing():
     """Far from an optimum a search would multiply it, and end at another one."""

@@ -247,6 +247,7 @@ class TestWeights:
         weights = model.fit(X, y, time=np.arange(200.0)).weights_
         assert weights["joint"][0] + weights["additive"][0] > 0.9
 
+    @pytest.mark.slow
     def test_few_rows_of_a_linear_function_have_honest_bands(self):
         """30 rows of 8 regressors: bands of 95 % hold new values of the function, with errors like those of a line."""
         held, ratios = [], []
@@ -290,6 +291,7 @@ class TestWeights:
         error = np.sqrt(np.mean((model.predict(x)[gaps, 1] + 2 * common[gaps]) ** 2))
         assert error < 0.3 * np.std(2 * common)
 
+    @pytest.mark.slow
     def test_blocks_of_a_log_tell_drift_from_a_function(self):
         """Errors that last as long as the regressor's excursions look like a function to random folds."""
         with_time, without = [], []

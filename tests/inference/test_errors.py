@@ -171,7 +171,7 @@ def test_outputs_with_different_gaps_err_together_where_both_were_observed():
     assert first @ second > 0.8 * np.linalg.norm(first) * np.linalg.norm(second)
 
 
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
+@pytest.mark.parametrize("inference", ["exact", pytest.param("sparse", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("memory", [0.01, 4.0])
 def test_slopes_of_a_line_err_as_stated(inference, memory):
     """White and lasting noise: errors over deviations have a root mean square near one."""

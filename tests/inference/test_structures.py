@@ -149,7 +149,7 @@ def test_posterior_of_independent_outputs_is_the_posterior_of_each():
         np.testing.assert_allclose(std[:, i], expected[1], rtol=1e-6)
 
 
-@pytest.mark.parametrize("at", [20, 100, 150])
+@pytest.mark.parametrize("at", [20, pytest.param(100, marks=pytest.mark.slow)])
 def test_ctrl_c_in_any_structure_keeps_one_that_was_learned(at):
     """Of 800 values structures are tried on few; evaluation ``at`` of the joint searches is interrupted."""
     rng = np.random.default_rng(6)

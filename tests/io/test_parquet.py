@@ -135,6 +135,7 @@ def test_the_damage_that_pyarrow_tells_in_its_own_words(tmp_path):
                 reader(tmp_path / "log.parquet")
 
 
+@pytest.mark.slow
 def test_a_long_text_that_repeats_takes_memory_once(tmp_path):
     """20,000 rows of one text of 20,000 letters are 381 MiB when written out."""
     note = pa.array(["x" * 20_000]).take([0] * 20_000)

@@ -27,7 +27,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_number
+from skdgp._flight.checks import as_floats, check_number
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, body_to_ned, ned_to_body, standard_density
 from skdgp.dynamics import (
     ATTITUDE,
@@ -517,7 +517,8 @@ def fly(
     Raises
     ------
     ValueError
-        If the port is in use, no packet comes, or a control has no value at full output.
+        If the port is in use, no packet comes, a control has no value at full output, a wind is
+        invalid, or the model has no posterior for a ``path``.
 
     Warns
     -----
@@ -526,6 +527,10 @@ def fly(
     """
     check_number("height", height, is_open=False, unit="m")
     check_number("wait", wait, unit="s")
+    if wind is not None and not (np.shape(wind) == (3,) and np.isfinite(as_floats(wind)).all()):
+        raise ValueError(
+            f"Got wind={wind!r}, but expected three finite numbers: north, east, down [m/s]."
+        )
     motion = Motion(model, aircraft, thrust=thrust)
     linear = linearize(model, aircraft, steady, thrust=thrust)
     engine = thrust_control(aircraft, thrust)

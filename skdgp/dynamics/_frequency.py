@@ -142,26 +142,14 @@ def _spectra(
     table: FlightTable, inputs: list[str], outputs: list[str], settings: SpectrumSettings
 ) -> Spectra:
     """Return the spectra of all channels, averaged over windows that overlap by half."""
-    names = [*inputs, *outputs]
-    values = unwrapped(table.table, names)
-    still = np.array(names)[constant_columns(values)].tolist()
-    if still:
-        raise ValueError(f"Got columns {still} that do not move: leave them out.")
     step = float(np.median(np.diff(table.time)))
-    records = []
-    for rows in table.segments:
-        whole = np.isfinite(values[rows]).all(axis=1)
-        time = table.time[rows][whole]
-        if len(time) > 1 and whole.all():
-            even = np.arange(time[0], time[-1] + 0.5 * step, step)
-            columns = [np.interp(even, time, column) for column in values[rows].T]
-            records.append(np.array(columns))
-    duration = step * sum(record.shape[1] for record in records)
-    longest = step * max((record.shape[1] for record in records), default=0)
-    seconds = min(settings.window, longest, duration / settings.n_windows)
+    records = _records(table, [*inputs, *outputs], step)
+    lengths = [step * record.shape[1] for record in records]
+    longest = max(lengths, default=0.0)
+    seconds = min(settings.window, longest, sum(lengths) / settings.n_windows)
     if seconds < settings.least_window:
         raise ValueError(
-            f"Got records of {duration:.1f} s, the longest of {longest:.1f} s, but expected at least "
+            f"Got records of {sum(lengths):.1f} s, the longest of {longest:.1f} s, but expected at least "
             f"{settings.n_windows * settings.least_window:g} s, and one of {settings.least_window:g} s, without gaps "
             "in these columns."
         )
@@ -176,6 +164,26 @@ def _spectra(
     n_independent = len(X) / (1.0 + 2.0 * OVERLAP * (1.0 - 1.0 / len(X)))
     frequency = np.arange(n // 2 + 1) / (n * step)
     return Spectra(frequency, cross, n_independent)
+
+
+def _records(table: FlightTable, names: list[str], step: float) -> list[Array]:
+    """Return the channels (c, n) of each record without gaps, at even steps [s]; ValueError if one does not move."""
+    values = unwrapped(table.table, names)
+    still = np.array(names)[constant_columns(values)].tolist()
+    if still:
+        raise ValueError(f"Got columns {still} that do not move: leave them out.")
+    is_whole = np.isfinite(values).all(axis=1)
+    records = []
+    for rows in table.segments:
+        places = np.arange(rows.start, rows.stop)
+        ends = 1 + np.flatnonzero(np.diff(is_whole[rows]))
+        for run in np.split(places, ends):
+            if len(run) > 1 and is_whole[run[0]]:
+                time = table.time[run]
+                even = np.arange(time[0], time[-1] + 0.5 * step, step)
+                columns = [np.interp(even, time, column) for column in values[run].T]
+                records.append(np.array(columns))
+    return records
 
 
 def _bands(frequency: Array, settings: SpectrumSettings) -> list[Indices]:

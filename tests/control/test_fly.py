@@ -308,6 +308,16 @@ class TestRefuses:
         with pytest.raises(ValueError, match="whose aileron does not change p"):
             fly(model, AIRCRAFT, STEADY, FULL)
 
+    @pytest.mark.parametrize("wind", [[1.0, 2.0], [np.nan, 0.0, 0.0]])
+    def test_a_wind_that_is_none(self, wind):
+        with pytest.raises(ValueError, match="but expected three finite numbers"):
+            fly(MODEL, AIRCRAFT, STEADY, FULL, wind=wind)
+
+    def test_a_path_without_a_posterior(self):
+        model = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES)
+        with pytest.raises(ValueError, match="without posterior samples"):
+            fly(model, AIRCRAFT, STEADY, FULL, path=3)
+
     def test_pulses_that_do_not_increase(self):
         with pytest.raises(ValueError, match="SERVO1_MIN 2000, TRIM 1500"):
             fly(MODEL, AIRCRAFT, STEADY, FULL, parameters={"SERVO1_MIN": 2000.0})

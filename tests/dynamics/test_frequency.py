@@ -148,9 +148,11 @@ def test_beyond_the_excitation_nothing_counts(linear):
     assert found.loc[1.5:5.0, "excited"].all()
 
 
-def test_gaps_divide_records(linear):
+@pytest.mark.parametrize("is_missing", [False, True])
+def test_gaps_divide_records(linear, is_missing):
     flight = flown(linear, 2)
-    parts = flight[(flight["time"] < 50) | (flight["time"] > 60)]
+    is_gap = flight["time"].between(50, 60)
+    parts = flight.assign(p=flight["p"].mask(is_gap)) if is_missing else flight[~is_gap]
     found = frequency_response(parts, ["aileron", "rudder"], ["p"], linear=linear)
     main = found[found["excited"]].loc[("p", "aileron")]
     assert np.sqrt(np.mean(errors(main)[0] ** 2)) < 0.7

@@ -326,12 +326,23 @@ def _errors_too_large(finding: Finding) -> str:
     return only + "; ".join(parts)
 
 
+# causes of the parts of the standard deviation of a derivative
+CAUSES = {
+    "std_random": "errors that last",
+    "std_method": "gusts, or noise of the regressors",
+    "std_posterior": "few or small inputs",
+}
+
+
 def _controls_too_uncertain(finding: Finding) -> str:
     widths: Mapping[str, float] = finding.numbers["widths"]
-    wide = [
-        f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
-        for name, width in widths.items()
-    ]
+    parts: Mapping[str, str] = finding.numbers["parts"]
+    wide = []
+    for name, width in widths.items():
+        text = f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
+        if name in parts:
+            text += f" ({CAUSES[parts[name]]})"
+        wide.append(text)
     return f"not known well enough, half of the 95 % interval: {', '.join(wide)}"
 
 

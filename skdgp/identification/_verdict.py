@@ -36,6 +36,8 @@ VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # kinds of modes that a controller of attitude works in
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
 MOMENTS = ("Cl", "Cm", "Cn")
+# parts of the standard deviation of a derivative
+PARTS = ("std_random", "std_method", "std_posterior")
 # Regressors that are known only after a flight
 ACCELERATIONS = {
     *SPECIFIC_FORCE,
@@ -269,7 +271,8 @@ def _control(mechanics: FlightMechanics, table: pd.DataFrame, faults: Sequence[F
         return _use(purpose, "no", Code.CONTROLS_MISSING)
     wide = widths[~(widths <= THRESHOLDS.band)]
     if len(wide):
-        return _use(purpose, "no", Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict())
+        parts = _largest_parts(mechanics.derivatives, wide.index)
+        return _use(purpose, "no", Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict(), parts=parts)
     errors = table["normalized_rmse"]
     coverages = table["interval_coverage"]
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
@@ -287,6 +290,18 @@ def _control(mechanics: FlightMechanics, table: pd.DataFrame, faults: Sequence[F
         finding = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
         return Use(purpose, "partly", (controls_known, finding))
     return Use(purpose, "yes", (controls_known,))
+
+
+def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str, str]:
+    """Return by derivative the part of its standard deviation that makes up more than half of the variance."""
+    parts = {}
+    columns = [name for name in PARTS if name in derivatives]
+    for name in names:
+        if name in derivatives.index and columns:
+            squares = derivatives.loc[name, columns].astype(float) ** 2
+            if squares.max() > 0.5 * squares.sum():
+                parts[name] = str(squares.idxmax())
+    return parts
 
 
 def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
 from typing import Any, NamedTuple
@@ -228,6 +228,8 @@ class FlightPathReconstruction(TableTransformer):
         # one sensor of air data alone is probably filtered by the autopilot
         is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
         self.used_ = not found or is_filtered or not (self.optional and has_vanes)
+        if self.used_:
+            self._warn_of_diverged(parts)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
@@ -296,7 +298,9 @@ class FlightPathReconstruction(TableTransformer):
     def _columns_by_path(self, table: pd.DataFrame) -> dict[str, Vector]:
         """Return the columns of flights by their most likely paths."""
         flights = []
-        for part in self._estimated_paths(table, self.noise_std_, learn=GUSTS):
+        parts = self._estimated_paths(table, self.noise_std_, learn=GUSTS)
+        self._warn_of_diverged(parts)
+        for part in parts:
             columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
             columns["gust"] = self.gust_std_
             if part.estimate.converged:
@@ -344,11 +348,14 @@ class FlightPathReconstruction(TableTransformer):
                 estimate = estimate._replace(path=estimate.path.part(inner.start, inner.stop))
                 inner_sensors = sensors.part(inner.start, inner.stop)
                 parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
+        return parts
+
+    def _warn_of_diverged(self, parts: Sequence[FlightPart]) -> None:
+        """Warn of flights whose paths are used and did not converge."""
         diverged = [str(part.name) for part in parts if not part.estimate.converged]
         if diverged:
             numbers = {"flights": list(dict.fromkeys(diverged))}
-            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers), stacklevel=4)
-        return parts
+            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers), stacklevel=5)
 
 
 def _in_rows(flights: list[pd.DataFrame]) -> dict[str, Vector]:

@@ -204,6 +204,16 @@ def test_little_flown_or_few_rows_leave_it_open(flown, samples, fit):
     assert {use.fit for use in uses} == {fit}
 
 
+def test_a_wide_band_has_its_source():
+    table = pd.DataFrame(
+        {"value": -1.0, "std": 0.5, "std_random": 0.1, "std_method": 0.48, "std_posterior": 0.1},
+        index=["Cm_elevator"],
+    )
+    fit, reason = use(verdict(derivatives=table), "design a controller")
+    assert fit == "no"
+    assert "Cm_elevator ± 98 % (gusts, or noise of the regressors)" in reason
+
+
 def test_little_flown_does_not_hide_a_no():
     training = replace(FIT.training, flown=5.0)
     found = verdict([evaluation(error=1.5)], fit={"training": training})

@@ -172,7 +172,7 @@ def _records(table: FlightTable, names: list[str], step: float) -> list[Array]:
     still = np.array(names)[constant_columns(values)].tolist()
     if still:
         raise ValueError(f"Got columns {still} that do not move: leave them out.")
-    is_whole = np.isfinite(values).all(axis=1)
+    is_whole: Any = np.isfinite(values).all(axis=1)
     records = []
     for rows in table.segments:
         places = np.arange(rows.start, rows.stop)

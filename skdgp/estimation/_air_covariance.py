@@ -10,6 +10,7 @@ from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import BIASES
 from skdgp.estimation._air_parameters import SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._air_records import TINY
+from skdgp.estimation._kalman import surface_covariance
 
 
 def sandwich(information: Matrix, scatter: Matrix) -> Matrix:
@@ -90,6 +91,23 @@ def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> 
     covariance = sandwich(sums.information, sums.scatter)
     scatter = correlated_scatter(fit.block_scores(fitted))
     return widen(covariance, sandwich(sums.information, scatter))
+
+
+def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
+    r"""Return the factor of standard deviations by errors of surfaces between samples of slow clocks.
+
+    With the part :math:`S_{e,k}` of the innovations' covariance :math:`S_k` by these errors, whitened
+    innovations have an error of squared length :math:`l^2 = \sum_k \operatorname{tr} S_k^{-1} S_{e,k}`.
+    A small correlation :math:`\rho` with the motion by the surfaces does not average out: it moves a
+    parameter by :math:`\rho \, l` of its standard deviations.
+    """
+    squared_length = 0.0
+    for item in fitted:
+        if np.any(item.record.periods > 0):
+            by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
+            fractions = np.linalg.solve(item.run.innovations.covariance, by_errors)
+            squared_length += float(np.einsum("nii->", fractions))
+    return float(np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length))
 
 
 def misfit_of_sensors(fit: AirFit) -> float:

@@ -35,6 +35,7 @@ from skdgp.estimation._air_covariance import (
     estimate_covariance,
     inflate_for_misfit,
     misfit_of_sensors,
+    misfit_of_surfaces,
     mix_with_prior,
     spread_of,
     with_model_errors,
@@ -221,7 +222,8 @@ def estimate_air_motion(
     parameters that a flight does not determine. Terms beyond the usual ones, such as CY by the
     ailerons, have narrow priors around zero, as of a symmetric aircraft. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
-    larger, times the square of `AirMotion.misfit`. For nonlinear effects 4 % of each derivative are
+    larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
+    samples of a slow clock make much of the innovations. For nonlinear effects 4 % of each derivative are
     added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.
     Where surfaces hardly move a term, so that errors of path and sensors make most of its motion,
     ``std`` approaches ``prior_std``.
@@ -380,6 +382,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
+        covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:

@@ -209,6 +209,13 @@ def _innovations(linear: Linearization, noise: Noise, R: Array, x: Array, P: Arr
     return Innovations(e[..., 0], S)
 
 
+def surface_covariance(linear: Linearization, noise: Noise) -> Array:
+    """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
+    L = linear.innovation_noise
+    of_readings = linear.surface_readings[..., None] * np.eye(L.shape[1])
+    return np.asarray(noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings))
+
+
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     """Return the covariance (..., k, k) that a step's white noise of ``variance`` (..., N) makes.
 

@@ -162,6 +162,9 @@ class AirSettings:
     block: float = 2.0
     # standard deviation of a lag by the motion of a surface between samples, in steps
     lag_error: float = 0.1
+    # correlation of errors of surfaces between samples with the motion by the surfaces; trials on two
+    # aircraft with surfaces at 10 Hz, 0.05 in one
+    surface_correlation: float = 0.03
     # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
     # out in turn, docs/preprocessing.md
     model_error: float = 0.04

@@ -123,12 +123,13 @@ def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSe
     """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample.
 
     And of a ``period`` [s] later: a surface between samples of a slow clock follows from the next
-    one, too.
+    one, too. Periods of less than four rows are not recognised, so four rows are the least.
     """
     n = len(innovation) + 1
     reach = max(settings.answer_time / step, 2.0)
     past = np.geomspace(1, reach, settings.answer_bins).round()
-    later = np.linspace(-period / step, 0, settings.later_bins + 1).round()
+    ahead = max(period / step, settings.unseen_period)
+    later = np.linspace(-ahead, 0, settings.later_bins + 1).round()
     edges = np.unique(np.concatenate([later, past]).astype(int))
     before = np.zeros((edges[-1] + 2, innovation.shape[1]))
     after = np.zeros((-edges[0], innovation.shape[1]))

@@ -699,8 +699,9 @@ def _exchanges(signals: Signals) -> list[Judgement]:
         for check in exchange:
             if check.needs <= signals.channels.keys():
                 judgements.append(_judged_exchange(check, signals))
-        if len(judgements) == len(exchange) and all(judgements):
-            found += [judgement for judgement in judgements[:1] if judgement]
+        exchanged = [judgement for judgement in judgements if judgement is not None]
+        if len(exchanged) == len(exchange):
+            found.append(exchanged[0])
     return found
 
 

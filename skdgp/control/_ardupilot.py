@@ -472,7 +472,7 @@ def fly(
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
     that of ``SIM_JSON.cpp``. The aircraft has the servo lag of its model. A restart of the autopilot
-    starts the flight again.
+    starts the flight again; silence, ``seconds`` or Ctrl-C end it.
 
     Parameters
     ----------
@@ -544,44 +544,66 @@ def fly(
         return _serve(link, flight, outputs, wait, seconds)
 
 
+class _Served:
+    """A flight that answers packets, until the autopilot is silent or the flight is over."""
+
+    def __init__(self, flight: ModelInFlight, outputs: Outputs) -> None:
+        self.flight = flight
+        self.outputs = outputs
+        self.rows: list[dict[str, float]] = []
+        self.n_steps = 0
+        self.computing = 0.0
+        self._last = -1
+        self._line = ""
+
+    def run(self, link: Link, wait: float, seconds: float) -> str:
+        """Answer packets; return why the flight is over."""
+        while self.flight.time < seconds:
+            received = link.receive(wait)
+            if received is None:
+                return f"the autopilot is silent for {wait:g} s"
+            packet, sender = received
+            # ArduPilot repeats a packet whose answer it did not get
+            if packet.number != self._last:
+                self._step(packet)
+            if self.flight.ended:
+                return self.flight.ended
+            link.answer(self._line, sender)
+        return f"{seconds:g} s were flown"
+
+    def _step(self, packet: Packet) -> None:
+        flight = self.flight
+        if packet.number < self._last:
+            flight.start()
+            self.rows.clear()
+        began = time.perf_counter()
+        commands = self.outputs.commands(packet.pulses)
+        flight.advance(commands, min(1.0 / max(packet.rate, 1), flight.settings.longest_frame))
+        if flight.ended:
+            return
+        self._line = flight.readings()
+        self.computing += time.perf_counter() - began
+        self.n_steps += 1
+        self._last = packet.number
+        if not self.rows or flight.time - self.rows[-1]["time"] > flight.settings.row_step:
+            self.rows.append(flight.channels() | commands)
+
+
 def _serve(
     link: Link, flight: ModelInFlight, outputs: Outputs, wait: float, seconds: float
 ) -> Flown:
-    """Answer packets until the autopilot is silent or the flight is over."""
-    longest = flight.settings.longest_frame
-    rows: list[dict[str, float]] = []
-    last = -1
-    n_steps = 0
-    computing = 0.0
-    line = ""
-    reason = f"{seconds:g} s were flown"
+    """Answer packets until the flight is over, also by Ctrl-C."""
+    served = _Served(flight, outputs)
     with one_blas_thread():
-        while flight.time < seconds and not flight.ended:
-            received = link.receive(wait)
-            if received is None:
-                reason = f"the autopilot is silent for {wait:g} s"
-                break
-            packet, sender = received
-            if packet.number < last:
-                flight.start()
-                rows.clear()
-            # ArduPilot repeats a packet whose answer it did not get
-            if packet.number != last:
-                began = time.perf_counter()
-                commands = outputs.commands(packet.pulses)
-                flight.advance(commands, min(1.0 / max(packet.rate, 1), longest))
-                if flight.ended:
-                    break
-                line = flight.readings()
-                computing += time.perf_counter() - began
-                n_steps += 1
-                last = packet.number
-                if not rows or flight.time - rows[-1]["time"] > flight.settings.row_step:
-                    rows.append(flight.channels() | commands)
-            link.answer(line, sender)
-    if not n_steps and not flight.ended:
+        try:
+            reason = served.run(link, wait, seconds)
+        except KeyboardInterrupt:
+            if not served.n_steps:
+                raise
+            reason = "ended by Ctrl-C"
+    if not served.n_steps and not flight.ended:
         raise ValueError(
             f"Got no packet at {link.name} for {wait:g} s, but expected ArduPilot: start "
             "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
         )
-    return Flown(pd.DataFrame(rows), n_steps, computing, flight.ended or reason)
+    return Flown(pd.DataFrame(served.rows), served.n_steps, served.computing, reason)

@@ -45,7 +45,6 @@ from skdgp.estimation._sensors import (
 )
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
-TINY = 1e-9  # avoids a division by zero
 CALIBRATED = (*INERTIAL_BIASES, *MEAN_WIND)
 """Constants that are estimated where sensors have no lags."""
 
@@ -243,7 +242,7 @@ def _variance_component(
     redundancy = max(sums.n_samples - sums.trace, 1.0)
     total = sums.squares + prior_squares
     weight = redundancy + prior_count
-    slope = sums.squares / (total + TINY) - redundancy / weight / 2
+    slope = sums.squares / (total + np.finfo(float).tiny) - redundancy / weight / 2
     stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / sums.n_samples))
     return max(std * (total / weight) ** (stride / 2), least)
 

@@ -124,7 +124,7 @@ class AirSettings:
     answer_bins: int = 16
     # bins of the period after a sample: surfaces between samples of a slow clock look ahead
     later_bins: int = 2
-    #: Longest period of the samples of surfaces that their values do not show [rows]
+    # longest period of the samples of surfaces that their values do not show [rows]
     unseen_period: float = 4.0
     # least singular value of the instruments, relative to the largest
     least_direction: float = 1e-6

@@ -35,7 +35,7 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
 
     def squared_distances(u: Any, centres: Matrix) -> Any:
         if mean_only:
-            # |u|^2 - 2 c^T u + |c|^2 is one product, and exact enough for a mean
+            # |u|^2 - 2 c^T u + |c|^2 takes one product; it rounds to 1e-16 of the squares
             squares = ca.DM(np.sum(centres**2, axis=1))
             return (ca.sumsqr(u) + squares - 2.0 * ca.mtimes(ca.DM(centres), u.T)).T
         away = ca.repmat(u, len(centres), 1) - centres

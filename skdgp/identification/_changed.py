@@ -141,8 +141,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     samples = {}
     for name, table in tables.items():
         measured = aerodynamic_coefficients(table, model.aircraft, **loads).to_numpy()
-        X, _ = flight_regressors(model.pipeline, table)
-        samples[name] = X, measured - model.pipeline[-1].predict(X)
+        X, noise_ratio = flight_regressors(model.pipeline, table)
+        samples[name] = X, measured - model.pipeline.mean_of_rows(X, noise_ratio)
     return changes_of(model.pipeline, samples, settings)
 
 

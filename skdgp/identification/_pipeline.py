@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from itertools import combinations
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn import get_config
 from sklearn.base import clone
-from sklearn.linear_model import Ridge
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.messages import without_warnings
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
+from skdgp.identification._calibration import RegressionCalibration
+from skdgp.identification._engine import engine_regressors
 from skdgp.inference import KnownSlopes
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -35,14 +34,6 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
-# Regressors of a thrust that nothing gives
-ENGINE_REGRESSORS = ("throttle", "airspeed")
-# Least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
-LEAST_GAIN = 0.02
-# Fraction of the blocks, at least, in which it lowers the error; a guess
-MOST_BLOCKS = 0.6
-# Smaller errors of a linear model, over the spread, are equal
-LEAST_ERROR = 0.01
 
 
 def make_identification_pipeline(
@@ -167,48 +158,6 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     return np.asarray(flight), ratio
 
 
-class RegressionCalibration(NamedTuple):
-    r"""Linear function that turns a function into the mean coefficients of logged rows.
-
-    Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
-    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With A and b by least
-    squares of the residuals of the training rows, it is
-
-    .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
-
-    where :math:`\rho` is the variance of the noise of the regressors over its value in the training
-    flights, at most one: more noise than that was never compared.
-    """
-
-    intercept: Vector  # (P,)
-    slopes: Matrix  # (d, P)
-
-    @classmethod
-    def of_residuals(
-        cls, X: Matrix, residuals: Matrix, without_effect: Matrix | None = None
-    ) -> RegressionCalibration:
-        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown.
-
-        Regressors ``without_effect`` (P, d) get no slope.
-        """
-        P, d = residuals.shape[1], X.shape[1]
-        design = np.column_stack([np.ones(len(X)), X])
-        used = np.ones((P, 1 + d), dtype=bool)
-        if without_effect is not None:
-            used[:, 1:] = np.logical_not(without_effect)
-        coefficients = np.zeros((P, 1 + d))
-        for residual, columns, weights in zip(residuals.T, used, coefficients, strict=True):
-            known = np.isfinite(residual)
-            fitted = np.linalg.lstsq(design[known][:, columns], residual[known], rcond=None)[0]
-            weights[columns] = fitted
-        return cls(coefficients[:, 0], coefficients[:, 1:].T)
-
-    def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
-        """Return what is added to the function (n, P), at ratios (n,) of the variance of noise."""
-        fraction = np.minimum(noise_ratio, 1.0)
-        return fraction[:, None] * (self.intercept + X @ self.slopes)
-
-
 def regressor_names(pipeline: Pipeline) -> list[str]:
     """Return the names of the regressors of the last step."""
     return [str(name) for name in pipeline["regressorselector"].regressors_]
@@ -219,90 +168,6 @@ def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
     step = pipeline.named_steps.get("flightpathreconstruction")
     is_used = isinstance(step, FlightPathReconstruction) and step.used_
     return step if is_used else None
-
-
-class EngineRegressors(NamedTuple):
-    """The regressors of a set, with those that an unknown thrust needs.
-
-    Attributes
-    ----------
-    names : list of str
-    without_effect : ndarray of bool (P, d)
-        Whether a regressor of throttle and airspeed is of no use to an output.
-    """
-
-    names: list[str]
-    without_effect: Matrix
-
-
-def engine_regressors(
-    selector: RegressorSelector, table: pd.DataFrame, targets: Any, n_blocks: int = 5
-) -> EngineRegressors:
-    """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
-
-    For each coefficient each choice of the two is judged by the errors of a linear model on blocks of
-    consecutive rows that are held out in turn. More regressors are taken if they lower the error as
-    a whole, and in most blocks. A coefficient that does not need a regressor of another one has no
-    slope by it: throttle explains the thrust in CX and may lead CZ astray.
-
-    Parameters
-    ----------
-    selector : RegressorSelector
-        Of the set.
-    table : DataFrame
-        Flights before the selection.
-    targets : array-like (n, P)
-        Coefficients, NaN where not to be learned from.
-    n_blocks : int
-    """
-    everything = clone(selector).set_params(extra=[*selector.extra, "airspeed"])
-    with without_warnings():
-        names = list(everything.fit(table).regressors_)
-    Y = np.asarray(targets, dtype=float)
-    everything_known = np.column_stack([table[names].to_numpy(float), Y])
-    is_learned = np.isfinite(everything_known).all(axis=1)
-    Y = Y[is_learned]
-    if len(Y) < n_blocks * len(names):  # too few to judge
-        return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
-    fixed = [name for name in names if name not in ENGINE_REGRESSORS]
-    engine = [name for name in ENGINE_REGRESSORS if name in names]
-    blocks = np.arange(len(Y)) * n_blocks // len(Y)
-    choices = [choice for k in range(len(engine) + 1) for choice in combinations(engine, k)]
-    errors = []
-    for choice in choices:
-        X = table.loc[is_learned, [*fixed, *choice]].to_numpy(float)
-        errors.append(_held_out_errors(X, Y, blocks))
-    needed = [choices[_best_choice(of_choices)] for of_choices in np.transpose(errors, (2, 0, 1))]
-    chosen = [name for name in names if name in fixed or any(name in each for each in needed)]
-    without_effect = np.zeros((len(needed), len(chosen)), bool)
-    for output, each in enumerate(needed):
-        for place, name in enumerate(chosen):
-            without_effect[output, place] = name in engine and name not in each
-    return EngineRegressors(chosen, without_effect)
-
-
-def _best_choice(errors: Matrix) -> int:
-    """Return the place of the best choice by errors (choices, blocks), which grow in size."""
-    best = 0
-    for place in range(1, len(errors)):
-        gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
-        is_mostly_better = np.mean(errors[place] < errors[best]) >= MOST_BLOCKS
-        if gain > LEAST_GAIN and is_mostly_better:
-            best = place
-    return best
-
-
-def _held_out_errors(X: Matrix, Y: Matrix, blocks: Indices) -> Matrix:
-    """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
-    spread = np.std(Y, axis=0)
-    errors = []
-    for block in np.unique(blocks):
-        held_out = blocks == block
-        model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
-        residuals = model.predict(X[held_out]) - Y[held_out]
-        relative = np.sqrt(np.mean(residuals**2, axis=0)) / np.where(spread > 0, spread, 1.0)
-        errors.append(np.maximum(relative, LEAST_ERROR))
-    return np.array(errors)
 
 
 class FlightPipeline(Pipeline):

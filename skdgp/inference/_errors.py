@@ -27,7 +27,13 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
-from skdgp.kernels import MultiOutputKernel, PathBundle, independent_processes, prior_paths
+from skdgp.kernels import (
+    LinearPaths,
+    MultiOutputKernel,
+    PathBundle,
+    independent_processes,
+    prior_paths,
+)
 
 
 @dataclass(frozen=True)
@@ -164,31 +170,6 @@ class FunctionErrors(NamedTuple):
             method=self.method[..., outputs],
             discrepancy=self.discrepancy[outputs],
         )
-
-
-class LinearPaths(PathBundle):
-    """Linear functions of x - ``centre`` with the weights (S, d + 1, P)."""
-
-    def __init__(self, weights: Array, centre: Vector) -> None:
-        self.weights = weights
-        self.centre = centre
-
-    def take(self, index):
-        return LinearPaths(self.weights[index], self.centre)
-
-    def averaged(self, spread):
-        return self
-
-    def doubles(self, same_points):
-        return len(self.weights) * sum(self.weights.shape[1:])
-
-    def each(self, X):
-        return _basis(X - self.centre) @ self.weights
-
-    def gradient(self, X):
-        slopes = self.weights[:, 1:].swapaxes(1, 2)[:, None]
-        n = X.shape[1]
-        return np.repeat(slopes, n, axis=1)
 
 
 class PosteriorWithErrors(Posterior):

@@ -299,7 +299,7 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
                 found.append(few.compared(structures[-1]))
                 if found[-1].score() < without.score():
                     break
-    if joint.stop.is_set():
+    if few is joint or joint.stop.is_set():
         return found
     scores = np.array([each.score(joint.n_values / few.n_values) for each in found])
     margin, of_richest = joint.options.settings.trial_margins
@@ -332,9 +332,14 @@ class _JointSearch(NamedTuple):
         return int(np.isfinite(self.Y).sum())
 
     def trial(self) -> _JointSearch:
-        """Return a short search on few values, or on all if there are few."""
+        """Return a short search, on few values where there are more.
+
+        Itself where all values are few, and `continued` cannot go on from its end.
+        """
         settings = self.options.settings
         step = -(-self.n_values // settings.structure_values)
+        if step == 1 and (self.options.input_noise or self.options.n_restarts):
+            return self
         rows = np.arange(0, len(self.X), step)
         few = min(self.options.max_iter, settings.structure_iterations)
         return self._replace(
@@ -350,12 +355,9 @@ class _JointSearch(NamedTuple):
 
     def continued(self, structure: _Structure, trial: Hyperparameters) -> Hyperparameters:
         """Return the hyperparameters of a structure, from where a trial on the same values ended, with its price."""
-        options = self.options
-        n_left = options.max_iter - trial.n_iter
+        n_left = self.options.max_iter - trial.n_iter
         if n_left < 1:
             return trial
-        if options.input_noise or options.n_restarts:
-            return self.compared(structure)
         data = Data.from_table(self.X, self.Y, self.known.loading)
         kernel, noise, end = self._climb(trial.kernel, trial.noise, self.bounds, data, n_left)
         learned = trial._replace(
@@ -417,7 +419,7 @@ class _JointSearch(NamedTuple):
         bounds = self.bounds
         if options.input_noise:
             # slopes of the kernel of stage 2 propagate noise of the regressors
-            of_exact_regressors = self._likelihood(shared, noise, data)
+            of_exact_regressors = _likelihood(shared, noise, data)
             data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
             noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
             bounds = np.concatenate([bounds, input_bounds])
@@ -468,12 +470,6 @@ class _JointSearch(NamedTuple):
         latest = leave_one_out_error(kernel, noise, data)
         change = abs(latest - earlier) * n_iter / end.n_since
         return change <= settings.irrelevant_change * latest
-
-    def _likelihood(self, kernel, noise, data):
-        try:
-            return log_likelihood(kernel, noise, data)
-        except np.linalg.LinAlgError:
-            return -np.inf
 
     def _start(self, kernel):
         return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)
@@ -647,20 +643,15 @@ class SingleOutput(NamedTuple):
         starts = [(best.kernel, best.noise)]
         for width, factor in product(settings.narrow_factors, settings.noise_factors):
             starts.append((narrowed(self.kernel, start, width), factor * self.noise))
-        likeliest = max(starts, key=self._likelihood)
+        data = self._data(1)
+        values = [_likelihood(kernel, noise, data) for kernel, noise in starts]
+        likeliest = starts[int(np.argmax(values))]
         return self._climb(*likeliest, 1, min(settings.single_iterations, 2 * max_iter))
 
     def _data(self, step):
         """Return every ``step``-th value."""
         loading = None if self.loading is None else self.loading[::step]
         return Data.from_table(self.x[::step], self.y[::step], loading)
-
-    def _likelihood(self, start):
-        kernel, noise = start
-        try:
-            return log_likelihood(kernel, noise, self._data(1))
-        except np.linalg.LinAlgError:
-            return -np.inf
 
     def _climb(self, kernel, noise, step, max_iter):
         optimizer = self.settings.optimizer
@@ -680,6 +671,14 @@ class SingleOutput(NamedTuple):
 
 
 # -- the objective
+
+
+def _likelihood(kernel, noise, data):
+    """Return the log likelihood, minus infinity where the covariance has no Cholesky factor."""
+    try:
+        return log_likelihood(kernel, noise, data)
+    except np.linalg.LinAlgError:
+        return -np.inf
 
 
 class Objective:

@@ -464,7 +464,7 @@ def _variance(kernel, i, j, X, n_rows):
 
 
 def _variance_of_term(term, i, j, X, n_rows):
-    """Return the same of one term, which is a constant for a stationary one."""
+    """Return cov(y_i(x), y_j(x)) of one term at each row x of X, (n,) or, of a stationary term, (1,)."""
     if term.is_stationary():
         return term.block(i, j, X[:1], X[:1])[0]
     parts = []

@@ -1,6 +1,7 @@
 """Flights behind a stand-in for ArduPilot, which sends packets as SIM_JSON.cpp does and reads lines as it does."""
 
 import json
+import signal
 import socket
 import struct
 import threading
@@ -10,42 +11,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.control import fly
-from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, simulate, standard_density, trim
+from skdgp.dynamics import Turbulence, simulate, standard_density, trim
 
 GRAVITY = 9.80665
-AIRCRAFT = Aircraft(
-    name="glider", mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
-)
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-LEVEL = np.array([-0.03, 0, -0.3, 0, 0.02, 0])
-SLOPES = np.array(
-    [
-        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
-        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
-        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
-        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
-        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
-        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
-    ]
-)
 FULL = {"aileron": 0.4, "elevator": 0.3, "rudder": 0.3, "thrust": 60.0}
 NEUTRAL = (1500, 1500, 1100, 1500)
 RATE = 400
 
 
-def sampler(n_paths, random_state):
-    draws = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8)) * SLOPES
-    return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
-        draws[:, None], X.shape[1], axis=1
-    )
-
-
-def model_with(**changes):
-    return Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler, **changes)
-
-
-MODEL = model_with()
-STEADY = trim(MODEL, AIRCRAFT, 20.0, altitude=250.0)
+@pytest.fixture(scope="module")
+def steady(glider):
+    return trim(glider.model(), glider.aircraft, 20.0, altitude=250.0)
 
 
 @pytest.fixture
@@ -81,10 +57,10 @@ class Autopilot:
 
 
 @pytest.fixture
-def flown(port):
+def flown(port, glider, steady):
     """Fly a model behind an autopilot that a function plays; return the result."""
 
-    def flown(play, model=MODEL, steady=STEADY, full=FULL, **options):
+    def flown(play, model=None, full=FULL, **options):
         ready = threading.Event()
         failures = []
 
@@ -102,7 +78,7 @@ def flown(port):
         thread.start()
         options = {"wait": 0.3, "port": port, "ready": ready.set} | options
         try:
-            return fly(model, AIRCRAFT, steady, full, **options)
+            return fly(model or glider.model(), glider.aircraft, steady, full, **options)
         finally:
             ready.set()
             thread.join()
@@ -125,13 +101,13 @@ def test_the_lines_have_what_ardupilot_asks_for(flown, n_pulses):
     assert flown(play, height=50.0).steps == 1
 
 
-def test_in_the_air_without_pulses_it_stays_in_trim(flown):
+def test_in_the_air_without_pulses_it_stays_in_trim(flown, steady):
     def play(autopilot):
         for _ in range(200):
             said = autopilot.send((0,) * 16)
         assert_allclose(said["position"], [20.0 * 0.5, 0.0, -50.0], atol=1e-3)
-        assert_allclose(said["attitude"], [0.0, STEADY.theta, 0.0], atol=1e-4)
-        specific = GRAVITY * np.array([np.sin(STEADY.theta), 0.0, -np.cos(STEADY.theta)])
+        assert_allclose(said["attitude"], [0.0, steady.theta, 0.0], atol=1e-4)
+        specific = GRAVITY * np.array([np.sin(steady.theta), 0.0, -np.cos(steady.theta)])
         assert_allclose(said["imu"]["accel_body"], specific, atol=1e-3)
         # equivalent airspeed, of the density at 250 m above the sea
         assert_allclose(
@@ -144,9 +120,9 @@ def test_in_the_air_without_pulses_it_stays_in_trim(flown):
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.08])
-def test_flies_as_simulate_does(flown, lag):
+def test_flies_as_simulate_does(flown, lag, glider, steady):
     """Half aileron and elevator for 0.5 s, with the lag of the servos."""
-    model = model_with(servo_lag=lag)
+    model = glider.model(servo_lag=lag)
     pulses = (1700, 1600, 1500, 1500)
     controls = {"aileron": 0.5 * 0.4, "elevator": -0.25 * 0.3, "rudder": 0.0, "thrust": 30.0}
 
@@ -156,9 +132,9 @@ def test_flies_as_simulate_does(flown, lag):
 
     # servos begin at their first command
     row = flown(play, model=model, height=50.0, seconds=0.5).table.iloc[-1]
-    start = dict(zip(["u", "v", "w"], STEADY.state[3:6], strict=True)) | {"theta": STEADY.theta}
-    start |= {"airspeed": 20.0, "alpha": STEADY.alpha, "beta": 0.0, "altitude": 250.0}
-    expected = simulate(model, AIRCRAFT, start, controls, dt=1 / RATE, duration=0.5)
+    start = dict(zip(["u", "v", "w"], steady.state[3:6], strict=True)) | {"theta": steady.theta}
+    start |= {"airspeed": 20.0, "alpha": steady.alpha, "beta": 0.0, "altitude": 250.0}
+    expected = simulate(model, glider.aircraft, start, controls, dt=1 / RATE, duration=0.5)
     k = int(np.argmin(np.abs(expected["time"] - row["time"])))
     for name in ("p", "q", "r", "phi", "theta", "altitude", "airspeed"):
         assert_allclose(row[name], expected[name].iloc[k], rtol=1e-6, atol=1e-7, err_msg=name)
@@ -198,14 +174,14 @@ def test_elevons_are_mixed_back(flown):
 
 
 class TestOnTheGround:
-    def test_stands_on_its_wheels(self, flown):
+    def test_stands_on_its_wheels(self, flown, glider):
         def play(autopilot):
             for _ in range(200):
                 said = autopilot.send()
             assert_allclose(said["imu"]["accel_body"], [0, 0, -GRAVITY], atol=0.02)
             assert_allclose(said["attitude"], 0.0, atol=1e-3)
             assert_allclose(said["velocity"], 0.0, atol=1e-3)
-            assert -0.1 * AIRCRAFT.span < said["position"][2] < 0.0
+            assert -0.1 * glider.aircraft.span < said["position"][2] < 0.0
 
         flown(play)
 
@@ -267,6 +243,18 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
     assert flown(play, height=50.0).steps == 3
 
 
+def test_ctrl_c_ends_the_flight_and_keeps_its_table(flown):
+    def play(autopilot):
+        for _ in range(20):
+            autopilot.send()
+        signal.raise_signal(signal.SIGINT)
+
+    result = flown(play, height=50.0, wait=5.0)
+    assert result.reason == "ended by Ctrl-C"
+    assert result.steps == 20
+    assert result.table["time"].max() > 8 / RATE
+
+
 @pytest.mark.parametrize(
     "garbage", [b"", b"hello", bytes(40), struct.pack("<HHI16H", 29569, 400, 1, *[1500] * 16)]
 )
@@ -280,15 +268,15 @@ def test_garbage_is_named_and_ignored(flown, garbage):
 
 
 class TestRefuses:
-    def test_a_port_in_use(self, port):
+    def test_a_port_in_use(self, port, glider, steady):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
             taken.bind(("127.0.0.1", port))
             with pytest.raises(ValueError, match=rf"Got the port 127.0.0.1:{port}, but .* another"):
-                fly(MODEL, AIRCRAFT, STEADY, FULL, port=port)
+                fly(glider.model(), glider.aircraft, steady, FULL, port=port)
 
-    def test_silence(self, port):
+    def test_silence(self, port, glider, steady):
         with pytest.raises(ValueError, match=r"Got no packet .* for 0.1 s, but expected ArduPilot"):
-            fly(MODEL, AIRCRAFT, STEADY, FULL, port=port, wait=0.1)
+            fly(glider.model(), glider.aircraft, steady, FULL, port=port, wait=0.1)
 
     @pytest.mark.parametrize(
         ("full", "message"),
@@ -298,26 +286,26 @@ class TestRefuses:
             (FULL | {"elevator": 0.0}, "full elevator"),
         ],
     )
-    def test_other_full_deflections(self, full, message):
+    def test_other_full_deflections(self, full, message, glider, steady):
         with pytest.raises(ValueError, match=message):
-            fly(MODEL, AIRCRAFT, STEADY, full)
+            fly(glider.model(), glider.aircraft, steady, full)
 
-    def test_a_surface_without_effect(self):
-        idle = np.where(np.arange(8) == 6, 0.0, SLOPES)
-        model = Aerodynamics(lambda X: LEVEL + X @ idle.T, NAMES)
+    def test_a_surface_without_effect(self, glider, steady):
+        idle = np.where(np.arange(8) == 6, 0.0, glider.slopes)
+        model = glider.model(idle)
         with pytest.raises(ValueError, match="whose aileron does not change p"):
-            fly(model, AIRCRAFT, STEADY, FULL)
+            fly(model, glider.aircraft, steady, FULL)
 
     @pytest.mark.parametrize("wind", [[1.0, 2.0], [np.nan, 0.0, 0.0]])
-    def test_a_wind_that_is_none(self, wind):
+    def test_a_wind_that_is_none(self, wind, glider, steady):
         with pytest.raises(ValueError, match="but expected three finite numbers"):
-            fly(MODEL, AIRCRAFT, STEADY, FULL, wind=wind)
+            fly(glider.model(), glider.aircraft, steady, FULL, wind=wind)
 
-    def test_a_path_without_a_posterior(self):
-        model = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES)
+    def test_a_path_without_a_posterior(self, glider, steady):
+        model = glider.model(has_paths=False)
         with pytest.raises(ValueError, match="without posterior samples"):
-            fly(model, AIRCRAFT, STEADY, FULL, path=3)
+            fly(model, glider.aircraft, steady, FULL, path=3)
 
-    def test_pulses_that_do_not_increase(self):
+    def test_pulses_that_do_not_increase(self, glider, steady):
         with pytest.raises(ValueError, match="SERVO1_MIN 2000, TRIM 1500"):
-            fly(MODEL, AIRCRAFT, STEADY, FULL, parameters={"SERVO1_MIN": 2000.0})
+            fly(glider.model(), glider.aircraft, steady, FULL, parameters={"SERVO1_MIN": 2000.0})

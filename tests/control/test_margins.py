@@ -13,23 +13,8 @@ from scipy.optimize import brentq
 from scipy.signal import tf2ss
 
 from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
-from skdgp.dynamics import Aerodynamics, Aircraft, linearize, trim
+from skdgp.dynamics import linearize, trim
 
-AIRCRAFT = Aircraft(
-    name="glider", mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
-)
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-LEVEL = np.array([-0.03, 0, -0.3, 0, 0.02, 0])
-SLOPES = np.array(
-    [
-        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
-        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
-        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
-        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
-        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
-        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
-    ]
-)
 AIRSPEED, DELAY = 20.0, 0.04
 FULL = {"aileron": 0.42, "elevator": 0.4, "rudder": 0.35}
 UNFILTERED = {"IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0}
@@ -40,32 +25,25 @@ PX4 = UNFILTERED | {
 }  # fmt: skip
 
 
-def linear_of(slopes=SLOPES, n_paths=0, delay=DELAY):
+def linear_of(glider, slopes=None, n_paths=0, delay=DELAY):
     """Return the linear model of an aircraft, whose slopes paths change by some 10 %."""
-
-    def sampler(n_paths, random_state):
-        draws = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8)) * slopes
-        return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
-            draws[:, None], X.shape[1], axis=1
-        )
-
-    model = Aerodynamics(lambda X: LEVEL + X @ slopes.T, NAMES, sampler=sampler)
-    steady = trim(model, AIRCRAFT, AIRSPEED, altitude=100.0)
-    return linearize(model, AIRCRAFT, steady, n_paths=n_paths, delay=delay)
+    model = glider.model(slopes)
+    steady = trim(model, glider.aircraft, AIRSPEED, altitude=100.0)
+    return linearize(model, glider.aircraft, steady, n_paths=n_paths, delay=delay)
 
 
 @pytest.fixture(scope="module")
-def linear():
-    return linear_of(n_paths=20)
+def linear(glider):
+    return linear_of(glider, n_paths=20)
 
 
 @pytest.mark.parametrize(("P", "delay"), [(1.5, 0.02), (0.8, 0.05)])
-def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay):
+def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay, glider):
     """L = g / (s + a) exp(-s T): at -180 deg atan(w / a) + w T = pi."""
-    only_roll = SLOPES.copy()
+    only_roll = glider.slopes.copy()
     only_roll[[1, 5]] = 0.0
     only_roll[3] = [0, 0, -0.4, 0, 0, 0, 0.1, 0]
-    linear = linear_of(only_roll, delay=delay)
+    linear = linear_of(glider, only_roll, delay=delay)
     loops = autopilot_loops(UNFILTERED | {"FW_RR_P": P}, {"aileron": 0.4})
     a, g = -linear.A.loc["p", "p"], 0.4 * P * linear.B.loc["p", "aileron"]
     at_180 = brentq(lambda w: np.arctan(w / a) + w * delay - np.pi, 1e-3, np.pi / delay)
@@ -235,7 +213,7 @@ def test_a_file_without_parameters_is_refused(tmp_path):
         read_parameters(path)
 
 
-def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear):
+def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
     (loop,) = autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4})
     missing = partial(type(loop), **{**vars(loop), "control": "flaperon"})
     with pytest.raises(ValueError, match="flaperon"):
@@ -247,9 +225,9 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear):
     with pytest.raises(ValueError, match="airspeed of nan"):
         margins(replace(linear, airspeed=np.nan), [loop])
     with pytest.raises(ValueError, match="without paths"):
-        suggest_gains(linear_of(), [loop])
+        suggest_gains(linear_of(glider), [loop])
     with pytest.raises(ValueError, match="seconds, at least 0"):
-        linear_of(delay=-1.0)
+        linear_of(glider, delay=-1.0)
 
 
 def test_what_the_log_moved_is_excited(linear):

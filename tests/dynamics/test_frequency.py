@@ -7,44 +7,21 @@ from numpy.testing import assert_allclose
 from scipy.signal import lsim
 
 from skdgp.dynamics import (
-    Aerodynamics,
-    Aircraft,
     SpectrumSettings,
     frequency_response,
     linearize,
     trim,
 )
 
-AIRCRAFT = Aircraft(
-    name="glider", mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55
-)
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-LEVEL = np.array([-0.03, 0, -0.3, 0, 0.02, 0])
-SLOPES = np.array(
-    [
-        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
-        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
-        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
-        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
-        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
-        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
-    ]
-)
 STATES = ["v", "phi", "p", "r"]
 STEP, DURATION = 0.02, 120.0
 NOISE = {"p": 0.02, "r": 0.01, "ay": 0.1}
 
 
 @pytest.fixture(scope="module")
-def linear():
-    def sampler(n_paths, random_state):
-        draws = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8)) * SLOPES
-        return lambda X: LEVEL + X @ draws.swapaxes(1, 2), lambda X: np.repeat(
-            draws[:, None], X.shape[1], axis=1
-        )
-
-    model = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler)
-    return linearize(model, AIRCRAFT, trim(model, AIRCRAFT, 20.0), n_paths=20)
+def linear(glider):
+    model = glider.model()
+    return linearize(model, glider.aircraft, trim(model, glider.aircraft, 20.0), n_paths=20)
 
 
 def band_limited(rng, n, low, high):

@@ -54,6 +54,8 @@ class ErrorSettings:
     delays: tuple[int, ...] = (2, 4, 6)
     #: F statistic of the first stage below which instruments are weak (Staiger & Stock 1997)
     least_f: float = 10.0
+    #: Standard deviation of the bend of a function over that of the residuals, below which it is a line
+    least_bend: float = 0.01
     #: Fraction of the largest eigenvalue below which instruments count as equal
     singular: float = 1e-10
 
@@ -244,7 +246,10 @@ def function_errors(
       the part beyond chance, zero of weak instruments;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
       of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
-      counts by one number for each regressor.
+      counts by one number for each regressor;
+    - gusts bend a function, as calm parts of a flight show them and manoeuvres do not. The bend is
+      what a line leaves of the mean. Instruments find the part of it that is false; where they are
+      weak, all of it counts that is no larger than the residuals.
 
     With too few samples only the discrepancy and ``mean_errors`` are returned.
 
@@ -282,24 +287,57 @@ def function_errors(
         residuals.append(y - posterior.predict(x)[:, i])
     parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
     noise = mean_noise(posterior)
-    random, instruments = [], []
+    over_spread = posterior.gradient(centre[None], scale)[0] * scale
+    random, instruments, bends = [], [], []
     for i, (x, sample) in enumerate(zip(data.X, samples, strict=True)):
         Q = _basis((x - centre) / scale)
+        mean = data.y[i] - residuals[i]
         of_blocks = [_places(sample, rows) for rows in parts]
         of_records = [_places(sample, rows) for rows in records]
         correlated = block_errors(Q, residuals[i], of_blocks, settings)
         random.append(beyond(correlated, white_variance(Q, noise[i], settings)))
         instruments.append(_gust_bias(Q, residuals[i], of_records, settings))
+        bends.append(_bend_bias(Q, residuals[i], mean, over_spread[i], of_records, settings))
 
     unit = np.append(1.0, scale)[:, None]  # of the weights of Q
     correlated = np.stack(random, axis=-1) / unit
     gusts = np.stack(instruments, axis=-1)[None] / unit
+    bent = np.stack(bends, axis=-1)[None] / unit
     slopes = posterior.gradient(centre[None])[0]
     flattened = _attenuation(data.X, input_std, slopes, settings)
     return errors._replace(
         random=np.concatenate([errors.random, correlated]),
-        method=np.concatenate([gusts, flattened]),
+        method=np.concatenate([gusts, flattened, bent]),
     )
+
+
+def _bend_bias(
+    Q: Matrix,
+    residual: Vector,
+    mean: Vector,
+    slopes: Vector,
+    records: Sequence[Indices],
+    settings: ErrorSettings,
+) -> Vector:
+    """Return the part of slopes at the centre that gusts may have bent, and zero for the constant, (m,).
+
+    ``mean`` (n,) are values of the posterior's mean and ``slopes`` (m - 1,) its slopes over one
+    standard deviation of the regressors. The bend is what a line Q (n, m) leaves of the mean.
+    """
+    line = np.linalg.lstsq(Q, mean, rcond=None)[0]
+    bend = mean - Q @ line
+    size = float(bend.std())
+    bias = np.zeros(Q.shape[1])
+    if size <= settings.least_bend * residual.std():
+        return bias
+    terms = np.column_stack([Q, bend / size])
+    change, scatter, is_determined = instrumented(terms, residual, records, settings)
+    fraction = min(1.0, float(residual.std()) / size)
+    if is_determined[-1]:
+        beyond_chance = change[-1] ** 2 - np.sum(scatter[:, -1] ** 2)
+        fraction = min(fraction, float(np.sqrt(max(beyond_chance, 0.0))) / size)
+    bias[1:] = fraction * (slopes - line[1:])
+    return bias
 
 
 def _gust_bias(

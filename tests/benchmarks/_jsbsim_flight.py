@@ -218,6 +218,81 @@ def known_derivatives(tables, aircraft, at):
     return pd.DataFrame(slopes, COEFFICIENTS, NAMES)
 
 
+# Command and position of each surface of JSBSim
+MOVED = {
+    "elevator": ("fcs/elevator-cmd-norm", "fcs/elevator-pos-rad"),
+    "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
+    "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
+}
+BANK = 0.5  # rad, changes alpha_dot and beta_dot of an instant, and no other regressor
+NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(6)
+KNOT, SEA_LEVEL_DENSITY = 0.514444, 1.225
+
+
+class JSBSimAerodynamics:
+    """Coefficients of an aircraft of JSBSim at given regressors, evaluated by JSBSim itself.
+
+    The propeller turns as in the trim at the mean airspeed of a flight.
+    """
+
+    def __init__(self, model, flight):
+        self.airspeed = float(flight["airspeed_true"].mean())
+        ratio = float(flight["density"].mean()) / SEA_LEVEL_DENSITY
+        self.fdm = started(model, RATE * FRAMES, self.airspeed / KNOT * np.sqrt(ratio))
+        self.aircraft = aircraft_of(self.fdm, model)
+
+    def __call__(self, x, bank=0.0):
+        """Return coefficients (6,) and the non-dimensional alpha_dot and beta_dot (2,) at `STEADY`[:8]."""
+        fdm, lengths = self.fdm, self.aircraft.moment_lengths
+        fdm["ic/vt-fps"], fdm["ic/phi-rad"] = self.airspeed / FOOT, bank
+        fdm["ic/alpha-rad"], fdm["ic/beta-rad"] = x[:2]
+        for rate, value, length in zip("pqr", x[2:5], lengths, strict=True):
+            fdm[f"ic/{rate}-rad_sec"] = value * 2 * self.airspeed / length
+        fdm.run_ic()
+        for name, angle in zip(SURFACES, x[5:8], strict=True):
+            self._move(name, angle)
+        density = fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3
+        load = 0.5 * density * self.airspeed**2 * self.aircraft.wing_area
+        forces = [fdm[f"forces/fb{axis}-aero-lbs"] * POUND_FORCE / load for axis in "xyz"]
+        moments = np.array([fdm[f"moments/{axis}-aero-lbsft"] for axis in "lmn"])
+        moments *= POUND_FORCE * FOOT / (load * lengths)
+        dots = np.array([fdm["aero/alphadot-rad_sec"], fdm["aero/betadot-rad_sec"]])
+        return np.array([*forces, *moments]), dots * lengths[1:] / (2 * self.airspeed)
+
+    def _move(self, name, angle):
+        """Move a surface to an angle, past what an autopilot in JSBSim adds to its command."""
+        command, position = MOVED[name]
+        for _ in range(6):
+            now, before = self.fdm[command], self.fdm[position]
+            if abs(angle - before) < 1e-7:
+                return
+            self.fdm[command] = now + 1e-3
+            self.fdm.run_ic()
+            gain = (self.fdm[position] - before) / 1e-3
+            self.fdm[command] = now + (angle - before) / gain if gain else now
+            self.fdm.run_ic()
+        raise ValueError(f"Got {name} {angle:.3f} rad, but it reaches {before:.3f} rad.")
+
+    def derivatives(self, at, spread):
+        """Return the derivatives (6, 10) at `STEADY`[:8] (8,), the mean over the spread of each regressor alone.
+
+        Those by alpha_dot and beta_dot follow from banked instants, and are taken out of the others.
+        """
+        level, dots = self(at)
+        banked = [self(at, bank) for bank in (BANK, -BANK)]
+        changes = np.array([of_bank - dots for _, of_bank in banked])
+        loads = np.array([of_bank - level for of_bank, _ in banked])
+        by_dots = np.linalg.lstsq(changes, loads, rcond=None)[0].T
+        slopes = np.zeros((6, 8))
+        for k, step in enumerate(spread):
+            for node, weight in zip(NODES, WEIGHTS / WEIGHTS.sum(), strict=True):
+                x = at.copy()
+                x[k] += step * node
+                coefficients, dots = self(x)
+                slopes[:, k] += weight * node / step * (coefficients - by_dots @ dots)
+        return pd.DataFrame(np.hstack([slopes, by_dots]), COEFFICIENTS, [*STEADY[:8], *NAMES[9:]])
+
+
 def learned_derivatives(model, aircraft, at, airspeed, names=STEADY):
     """Return the table of derivatives by some regressors at `NAMES`."""
     at = dict(zip(NAMES, at, strict=True))

@@ -115,8 +115,15 @@ def cholesky_solve(L: Matrix, b: Array) -> Array:
 
 
 def cholesky_inverse(L: Matrix) -> Matrix:
-    """Return K^-1 in the lower triangle of ``L``, which it overwrites."""
-    return lapack.dpotri(L, lower=1, overwrite_c=1)[0]
+    """Return K^-1 in the lower triangle of ``L``, of double or single precision, which it overwrites."""
+    potri = lapack.spotri if L.dtype == np.float32 else lapack.dpotri
+    return potri(L, lower=1, overwrite_c=1)[0]
+
+
+def condition_of_factor(L: Matrix) -> float:
+    """Return the ratio of the largest to the smallest diagonal element of a Cholesky factor."""
+    diagonal = np.einsum("ii->i", L)
+    return float(diagonal.max() / diagonal.min())
 
 
 def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:

@@ -84,12 +84,15 @@ class AirFit:
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges.
         """
         settings = self.settings
+        layout = self.layout
+        if self.is_known:
+            layout = layout._replace(by_derivatives=False)
         damping = settings.first_damping
         fraction = 1.0
         last = np.zeros(len(self.x) - self.parameters.n_held)
         small = converged = False
         for number in range(settings.max_passes):
-            sums, fitted = self.run(by_instruments=number >= n_before)
+            sums, fitted = self.run(layout, by_instruments=number >= n_before)
             self.records = [item.record for item in fitted]
             self.states = [item.run.states for item in fitted]
             information, score = sums.damped(damping)
@@ -135,16 +138,22 @@ class AirFit:
             step *= min(1.0, self.settings.largest_step / farthest)
         return step
 
-    def run(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
-        """Filter all records at the parameters; return sums of the parameters, and the filtered records."""
+    def run(
+        self, layout: Layout | None = None, by_instruments: bool = True
+    ) -> tuple[Sums, list[FittedRecord]]:
+        """Filter all records at the parameters; return sums of the parameters, and the filtered records.
+
+        With slopes of a ``layout``, by default of all parameters.
+        """
+        layout = layout or self.layout
         sums = Sums(self.x, self.parameters)
         fitted = []
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
                 self._add_steady_wind(sums, record)
-            linear = self.linearized(record, states)
+            linear = self.linearized(record, states, layout)
             run = filtered(linear, self.noise_search.noise(record))
-            fitted.append(self._add_scores(sums, record, linear, run, by_instruments))
+            fitted.append(self._add_scores(sums, record, linear, run, layout, by_instruments))
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
@@ -162,6 +171,7 @@ class AirFit:
         record: Record,
         linear: Linearization,
         run: Pass,
+        layout: Layout,
         by_instruments: bool,
     ) -> FittedRecord:
         """Add the scores of a pass over a record; with instruments, return it with its surfaces' answers to gusts."""
@@ -170,10 +180,11 @@ class AirFit:
         slopes = L_inverse @ innovation_slopes(linear, run)
         places = self.parameters.places[record.flight]
         is_free = places >= self.parameters.n_held
-        D = slopes[:, :, np.flatnonzero(is_free)]
+        left_out = layout.n_derivatives - layout.constants.start
+        D = slopes[:, :, np.flatnonzero(is_free) - left_out]
         Z = D
         if by_instruments and not self.is_known:
-            instruments = slopes[:, :, self.layout.n_derivatives :]
+            instruments = slopes[:, :, layout.constants.start :]
             Z = _projected(D, instruments, self.settings.least_direction)
             record = record.with_answers(e, self.settings)
         scores = (e[:, None] @ Z)[:, 0]
@@ -196,11 +207,11 @@ class AirFit:
             blocks.append(sums)
         return np.concatenate(blocks)
 
-    def linearized(self, record: Record, states: Matrix) -> Linearization:
+    def linearized(self, record: Record, states: Matrix, layout: Layout) -> Linearization:
         """Return the filter's linearization at the parameters."""
         value = self.parameters.values(self.x, record.flight)
         decay = self.noise_search.noise(record).decay[0]
-        return linearized(record, self.layout, self.aircraft, value, states, decay, self.settings)
+        return linearized(record, layout, self.aircraft, value, states, decay, self.settings)
 
 
 def _projected(slopes: Array, instruments: Array, least: float) -> Array:

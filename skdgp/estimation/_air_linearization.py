@@ -68,9 +68,12 @@ class Layout(NamedTuple):
     columns: Indices
     names: list[str]
     n_features: int
+    #: What slopes are by, beside the constants: nothing else of a known aircraft in a search
+    by_derivatives: bool = True
+    by_instruments: bool = True
 
     @classmethod
-    def of(cls, derivatives: list[str], surfaces: list[str]) -> Layout:
+    def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
         features = [*STATE_TERMS, *surfaces]
         rows, columns = [], []
@@ -79,7 +82,13 @@ class Layout(NamedTuple):
             rows.append(COEFFICIENTS.index(coefficient))
             columns.append(features.index(term))
         names = [*derivatives, *SHARED, *OWN]
-        return cls(np.array(rows), np.array(columns), names, len(features))
+        return cls(
+            np.array(rows),
+            np.array(columns),
+            names,
+            len(features),
+            by_instruments=by_instruments,
+        )
 
     @property
     def n_derivatives(self) -> int:
@@ -87,13 +96,19 @@ class Layout(NamedTuple):
         return len(self.rows)
 
     @property
+    def constants(self) -> slice:
+        """Places of the constants among the slopes: after the derivatives, before their instruments."""
+        first = self.n_derivatives if self.by_derivatives else 0
+        return slice(first, first + len(self.names) - self.n_derivatives)
+
+    @property
     def n_slopes(self) -> int:
-        """Number of parameters, and of instruments of the derivatives, which follow them."""
-        return len(self.names) + self.n_derivatives
+        """Number of slopes: by derivatives, constants, and instruments of the derivatives."""
+        return self.constants.stop + self.by_instruments * self.n_derivatives
 
     def place(self, *names: str) -> list[int]:
-        """Return places among the parameters of a flight."""
-        return [self.names.index(name) for name in names]
+        """Return places of constants among the slopes."""
+        return [place + self.constants.start for place in self._constant(*names)]
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -131,7 +146,7 @@ class Layout(NamedTuple):
 
     def _constant(self, *names: str) -> list[int]:
         """Return places among the constants."""
-        return [place - self.n_derivatives for place in self.place(*names)]
+        return [self.names.index(name) - self.n_derivatives for name in names]
 
     def chained(self, by_variables: Array, slopes: Array, terms: Matrix, response: Matrix) -> Array:
         """Return d values / d z (n, m, N + p), from d values / d variables (n, m, 12).
@@ -143,11 +158,16 @@ class Layout(NamedTuple):
         by_constants = by_variables @ slopes
         by_coefficients = by_variables[:, :, ERRORS][:, :, self.rows]
         out = np.empty((n, m, N_STATES + self.n_slopes))
-        first, last = N_STATES + self.n_derivatives, N_STATES + len(self.names)
+        constants = self.constants
         out[..., :N_STATES] = by_constants[..., :N_STATES]
-        out[..., N_STATES:first] = by_coefficients * terms[:, None, self.columns]
-        out[..., first:last] = by_constants[..., N_STATES:]
-        out[..., last:] = by_coefficients * response[:, None, self.columns]
+        by_parameters = out[..., N_STATES:]
+        by_parameters[..., constants] = by_constants[..., N_STATES:]
+        if self.by_derivatives:
+            by_derivatives = by_coefficients * terms[:, None, self.columns]
+            by_parameters[..., : constants.start] = by_derivatives
+        if self.by_instruments:
+            by_instruments = by_coefficients * response[:, None, self.columns]
+            by_parameters[..., constants.stop :] = by_instruments
         return out
 
     def model(self, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:

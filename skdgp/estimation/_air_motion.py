@@ -273,7 +273,7 @@ def estimate_air_motion(
     records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
     if thrust is None:
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
-    layout = Layout.of(list(derivatives), surfaces)
+    layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     parameters = _parameters(derivatives, known, n_flights)
     noises = _noises(records, known, n_flights, settings)

@@ -71,8 +71,7 @@ def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) ->
     slopes[:, OF_WIND, SLOW] = np.eye(3)
     slopes[:, OF_WIND, FAST] = np.eye(3)
     by_parameters = slopes[..., N_STATES:]
-    constants = slice(layout.n_derivatives, len(layout.names))
-    by_parameters[:, OF_AIR_DATA, constants] = by_air[..., N_STATES:]
+    by_parameters[:, OF_AIR_DATA, layout.constants] = by_air[..., N_STATES:]
     by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
     return slopes
 

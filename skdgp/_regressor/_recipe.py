@@ -61,8 +61,6 @@ class RegressorSettings:
     most_neglected: float = 0.3
     #: Numbers of inducing inputs that inference="auto" tries before that, over ``n_inducing``
     times_inducing: tuple[int, ...] = (1, 2, 4)
-    #: Most samples of a time series for which an average has main effects (docs/theory.md)
-    additive_samples: int = 5000
     #: Largest variance of the discrepancy, over the sum of discrepancy and noise
     largest_misfit: float = 0.99
     #: Of each search
@@ -129,13 +127,12 @@ class Recipe:
 
     def _processes(self, X, Z, averaged):
         """Return the joint processes of each structure, with the processes of each regressor alone."""
-        n, d = X.shape
+        d = X.shape[1]
         n_latent = self._number_of_latents(Z)
         bounds = {"length_scale": "spacing"} if self.time_series else None
         kernel: MultiOutputKernel
         kernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
-        few = n <= self.settings.additive_samples
-        averages_effects = self.time_series and averaged and d > 1 and few
+        averages_effects = self.time_series and averaged and d > 1
         if self.structure == "additive" or averages_effects:
             for k in range(d):
                 kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -81,7 +82,8 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
     Y = aerodynamic_coefficients(table, flights.aircraft, **flights.loads)
-    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y)))
+    seconds = Extent.of(list(flights.train.values())).seconds
+    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), seconds))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
@@ -116,13 +118,36 @@ def learn(
     )
 
 
+@dataclass(frozen=True)
+class RowSettings:
+    """How many rows of the flights a model is learned from by default."""
+
+    #: Of exact inference, which takes a minute
+    exact: int = 755
+    #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
+    rate: float = 10.0
+    #: At most
+    most: int = 5000
+
+
+ROWS = RowSettings()
+
+
 def _n_rows(
-    samples: int | str | None, regressor: DependentGPRegressor, n: int, n_exact: int = 755
+    samples: int | str | None,
+    regressor: DependentGPRegressor,
+    n: int,
+    seconds: float,
+    settings: RowSettings = ROWS,
 ) -> int:
-    """Return how many of n rows to learn from; exact inference learns from ``n_exact`` in a minute."""
-    if samples is None and regressor.inference == "exact":
-        return n_exact
-    return n if samples in (None, "all") else samples  # type: ignore[return-value]
+    """Return how many of the n rows of flights of some seconds to learn from."""
+    if samples == "all":
+        return n
+    if samples is not None:
+        return int(samples)
+    if regressor.inference == "exact":
+        return settings.exact
+    return min(n, math.ceil(settings.rate * seconds), settings.most)
 
 
 def _pipeline_for(

@@ -271,6 +271,7 @@ class JSBSimAerodynamics:
             gain = (self.fdm[position] - before) / 1e-3
             self.fdm[command] = now + (angle - before) / gain if gain else now
             self.fdm.run_ic()
+        self.fdm[command] = 0.0  # at its end a surface does not show what a command changes
         raise ValueError(f"Got {name} {angle:.3f} rad, but it reaches {before:.3f} rad.")
 
     def derivatives(self, at, spread):

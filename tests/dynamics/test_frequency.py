@@ -68,17 +68,6 @@ def test_correlated_inputs_are_told_apart(linear):
     assert np.sqrt(np.mean(phase**2)) < 4.0
 
 
-def test_without_the_other_input_the_response_is_wrong(linear):
-    """The rudder that follows the aileron then counts as part of it."""
-    flight = flown(linear, 0, correlated=2.0)
-    alone = frequency_response(flight, ["aileron"], ["r"], linear=linear)
-    both = frequency_response(flight, ["aileron", "rudder"], ["r"], linear=linear)
-    band = slice(4.0, 12.0)
-    of_alone = np.abs(errors(alone.loc[("r", "aileron")].loc[band])[0]).mean()
-    of_both = np.abs(errors(both.loc[("r", "rudder")].loc[band])[0]).mean()
-    assert of_alone > 10 * of_both
-
-
 def test_errors_are_as_large_as_stated(linear):
     """Over flights in other noise, 68 and 95 % of the gains and phases are within one and two deviations."""
     scores = []

@@ -376,11 +376,6 @@ def test_variance_is_the_integral_of_the_spectrum(gusts, name):
     assert_allclose(np.mean(signal[0] ** 2), theory, rtol=0.4)
 
 
-def test_rates_are_gradients_of_the_gusts_that_are_felt(gusts):
-    assert_allclose(gusts.rates[..., 1], -gusts.acceleration[..., 2] / AIRSPEED, atol=1e-12)
-    assert_allclose(gusts.rates[..., 2], gusts.acceleration[..., 1] / AIRSPEED, atol=1e-12)
-
-
 def test_acceleration_is_the_slope_of_velocity():
     """Each is rough, so the trapezia err with the root of the step cubed."""
     step = 2e-4

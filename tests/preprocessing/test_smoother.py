@@ -7,14 +7,9 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pandas.testing import assert_frame_equal
 from scipy import signal
-from sklearn.pipeline import make_pipeline
 
-from skdgp._flight.smoothing import noise_level
 from skdgp.preprocessing import (
-    ElevonSplitter,
     FlightSmoother,
-    RateNondimensionalizer,
-    RegressorSelector,
 )
 
 RATE = 40.0
@@ -197,15 +192,6 @@ class TestJoint:
         assert_allclose(out.alpha, FlightSmoother().fit_transform(silent).alpha)
 
 
-class TestNoiseLevel:
-    def test_matches_the_noise_that_was_added(self):
-        time, _, noisy = noisy_sine(9600, noise=0.05)
-        assert noise_level(noisy, time) == pytest.approx(0.05, rel=0.08)
-
-    def test_unknown_for_a_short_flight(self):
-        assert np.isnan(noise_level(np.zeros((50, 2)), clock(50))).tolist() == [True, True]
-
-
 class TestMissing:
     def test_nan_stays_and_does_not_spread(self):
         time, truth, noisy = noisy_sine()
@@ -311,17 +297,3 @@ def test_real_size_flights(shared_data, name):
     assert (left < [0.4, 0.4, 0.3, 0.9, 0.75] * rms(measured - truth)).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
-
-
-@pytest.mark.shared
-def test_the_way_to_regressors(shared_data):
-    table = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
-    steps = make_pipeline(
-        FlightSmoother(),
-        ElevonSplitter(),
-        RateNondimensionalizer(span=2.8, chord=1.2),
-        RegressorSelector("classical"),
-    )
-    out = steps.fit_transform(table)
-    assert out.shape == (14_400, 11)
-    assert np.isfinite(out.to_numpy()).all()

@@ -8,9 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pandas.testing import assert_frame_equal
 from scipy import signal
 
-from skdgp.preprocessing import (
-    FlightSmoother,
-)
+from skdgp._flight.smoothing import noise_level
+from skdgp.preprocessing import FlightSmoother
 
 RATE = 40.0
 CUTOFFS = ["auto", 3.0, None]
@@ -190,6 +189,15 @@ class TestJoint:
         elsewhere.loc[::2, "q"] = np.nan
         out = FlightSmoother().fit_transform(elsewhere)
         assert_allclose(out.alpha, FlightSmoother().fit_transform(silent).alpha)
+
+
+class TestNoiseLevel:
+    def test_matches_the_noise_that_was_added(self):
+        time, _, noisy = noisy_sine(9600, noise=0.05)
+        assert noise_level(noisy, time) == pytest.approx(0.05, rel=0.08)
+
+    def test_unknown_for_a_short_flight(self):
+        assert np.isnan(noise_level(np.zeros((50, 2)), clock(50))).tolist() == [True, True]
 
 
 class TestMissing:

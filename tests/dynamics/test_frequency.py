@@ -6,12 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import lsim
 
-from skdgp.dynamics import (
-    SpectrumSettings,
-    frequency_response,
-    linearize,
-    trim,
-)
+from skdgp.dynamics import SpectrumSettings, frequency_response, linearize, trim
 
 STATES = ["v", "phi", "p", "r"]
 STEP, DURATION = 0.02, 120.0
@@ -66,6 +61,16 @@ def test_correlated_inputs_are_told_apart(linear):
     gain, phase = errors(main)
     assert np.sqrt(np.mean(gain**2)) < 0.5
     assert np.sqrt(np.mean(phase**2)) < 4.0
+
+
+def test_coherence_is_of_what_the_other_input_does_not_explain(linear):
+    """A channel that follows the rudder has nothing of the aileron, which the rudder follows."""
+    flight = flown(linear, 0, correlated=2.0)
+    noise = np.random.default_rng(1).normal(0, 0.01, len(flight))
+    follower = flight.assign(y=flight["rudder"] + noise)
+    found = frequency_response(follower, ["aileron", "rudder"], ["y"])["coherence"]
+    assert found.loc[("y", "rudder")].loc[1.0:15.0].min() > 0.9
+    assert found.loc[("y", "aileron")].loc[1.0:15.0].mean() < 0.1
 
 
 def test_errors_are_as_large_as_stated(linear):

@@ -110,13 +110,6 @@ def central_difference():
     return difference
 
 
-@pytest.fixture
-def one_thread():
-    """Hold BLAS, and with it the package, to one thread: evaluations come one after another, and can be counted."""
-    with threadpool_limits(1):
-        yield
-
-
 @pytest.fixture(scope="session", autouse=True)
 def _threads():
     """Hold BLAS to one thread, or as many as the environment says: small problems are faster so."""

@@ -107,9 +107,3 @@ class TestPeers:
         function, measurement = script("_peers").EquationError().fit(X, y[:, None]).bands(asked)
         assert function[:, 0] == pytest.approx(expected)
         assert measurement[:, 0] == pytest.approx(np.hypot(expected, np.sqrt(variance)))
-
-    def test_a_trend_is_put_back(self, script):
-        X = default_rng(0).normal(size=(50, 2))
-        Y = X @ [[1.0, 2.0], [3.0, -1.0]] + 5 + 1e-3 * np.sin(9 * X)
-        model = script("_peers").OnTrend(script("_peers").trees()).fit(X, Y)
-        assert model.predict(X) == pytest.approx(Y, abs=0.01)

@@ -1,7 +1,5 @@
 """Regressors that are noisy: what the estimator and the identification pipeline make of them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,10 +7,8 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor, listening, make_identification_pipeline
-from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft
 from skdgp.identification import flight_regressors
-from skdgp.model_selection import thin_targets
 
 SIGMA = 0.08  # of the regressor
 
@@ -76,46 +72,11 @@ def test_the_wider_part_goes_with_the_slope(learned):
     assert_allclose(mixed, np.where(each[:, None] > 0, variance[1], variance[0]))
 
 
-def test_the_joint_covariance_knows_that_outputs_are_off_together(learned):
-    X = waves(seed=1)[0][:5]
-    words = {"include_noise": True, "include_input_noise": True}
-    std, cov = (
-        learned.predict(X, return_std=True, **words)[1],
-        learned.predict(X, return_cov=True, **words)[1],
-    )
-    assert_allclose(np.sqrt(np.diag(cov)).reshape(2, -1).T, std)
-    exact = learned.predict(X, return_cov=True, include_noise=True, include_input_noise=False)[1]
-    slope = learned.predict_gradient(X)[..., 0]
-    off = (cov - exact)[:5, 5:]  # of the first output with the second
-    assert_allclose(np.diag(off), slope.prod(axis=1) * learned.input_covariance_[0, 0], atol=1e-9)
-    assert_allclose(off - np.diag(np.diag(off)), 0.0, atol=1e-9)
-
-
 def test_nonsense_is_refused(learned):
     with pytest.raises(
         ValueError, match=r"Got include_input_noise of shape \(2,\), but expected a bool"
     ):
         learned.predict([[0.0]], return_std=True, include_input_noise=[1.0, 1.0])
-
-
-@pytest.mark.slow
-def test_bands_of_a_flight_widen_with_its_gusts(first_minute):
-    """The test flight's air is rougher than that of the training flight, which calm air is not."""
-    flights = first_minute()
-    train = flights.train.iloc[:800]
-    calm = load_example_flights(turbulence=0.0, duration=20.0)
-    tests = [each.test.iloc[:800] for each in (flights, calm)]
-    learned = thin_targets(aerodynamic_coefficients(train, flights.aircraft)[["CZ", "Cm"]], 40)
-    options = {"dependentgpregressor__max_iter": 4, "dependentgpregressor__random_state": 0}
-    model = make_identification_pipeline(flights.aircraft, memory=None).set_params(**options)
-    model[-1].settings = replace(model[-1].settings, n_searches=1)
-    model.fit(train, learned)
-    rougher, calmer = (flight_regressors(model, test)[1] for test in tests)
-    assert rougher.min() == rougher.max() > 1.0 > 0.3 > calmer.max()
-    wide, narrow = (
-        model.predict(test, return_std=True, include_noise=True)[1].mean(axis=0) for test in tests
-    )
-    assert (wide > narrow).all()
 
 
 def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():

@@ -153,24 +153,6 @@ def test_a_constant_regressor_changes_nothing(seed, inference, constant):
 
 
 @EXAMPLES
-@given(SEEDS)
-def test_a_regressor_given_twice_is_one_with_a_longer_scale(seed):
-    """exp(-2 (x / l)^2 / 2) = exp(-(x / (l / sqrt 2))^2 / 2)."""
-    X, Y = problem(seed)
-    once = given_kernel(seed, X, Y).k1
-    twice = [0, *range(X.shape[1])]
-    lengths = once.length_scale[..., twice]
-    lengths[..., :2] *= np.sqrt(2)
-    # Each of two equal columns has half the squared distance; the normalisation of unlike filters
-    # is the product over columns, so amplitudes of shared latents would differ: private latents
-    # alone.
-    private = {"feeds": np.eye(Y.shape[1]), "amplitude": np.diag(np.diag(once.amplitude[1:]))}
-    single = fixed(ConvolvedGaussian(length_scale=once.length_scale[1:], **private)).fit(X, Y)
-    double = fixed(ConvolvedGaussian(length_scale=lengths[1:], **private)).fit(X[:, twice], Y)
-    close(moments(double, X[:, twice]), moments(single, X), np.nanstd(Y, axis=0))
-
-
-@EXAMPLES
 @given(SEEDS, INFERENCE)
 def test_uncertainty_is_one(seed, inference):
     """The joint covariance is positive semidefinite, its diagonal the squared deviations, below those of the prior."""

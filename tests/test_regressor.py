@@ -69,6 +69,7 @@ SLOW_OTHERS = [pytest.param(estimator, marks=pytest.mark.slow) for estimator in 
 class TestScikitLearnContract:
     @pytest.mark.parametrize("estimator", [DEFAULT, *SLOW_OTHERS], ids=repr)
     @pytest.mark.filterwarnings("ignore")
+    @pytest.mark.usefixtures("short_fits")
     def test_check_estimator(self, estimator):
         results = check_estimator(estimator, on_skip=None, on_fail=None)
         failed = [
@@ -80,7 +81,7 @@ class TestScikitLearnContract:
         passed = Counter(r["status"] for r in results)["passed"]
         assert passed >= 50  # none vanished: scikit-learn 1.6 has as many
 
-    @pytest.mark.parametrize("max_iter", [1, 2, 5])
+    @pytest.mark.parametrize("max_iter", [1, 3])
     @pytest.mark.parametrize(
         "options",
         [
@@ -199,43 +200,6 @@ class TestInvariance:
         assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
-def test_sharing_helps_where_an_output_is_rarely_observed():
-    """One output observed on a fifth of the samples: dependent beats independent by half of the error at least."""
-    ratios = []
-    for seed in range(3):
-        rng = default_rng(seed)
-        X = np.sort(rng.uniform(0, 10, (75, 1)), axis=0)
-        common = np.sin(2 * X[:, 0]) + np.cos(3.1 * X[:, 0])
-        truth = np.column_stack([common, -2 * common + 0.1 * X[:, 0]])
-        Y = truth + rng.normal(0, 0.1, truth.shape)
-        Y[np.arange(75) % 5 != 0, 1] = np.nan
-        model = DependentGPRegressor(structure="joint", random_state=0, max_iter=60)
-        shared, apart = (
-            np.linalg.norm((model.set_params(n_latent=n).fit(X, Y).predict(X) - truth)[:, 1])
-            for n in (1, 0)
-        )
-        ratios.append(shared / apart)
-    assert np.median(ratios) < 0.5
-
-
-@pytest.mark.filterwarnings("ignore:Got hyperparameters that end at a bound")
-def test_smallest_widths_reach_the_fit():
-    """White noise in six regressors: a free search takes it for a process of tiny widths, a bounded one cannot."""
-    rng = default_rng(0)
-    X, Y = rng.normal(size=(200, 6)), rng.normal(size=(200, 2))
-    scale = X.std(axis=0)
-    smallest = []
-    for bounds, unit in ((None, scale), ("spacing", scale), ((0.7, 10.0), 1.0)):
-        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
-        model = DependentGPRegressor(kernel, trend="constant", max_iter=30, random_state=0)
-        widths = model.fit(X, Y).kernel_.length_scale / unit
-        smallest.append(min(widths[0, 0].min(), widths[1, 1].min()))  # of the outputs' processes
-    free, spaced, bounded = smallest
-    assert free < 0.3
-    assert spaced >= 200 ** (-1 / 6) * (1 - 1e-9)
-    assert bounded >= 0.7 * (1 - 1e-9)
-
-
 def ctrl_c(at_stage, n):
     """Return a listener that interrupts the n-th evaluation of a stage."""
 
@@ -321,11 +285,10 @@ class TestInterrupted:
 @pytest.mark.filterwarnings("ignore")
 def test_a_log_is_sparse_earlier_and_searched_shorter():
     """Searches of one output learn from 1000 values."""
-    X = default_rng(0).normal(size=(2001, 1))
+    X = default_rng(0).normal(size=(1200, 1))
     Y = np.sin(X)
     options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
     for n, clock, expected in (
-        (2001, None, ("exact", 100)),
         (1200, None, ("exact", 100)),
         (1200, 0.1, ("sparse", 60)),
         (400, 0.1, ("exact", 60)),

@@ -115,14 +115,7 @@ class TestRegressors:
 
     @pytest.mark.parametrize(
         ("constant", "inference"),
-        [
-            (0.6, "exact"),
-            (0.6, "sparse"),
-            (1e-9, "exact"),
-            (0.1 + 0.2, "sparse"),
-            (-1.7e9, "exact"),
-            (0.0, "sparse"),
-        ],
+        [(0.6, "exact"), (0.1 + 0.2, "sparse"), (-1.7e9, "exact"), (0.0, "sparse")],
     )
     def test_a_constant_one_is_named_and_leaves_predictions_elsewhere_finite(
         self, X, Y, constant, inference
@@ -141,9 +134,9 @@ class TestRegressors:
         assert (std < 100 * Y.std(axis=0)).all()
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
-    @pytest.mark.parametrize("offset", [1e4, 1.7e9])
-    def test_that_are_far_from_zero(self, X, Y, inference, offset):
+    def test_that_are_far_from_zero(self, X, Y, inference):
         """Unix time stamps: few rows, many rows, deviations and slopes are those of the same numbers near zero."""
+        offset = 1.7e9
         options = {"structure": "joint", "inference": inference, "n_inducing": 30, "max_iter": 40}
         here, there = quick(**options).fit(X, Y), quick(**options).fit(X + offset, Y)
         close = {"rtol": 0.01, "atol": 0.01}  # regressors are rounded to 2e-7 of their spread

@@ -60,21 +60,6 @@ def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
     assert model.noise_variance_[0] == pytest.approx(np.mean(varying(X) ** 2))
 
 
-def test_with_noise_of_each_value_bands_hold_in_the_quiet_and_the_noisy_part():
-    rng = default_rng(2)
-    T = np.linspace(-2.7, 2.7, 60)[:, None]
-    inside = []
-    for _ in range(4):
-        X = rng.uniform(-3, 3, (150, 1))
-        y = np.sin(2 * X[:, 0]) + varying(X) * rng.normal(size=150)
-        model = DependentGPRegressor(noise_variance=varying(X) ** 2, random_state=0).fit(X, y)
-        mean, std = model.predict(T, return_std=True)
-        inside.append(np.abs(mean - np.sin(2 * T[:, 0])) < 1.96 * std)
-    quiet, _, noisy = np.split(np.mean(inside, axis=0), 3)
-    assert quiet.mean() > 0.8
-    assert noisy.mean() > 0.8
-
-
 def test_a_value_of_enormous_noise_counts_for_nothing(data):
     X, y = data
     variance = np.full(60, 1e-4)
@@ -149,23 +134,3 @@ def test_outputs_with_gaps_have_noise_of_their_own(data):
 def test_bad_noise_is_refused(data, options, message):
     with pytest.raises(ValueError, match=message):
         DependentGPRegressor(**options).fit(*data)
-
-
-def test_inducing_variables_are_as_good_as_exact_with_noise_known_for_each_value():
-    """Of 1800 values; the reference is scikit-learn's process of each output, with ``alpha``."""
-    rng = default_rng(0)
-    X = rng.uniform(-2.0, 2.0, (900, 1))
-    F = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 0])])
-    variance = rng.uniform(0.02, 0.2, F.shape) ** 2
-    Y = F + np.sqrt(variance) * rng.normal(size=F.shape)
-    kernel = ConvolvedGaussian(0, amplitude=np.eye(2), length_scale=np.ones((2, 2, 1)))
-    options = {"structure": "joint", "trend": None, "optimizer": None, "random_state": 0}
-    model = DependentGPRegressor(kernel, noise_variance=variance, **options).fit(X, Y)
-    assert model.inference_ == "sparse"
-    asked = np.linspace(-2.0, 2.0, 40)[:, None]
-    mean, std = model.predict(asked, return_std=True)
-    for i in range(2):
-        process = GaussianProcessRegressor(RBF(1.0), alpha=variance[:, i], optimizer=None)
-        expected, deviation = process.fit(X, Y[:, i]).predict(asked, return_std=True)
-        assert_allclose(std[:, i], deviation, rtol=0.02)
-        assert np.all(np.abs(mean[:, i] - expected) < 0.05 * deviation)

@@ -67,28 +67,6 @@ class TestStructure:
             DependentGPRegressor(structure="additive", kernel=ConvolvedGaussian(1)).fit(*sample)
 
 
-def test_more_regressors_than_rows_are_a_ridge_regression():
-    rng = default_rng(0)
-    X = rng.normal(size=(200, 60)) * rng.uniform(0.1, 10, 60)
-    y = (X / X.std(axis=0)) @ rng.normal(size=60) + rng.normal(size=200)
-    known = X[:50]
-    scaler = StandardScaler().fit(known)
-    ridge = BayesianRidge().fit(scaler.transform(known), y[:50])
-    model = DependentGPRegressor(random_state=0).fit(known, y[:50])
-    mean, std = model.predict(X[50:], return_std=True, include_noise=True)
-    Z, at = scaler.transform(known), scaler.transform(X[50:])
-    # Bishop 2006, (3.53) and (3.54), with an intercept without a prior and the learned noise
-    noise = model.noise_variance_[0]
-    Q, asked = np.column_stack([np.ones(50), Z]), np.column_stack([np.ones(150), at])
-    prior = np.diag(np.append(0.0, np.full(60, ridge.lambda_)))
-    covariance = np.linalg.inv(prior + Q.T @ Q / noise)
-    expected = y[:50].mean() + asked @ (covariance @ (Q.T @ (y[:50] - y[:50].mean()))) / noise
-    variance = noise + np.einsum("ni,ij,nj->n", asked, covariance, asked)
-    assert_allclose(mean, expected, atol=0.01 * y.std())
-    assert_allclose(std, np.sqrt(variance), rtol=0.02)
-    assert list(model.weights_) == ["trend"]
-
-
 def bayesian_line(X, y, at, noise, slope_std):
     """Return mean and standard deviation of a line at points (Rasmussen & Williams 2006, equation 2.9).
 
@@ -100,6 +78,22 @@ def bayesian_line(X, y, at, noise, slope_std):
     covariance = np.linalg.inv(prior + A.T @ A / noise)
     mean = y.mean() + B @ covariance @ A.T @ (y - y.mean()) / noise
     return mean, np.sqrt(np.einsum("ij,jk,ik->i", B, covariance, B))
+
+
+def test_more_regressors_than_rows_are_a_ridge_regression():
+    rng = default_rng(0)
+    X = rng.normal(size=(200, 60)) * rng.uniform(0.1, 10, 60)
+    y = (X / X.std(axis=0)) @ rng.normal(size=60) + rng.normal(size=200)
+    known, asked = X[:50], X[50:]
+    model = DependentGPRegressor(random_state=0).fit(known, y[:50])
+    scaler = StandardScaler().fit(known)
+    Z, at = scaler.transform(known), scaler.transform(asked)
+    slope_std = np.full(60, BayesianRidge().fit(Z, y[:50]).lambda_ ** -0.5)
+    mean, std = bayesian_line(Z, y[:50], at, model.noise_variance_[0], slope_std)
+    found, deviation = model.predict(asked, return_std=True)
+    assert_allclose(found, mean, atol=0.01 * y.std())
+    assert_allclose(deviation, std, rtol=0.02)
+    assert list(model.weights_) == ["trend"]
 
 
 @pytest.mark.parametrize(("n", "d"), [(20, 1), (40, 3), (400, 9)])

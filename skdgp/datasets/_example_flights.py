@@ -142,7 +142,7 @@ def load_example_flights(
     Examples
     --------
     >>> from skdgp.datasets import load_example_flights
-    >>> data = load_example_flights(duration=30.0)
+    >>> data = load_example_flights(duration=10.0)
     >>> data.train.groupby("flight", observed=True)["airspeed_true"].mean().round()
     flight
     lateral    35.0

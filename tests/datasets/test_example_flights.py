@@ -20,7 +20,6 @@ from skdgp.dynamics import (
     GustyAir,
     LocalAir,
     Motion,
-    aerodynamic_coefficients,
     air_data,
     euler_to_matrix,
     euler_to_quaternion,
@@ -39,13 +38,6 @@ def true(flight, *names):
 def rotation(flight):
     """Body to NED."""
     return euler_to_matrix(*true(flight, "phi", "theta", "psi").T)
-
-
-def noise_free(flight):
-    """What perfect sensors, and rate-derivative sensors, would have logged."""
-    kept = [name for name in flight if name + "_true" not in flight]
-    perfect = flight[kept].rename(columns=lambda name: name.removesuffix("_true"))
-    return perfect.drop(columns=COEFFICIENTS)
 
 
 @pytest.fixture(params=["lateral", "latlon", "two_altitudes"])
@@ -87,11 +79,6 @@ class TestEquationsOfFlight:
         value = true(flight, "p", "q", "r", "alpha", "beta")
         rate = true(flight, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot")
         assert (lost(value, rate) < 0.1).all()
-
-    def test_inverse_dynamics_gives_the_coefficients_back(self, flight, data):
-        found = aerodynamic_coefficients(noise_free(flight), data.aircraft, cutoff=None)
-        truth = true(flight, *COEFFICIENTS)
-        assert (abs(found.to_numpy() - truth).max(axis=0) < 2e-3 * truth.std(axis=0)).all()
 
     def test_envelope(self, flight):
         alpha, beta, phi, theta = np.degrees(true(flight, "alpha", "beta", "phi", "theta")).T

@@ -13,9 +13,7 @@ from skdgp.dynamics import (
     Air,
     Motion,
     air_velocity,
-    as_aerodynamics,
     euler_to_quaternion,
-    linearize,
     stability_derivatives,
     trim,
 )
@@ -199,20 +197,6 @@ class TestDeviations:
         assert (whole > 0.999 * table["std"].to_numpy()).all()
         held = table.loc[["Cm_q", "Cm_elevator", "CL_alpha", "CL"], "merged"].tolist()
         assert held == ["Cm_alpha_dot", "Cm_alpha_dot", "CL_alpha_dot", ""]
-        # the linear model flies the same functions: pitch acceleration by q, without alpha_dot
-        plain = as_aerodynamics(model)
-        plain.function_errors = None
-        linear = linearize(plain, *flight[1:], n_paths=n_paths, perturbation=None)
-        damping = linear.paths.A[:, 10, 10]
-        now = Motion(model, BRUMBY).at(state, CONTROLS)
-        X = np.broadcast_to(now.regressors, (n_paths, 1, 3))
-        by_q = plain.sample(n_paths, 0).gradient(X)[:, 0, :, 1]
-        assert_allclose(by_q[:, 4].std(ddof=1), table.loc["Cm_q", "std"])
-        pressure = 0.5 * now.density * now.airspeed**2 * BRUMBY.wing_area
-        lengths = np.array([BRUMBY.span, BRUMBY.chord, BRUMBY.span])
-        moments = pressure * lengths * by_q[:, 3:] * BRUMBY.chord / (2 * now.airspeed)
-        expected = np.linalg.solve(BRUMBY.inertia, moments.T)[1]
-        assert_allclose(damping - damping[0], expected - expected[0], atol=1e-6)
 
 
 class TestSweep:

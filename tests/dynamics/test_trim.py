@@ -83,13 +83,6 @@ class TestKnownAnswers:
         assert_allclose(np.tan(-found.climb), (CD0 + K * CL**2) / CL)
         assert_allclose(found.theta, found.alpha + found.climb)
 
-    def test_a_climb_takes_thrust_for_weight(self, glider):
-        level, climbing = (trim(TEXTBOOK, glider, 20.0, climb=gamma, **AIR) for gamma in (0.0, 0.2))
-        more = climbing.controls["thrust"] - level.controls["thrust"]
-        assert_allclose(more, glider.mass * GRAVITY * np.sin(0.2), rtol=0.03)
-        state = flown(climbing, TEXTBOOK, glider, 2.0, **AIR)[1]
-        assert_allclose(-state[-1, 2], 20.0 * np.sin(0.2) * 1.98, rtol=1e-9)
-
     def test_bank_and_turn_rate_are_two_ways_to_ask_for_a_turn(self, glider):
         by_bank = trim(TEXTBOOK, glider, 20.0, bank=-0.5, **AIR)
         by_rate = trim(TEXTBOOK, glider, 20.0, fixed={"turn_rate": by_bank.turn_rate}, **AIR)

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid, quad
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import GridSearchCV, GroupKFold
 from sklearn.pipeline import Pipeline
 
 from skdgp.dynamics import (
@@ -132,12 +131,8 @@ class TestPipeline:
         Y = np.zeros((len(table), 6))
         expected = Turbulence.from_flight(table, SPAN)
         fitted = clone(pipeline).fit(table, Y)
-        search = GridSearchCV(pipeline, {"flightsmoother__cutoff": [None]}, cv=GroupKFold(2))
-        search.fit(table, Y, groups=table["flight"])
-        for model in (fitted, search):
-            assert_allclose(
-                as_aerodynamics(model).turbulence.length, expected.length, rtol=1e-9, atol=1e-10
-            )
+        found = as_aerodynamics(fitted).turbulence
+        assert_allclose(found.length, expected.length, rtol=1e-9)
         assert not hasattr(clone(fitted), "turbulence_")
         assert as_aerodynamics(Pipeline(fitted.steps)).turbulence is None
 
@@ -374,11 +369,6 @@ def test_variance_is_the_integral_of_the_spectrum(gusts, name):
     signal = np.concatenate([gusts.velocity, gusts.rates], axis=-1)[..., "uvwpqr".index(name)]
     assert_allclose(np.mean(signal**2), theory, rtol=0.08)
     assert_allclose(np.mean(signal[0] ** 2), theory, rtol=0.4)
-
-
-def test_rates_are_gradients_of_the_gusts_that_are_felt(gusts):
-    assert_allclose(gusts.rates[..., 1], -gusts.acceleration[..., 2] / AIRSPEED, atol=1e-12)
-    assert_allclose(gusts.rates[..., 2], gusts.acceleration[..., 1] / AIRSPEED, atol=1e-12)
 
 
 def test_acceleration_is_the_slope_of_velocity():

@@ -10,7 +10,7 @@ from skdgp import DependentGPRegressor
 from skdgp.inference import Data, ExactPosterior, function_errors, mean_errors
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
-N_DRAWN = 2000
+N_DRAWN = 700
 # Relative error of a standard deviation of so many draws, five of its own
 WITHIN = 5 / np.sqrt(2 * N_DRAWN)
 
@@ -34,14 +34,15 @@ def series():
 
 
 @pytest.fixture(scope="module", params=["exact", "sparse", "without time"])
-def model(request, series):
+def model(request, series, cut_short):
     X, Y, time = series
     options = {"max_iter": 8, "n_latent": 1, "n_inducing": 20, "random_state": 0}
-    if request.param == "without time":
-        return DependentGPRegressor(**options, input_noise="learned").fit(X, Y)
     if request.param == "exact":  # the others are averages
         options["structure"] = "joint"
-    return DependentGPRegressor(**options, inference=request.param).fit(X, Y, time=time)
+    with cut_short():
+        if request.param == "without time":
+            return DependentGPRegressor(**options, input_noise="learned").fit(X, Y)
+        return DependentGPRegressor(**options, inference=request.param).fit(X, Y, time=time)
 
 
 @pytest.mark.parametrize(("noise", "input_noise"), [(False, True), (True, False), (True, 2.0)])
@@ -67,22 +68,6 @@ def test_paths_are_the_function_at_exact_regressors(model, series):
     drawn = model.sample_paths(N_DRAWN, random_state=2)(X)
     assert_allclose(drawn.std(axis=0), std, rtol=2 * WITHIN)
     assert_allclose(drawn.mean(axis=0), mean, atol=5 * std.max() / np.sqrt(N_DRAWN))
-
-
-def test_slopes_of_paths_are_those_of_their_values(model, series, central_difference):
-    X = series[0][:60:20]
-    paths = model.sample_paths(6, random_state=3)
-    change = central_difference(lambda step: paths(X + step), np.zeros(2))
-    assert_allclose(paths.gradient(X), change, rtol=1e-4, atol=1e-4)
-
-
-def test_variance_of_slopes_is_of_the_joint_covariance(model, series, slope_std):
-    x = series[0][100]
-    expected = slope_std(
-        lambda X: model.predict(X, return_cov=True, include_input_noise=False)[1], x, 1e-2
-    )
-    slopes = model.sample_paths(N_DRAWN, random_state=4).gradient(x[None])[:, 0]
-    assert_allclose(slopes.std(axis=0)[:, 0], expected[:, 0], rtol=2 * WITHIN)
 
 
 def test_at_the_centre_the_function_is_known_as_the_mean(series):
@@ -149,17 +134,6 @@ def test_random_errors_are_the_scatter_over_many_series():
     assert np.std(slopes) == pytest.approx(np.sqrt(np.mean(stated)), rel=0.3)
 
 
-def test_outputs_err_together():
-    """Both outputs have the same error, so the difference of their functions has none."""
-    rng = default_rng(2)
-    x = wandering(rng, 500, 5)[:, None]
-    y = x + wandering(rng, 500, 4)[:, None]
-    _, errors = line_of(x, np.hstack([y, y]))
-    of_blocks = errors.random[2:]  # the first are of the means
-    assert np.abs(of_blocks).max() > 0.001
-    assert_allclose(of_blocks[..., 0], of_blocks[..., 1], atol=1e-9)
-
-
 def test_outputs_with_different_gaps_err_together_where_both_were_observed():
     """The first tenth of the second output is missing, and its error elsewhere is that of the first."""
     rng = default_rng(2)
@@ -182,8 +156,8 @@ def test_slopes_of_a_line_err_as_stated(inference, memory):
     ratios = []
     for seed in range(6):
         rng = default_rng(seed)
-        x = np.column_stack([wandering(rng, 1200, 10) for _ in truth])
-        model.fit(x, x @ truth + 0.5 * wandering(rng, 1200, memory), time=np.arange(1200.0))
+        x = np.column_stack([wandering(rng, 700, 10) for _ in truth])
+        model.fit(x, x @ truth + 0.5 * wandering(rng, 700, memory), time=np.arange(700.0))
         spread = model.sample_paths(200, random_state=0).gradient(x[:1])[:, 0].std(axis=0)
         ratios.append((model.predict_gradient(x[:1])[0] - truth) / spread)
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4

@@ -71,8 +71,8 @@ def test_model_has_the_known_slopes_and_their_errors(log, trend):
     least = np.linalg.norm(KNOWN.errors, axis=-1)[known]
     assert_allclose(np.linalg.norm(random, axis=-1)[known], least)
     assert not method[known].any()
-    drawn = model.sample_paths(4000, random_state=0).gradient(X[:1])
-    assert np.all(drawn[:, 0].std(axis=0)[known] > 0.95 * least)
+    drawn = model.sample_paths(1500, random_state=0).gradient(X[:1])
+    assert np.all(drawn[:, 0].std(axis=0)[known] > 0.92 * least)
 
 
 def test_slopes_of_samples_leave_missing_values_out():

@@ -91,21 +91,6 @@ class TestBand:
         )
         assert model.misfit_variance_[0] < 0.02 * NOISE**2
 
-    def test_joint_covariance_and_paths_are_those_of_the_posterior(self):
-        x, y, _ = log_of(np.abs, 300)
-        model = DependentGPRegressor(structure="trend", random_state=0).fit(
-            x, y, time=np.arange(len(x))
-        )
-        assert model.misfit_variance_[0] > 0.01
-        found = []
-        for misfit in (model.misfit_variance_, np.zeros(1)):
-            model.misfit_variance_ = misfit
-            paths = model.sample_paths(3, random_state=0)
-            cov = model.predict(x[:4], return_cov=True)[1]
-            found.append([cov, paths(x[:4]), paths.gradient(x[:4])])
-        for without, with_misfit in zip(*found, strict=True):
-            assert_allclose(without, with_misfit, rtol=1e-6, atol=1e-9)
-
     def test_of_measurements_is_that_of_the_function_and_noise(self, kinked):
         x, y, _, model = kinked
         mean, std = model.predict(x, return_std=True, include_noise=True)

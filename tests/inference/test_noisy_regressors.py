@@ -68,11 +68,6 @@ class TestSlopes:
             rows = np.isfinite(carried.Y[:, i])
             assert_allclose(loading, carried.loading[rows, i], atol=1e-6)
 
-    def test_likelihood(self, carried):
-        expected = multivariate_normal(cov=dense(carried)).logpdf(carried.y)
-        found = log_likelihood(carried.kernel, carried.noise, carried.data)
-        assert found == pytest.approx(expected, rel=1e-6)
-
 
 def test_outputs_of_the_same_rows_share_their_inputs():
     X, Y = np.arange(8.0).reshape(4, 2), np.ones((4, 4))
@@ -85,11 +80,6 @@ def test_outputs_of_the_same_rows_share_their_inputs():
 
 
 class TestExact:
-    def test_likelihood(self, noisy):
-        expected = multivariate_normal(cov=dense(noisy)).logpdf(noisy.y)
-        found = log_likelihood(noisy.kernel, noisy.noise, noisy.data)
-        assert found == pytest.approx(expected, rel=1e-10)
-
     def test_likelihood_of_learned_variances_and_its_gradient(self, noisy, assert_gradient):
         n, scale = noisy.kernel.n_dims, np.array([0.3, 2.0])
         variances = np.concatenate([noisy.noise, scale])
@@ -129,10 +119,3 @@ class TestSparse:
         B = features.Kuu() + Kfu.T @ np.linalg.solve(S, Kfu)
         expected = Ksu @ np.linalg.solve(B, Kfu.T @ np.linalg.solve(S, noisy.y))
         assert_allclose(sparse(noisy).predict(NEW).T.ravel(), expected, rtol=1e-7, atol=1e-9)
-
-    def test_a_zero_factor_is_no_shared_noise(self, noisy):
-        bounds = []
-        for factor in (None, 0 * noisy.loading):
-            noisy.data = Data.from_table(noisy.X, noisy.Y, factor)
-            bounds.append(sparse(noisy).log_marginal_likelihood)
-        assert bounds[1] == pytest.approx(bounds[0], rel=1e-10)

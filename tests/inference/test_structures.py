@@ -23,10 +23,10 @@ def error_over_spread(predicted, truth):
 SHIFTS = np.array([0.0, 1.6, -1.1])
 
 
-@pytest.fixture(scope="module", params=[3, 4])
-def copies(request):
+@pytest.fixture(scope="module")
+def copies():
     """Return a fit to copies of one function, translated by SHIFTS, each with a gap of its own, and the truth."""
-    rng = np.random.default_rng(request.param)
+    rng = np.random.default_rng(3)
     frequencies = rng.normal(size=40)
     phases = rng.uniform(0, 2 * np.pi, 40)
 

@@ -216,19 +216,6 @@ class TestContract:
             expected = np.moveaxis(moved[rows[i], rows[j]], -1, 0)
             equal(kernel.block_derivative(i, j, X[i], X[j]), expected, rtol=1e-8, atol=1e-9)
 
-    @pytest.mark.parametrize("kind", ["diag", "tied"])
-    def test_slopes_are_right_in_any_unit(self, kind):
-        wide = convolved(covariance_type=kind, shift=True)
-        smaller = {name: 1e-4 * wide.value(name) for name in ("length_scale", "shift")}
-        narrow, X = clone(wide).set_params(**smaller), inputs(wide)
-        line = LinearTrend(np.ones(3), np.ones((3, 2)))
-        for i, j in np.ndindex(3, 3):
-            args = i, j, 1e-4 * X[i], 1e-4 * X[j]
-            expected = 1e4 * wide.block_derivative(i, j, X[i], X[j])
-            equal(narrow.block_derivative(*args), expected, rtol=1e-9, atol=1e-8)
-            expected = expected + line.block_derivative(*args)
-            equal((line + narrow).block_derivative(*args), expected, rtol=1e-9, atol=1e-8)
-
     def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
         X, features = inputs(kernel, (6, 6, 6))[0], inducing_features(kernel, inputs(kernel)[0])
         blocks = [features.Kfu(i, X) for i in range(kernel.n_outputs)]

@@ -15,24 +15,6 @@ def rng():
     return default_rng(0)
 
 
-def correlation(kernel, delta, i=0, j=1):
-    origin = np.zeros((1, len(delta)))
-    size = np.sqrt(kernel.block_diag(i, origin) * kernel.block_diag(j, origin))
-    return (kernel.block(i, j, np.asarray(delta)[None], origin)[0] / size).item()
-
-
-def test_private_latents_alone_are_the_processes_of_scikit_learn(rng):
-    amplitude = np.array([0.8, -1.5, 2.0])
-    lengths = np.array([[0.7, 1.3], [1.0, 0.5], [2.0, 0.9]])
-    private = np.repeat(lengths[None], 3, axis=0)
-    kernel = ConvolvedGaussian(0, amplitude=np.diag(amplitude), length_scale=private)
-    X = rng.normal(size=(6, 2))
-    expected = block_diag(
-        *(w**2 * RBF(length)(X) for w, length in zip(amplitude, lengths, strict=True))
-    )
-    assert_allclose(kernel(X), expected, rtol=1e-12)
-
-
 def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
     W, lengths = rng.normal(size=(2, 3)), rng.uniform(0.5, 2, (2, 1, 2))
     kernel = ConvolvedGaussian(
@@ -47,28 +29,6 @@ def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
         np.kron(np.outer(w, w), RBF(length[0])(X)) for w, length in zip(W, lengths, strict=True)
     )
     assert_allclose(kernel(X), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_one_latent_through_equal_filters_correlates_fully(sign):
-    lengths = np.full((1, 2, 2), 0.8)
-    amplitude = [[2.0, 0.3 * sign]]
-    kernel = ConvolvedGaussian(private_latents=False, amplitude=amplitude, length_scale=lengths)
-    assert correlation(kernel, [0.0, 0.0]) == pytest.approx(sign)
-
-
-def test_outputs_are_most_alike_at_the_difference_of_their_shifts():
-    shift = np.array([[[0.0, 0.0], [0.7, -0.4]]])
-    kernel = ConvolvedGaussian(
-        1,
-        private_latents=False,
-        amplitude=[[1.0, 1.0]],
-        length_scale=np.ones((1, 2, 2)),
-        shift=shift,
-    )
-    # Output 0 at s - shift says what output 1 says at s: its filter answers later.
-    assert correlation(kernel, shift[0, 0] - shift[0, 1]) == pytest.approx(1.0)
-    assert correlation(kernel, shift[0, 1] - shift[0, 0]) < 0.8
 
 
 def test_trend_is_a_bayesian_linear_model(rng):

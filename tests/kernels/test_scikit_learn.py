@@ -75,26 +75,6 @@ class TestEveryKernel:
 
 
 class TestEntries:
-    def test_of_lists_and_of_bounds_count_too(self):
-        kernel = convolved(amplitude=[[1.0, 2.0]], parameter_bounds={"shift": [-1.0, 1.0]})
-        assert kernel(X)[0, 0] == pytest.approx(1.0)
-        n = kernel.n_dims
-        kernel.amplitude[0][0] = 3.0
-        assert kernel(X)[0, 0] == pytest.approx(9.0)
-        kernel.parameter_bounds["shift"][1] = 2.0
-        assert kernel.hyperparameter_shift.bounds.max() == pytest.approx(2.0)
-        kernel.parameter_bounds["amplitude"] = "fixed"
-        assert kernel.n_dims == n - 2
-
-    def test_of_an_array_of_the_caller_stay_writable(self):
-        given = np.array([[1.0, 2.0]])
-        kernel = convolved(amplitude=given)
-        kernel.initialize(X, X, 0)
-        kernel.theta = 1.1 * kernel.theta
-        assert kernel(X).shape == (10, 10)
-        given[0, 0] = 5.0
-        assert_array_equal(given, [[5.0, 2.0]])
-
     def test_of_a_copy_are_its_own(self):
         kernel = LinearTrend().initialize(X, X, 0)
         for make in (clone, copy.deepcopy, lambda kernel: pickle.loads(pickle.dumps(kernel))):

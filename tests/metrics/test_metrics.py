@@ -1,8 +1,6 @@
 """Metrics against references typed from their definitions, and scorers inside scikit-learn's machinery."""
 
 import math
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -10,14 +8,14 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn import config_context
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.frozen import FrozenEstimator
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
+from sklearn.model_selection import GridSearchCV, cross_validate
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer, StandardScaler
 
@@ -160,18 +158,6 @@ class NoisyModel(RegressorMixin, BaseEstimator):
 
 
 class TestScorers:
-    def test_noise_is_asked_for_through_pipelines_and_searches(self):
-        X, y = np.zeros((50, 1)) + np.arange(50)[:, None], np.full(50, 1.5)
-        level = partial(interval_coverage, level=0.68)
-        covers = replace(SCORERS["interval_coverage"], metric=level)
-        model = NoisyModel()
-        pipeline = make_pipeline(StandardScaler(), make_pipeline(StandardScaler(), model))
-        search = GridSearchCV(pipeline, {"standardscaler__with_mean": [True]}, cv=2, scoring=covers)
-        for estimator in (model, pipeline, search):
-            assert (
-                covers(clone(estimator).fit(X, y), X, y) == 1.0
-            )  # 1.5 lies inside 0.994 * 2, not inside 0.994
-
     @pytest.mark.parametrize("routing", [False, True])
     def test_scores_do_not_depend_on_metadata_routing(self, routing):
         """A pipeline passes the scorers' wish for standard deviations on, whatever it would route."""
@@ -197,31 +183,16 @@ class TestScorers:
                 one = GridSearchCV(model, {}, scoring=SCORERS["log_predictive_density"], cv=2)
                 assert one.fit(X, y).best_score_ == pytest.approx(density)
 
-    def test_all_scorers_with_groups_and_missing_targets(self):
+    def test_missing_targets_are_left_out(self):
         rng = default_rng(0)
         X = rng.normal(size=(60, 1))
         y = np.sin(X).ravel() + rng.normal(0, 0.1, 60)
         model = make_pipeline(StandardScaler(), GaussianProcessRegressor(RBF() + WhiteKernel(0.01)))
-        scores = cross_validate(
-            model,
-            X,
-            y,
-            scoring=SCORERS,
-            cv=GroupKFold(3),
-            groups=np.repeat([0, 1, 2], 20),
-            error_score="raise",
-        )
-        assert {name for name in scores if name.startswith("test_")} == {
-            f"test_{name}" for name in SCORERS
-        }
-        assert (scores["test_neg_normalized_rmse"] > -0.5).all()
-        assert (scores["test_log_predictive_density"] > -1).all()
-        holes = y.copy()
-        holes[::4] = np.nan
-        fitted = model.fit(X, y)
-        assert SCORERS["log_predictive_density"](fitted, X, holes) == pytest.approx(
-            SCORERS["log_predictive_density"](fitted, X[~np.isnan(holes)], y[~np.isnan(holes)])
-        )
+        model.fit(X, y)
+        is_known = np.arange(60) % 4 > 0
+        score = SCORERS["log_predictive_density"]
+        expected = score(model, X[is_known], y[is_known])
+        assert score(model, X, np.where(is_known, y, np.nan)) == pytest.approx(expected)
 
     def test_what_holds_transformers_is_asked_for_every_row(self):
         X = np.arange(50.0)[:, None]

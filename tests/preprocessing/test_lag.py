@@ -97,11 +97,6 @@ class TestEstimate:
         assert abs(lags.lag["gps"] + 0.05) < 0.005
         assert lags.remark[["attitude", "gps"]].tolist() == ["removed"] * 2
 
-    @pytest.mark.parametrize("name", ["theta", "p"])
-    def test_degrees_are_refused(self, latlon, name):
-        with pytest.raises(ValueError, match=rf"{name} up to.*numpy.deg2rad"):
-            LagCorrector().fit(latlon[:1600].assign(**{name: 57.3 * latlon[name]}))
-
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
         table = linear_aircraft(0)
         rng = default_rng(9)

@@ -41,19 +41,6 @@ def test_every_factor():
         assert_allclose(out[name], equation(FLIGHT), rtol=1e-14)
 
 
-def test_geometrically_similar_aircraft_share_the_numbers():
-    # Lengths times k, speeds times s: rates scale with s / k, accelerations with (s / k)^2.
-    k, s = 3.0, 0.7
-    scaled = FLIGHT.assign(airspeed=FLIGHT.airspeed * s)
-    for name in HAND:
-        raw = name.removesuffix("_hat")
-        power = 2 if raw in ("p_dot", "q_dot", "r_dot") else 1
-        scaled[raw] = FLIGHT[raw] * (s / k) ** power
-    small = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT)
-    large = RateNondimensionalizer(span=k * B, chord=k * C).fit_transform(scaled)
-    assert_allclose(large[list(HAND)], small[list(HAND)], rtol=1e-12)
-
-
 @pytest.mark.parametrize("speed", [0.0, -1.0])
 def test_standing_still(speed):
     flight = FLIGHT.assign(airspeed=[40.0, speed])

@@ -173,11 +173,11 @@ class TestRecovery:
 class TestHonesty:
     def test_parts_of_a_long_flight_bound_the_memory_and_leave_no_seam(self):
         """Paths differ by little of their error where parts of 1,000 rows meet."""
-        table = flown(160.0, gusts=0.5)
-        assert len(table) == 4000
+        table = flown(120.0, gusts=0.5)
+        assert len(table) == 3000
         reconstruction = FlightPathReconstruction().fit(table[:1000])
         found, peaks = [], []
-        for max_rows in (4000, 1000):
+        for max_rows in (3000, 1000):
             reconstruction.set_params(max_rows=max_rows)
             tracemalloc.start()
             found.append(reconstruction.transform(table))

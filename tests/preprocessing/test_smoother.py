@@ -7,15 +7,9 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pandas.testing import assert_frame_equal
 from scipy import signal
-from sklearn.pipeline import make_pipeline
 
 from skdgp._flight.smoothing import noise_level
-from skdgp.preprocessing import (
-    ElevonSplitter,
-    FlightSmoother,
-    RateNondimensionalizer,
-    RegressorSelector,
-)
+from skdgp.preprocessing import FlightSmoother
 
 RATE = 40.0
 CUTOFFS = ["auto", 3.0, None]
@@ -311,17 +305,3 @@ def test_real_size_flights(shared_data, name):
     assert (left < [0.4, 0.4, 0.3, 0.9, 0.75] * rms(measured - truth)).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
-
-
-@pytest.mark.shared
-def test_the_way_to_regressors(shared_data):
-    table = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
-    steps = make_pipeline(
-        FlightSmoother(),
-        ElevonSplitter(),
-        RateNondimensionalizer(span=2.8, chord=1.2),
-        RegressorSelector("classical"),
-    )
-    out = steps.fit_transform(table)
-    assert out.shape == (14_400, 11)
-    assert np.isfinite(out.to_numpy()).all()

@@ -122,7 +122,7 @@ def _linear(
     model = as_aerodynamics(pipeline)
     intercepts, slopes = linear_terms(fitted)
     unknown: dict[str, Any] = dict.fromkeys(
-        ("sampler", "drift", "narrowing", "function_errors", "perturbation", "averaged")
+        ("sampler", "drift", "expected_errors", "function_errors", "perturbation", "averaged")
     )
     return replace(
         model,

@@ -44,6 +44,8 @@ NOISE = {
 SPEED = 35.0
 ALTITUDE = 200.0
 PAUSE = 3.0
+STEP = 0.0125  # of the servos [s]; every other sample is logged
+SERVO_LAG = 0.04  # [s]
 ENVELOPE = Envelope(bank=1.0, airspeed=(28.0, 42.0), altitude=120.0, growth=0.5)
 
 
@@ -51,15 +53,21 @@ def fly(truth, aircraft, train, seconds, seed):
     """Return the record of the true aircraft's sensors, held level by an autopilot, in gusts."""
     steady = trim(truth, aircraft, SPEED, altitude=ALTITUDE)
 
+    surfaces = dict(steady.controls)
+    moved = 1.0 - np.exp(-STEP / SERVO_LAG)
+
     def controls(time, state):
         commands = {name: value + train(name, time) for name, value in steady.controls.items()}
         commands["elevator"] += 0.2 * (state["theta"] - steady.theta) + 0.1 * state["q"]
         commands["aileron"] -= 0.06 * state["phi"] + 0.02 * state["p"]
-        return commands
+        for name, command in commands.items():
+            surfaces[name] += moved * (command - surfaces[name])
+        return dict(surfaces)
 
     wind = dryden_wind(seconds, SPEED, 140.0, wind_at_6m=4.0, span=aircraft.span, random_state=seed)
     autopilot = FlightComputer(controls)
-    flight = simulate(truth, aircraft, steady, autopilot, 0.025, duration=seconds, air=wind)
+    flight = simulate(truth, aircraft, steady, autopilot, STEP, duration=seconds, air=wind)
+    flight = flight.iloc[::2].reset_index(drop=True)
     flight["propeller_speed"] = aircraft.propeller.speed_at(flight["throttle"])
     rng = np.random.default_rng(seed)
     for name, std in NOISE.items():
@@ -69,10 +77,8 @@ def fly(truth, aircraft, train, seconds, seed):
 
 def learn(flights, aircraft):
     log = pd.concat(flights, ignore_index=True)
-    regressor = DependentGPRegressor(structure="trend", max_iter=10)
-    model = make_identification_pipeline(
-        aircraft, regressors=NAMES, reconstruction="passthrough", regressor=regressor
-    )
+    regressor = DependentGPRegressor(structure="trend")
+    model = make_identification_pipeline(aircraft, regressors=NAMES, regressor=regressor)
     return model.fit(log, aerodynamic_coefficients(log, aircraft))
 
 

@@ -5,9 +5,10 @@ Read a portable model with NumPy alone
 Predict mean and standard deviation of the coefficients from ``model.npz``, arrays and JSON without
 code, which ``skdgp export model.joblib --to portable -o portable`` writes::
 
-    python examples/read_portable.py portable/model.npz
+    python examples/read_portable.py portable/model.npz --output portable.png
 
-It needs NumPy and nothing else; a reader in another language has the same lines.
+It needs NumPy and nothing else, matplotlib for the picture: the coefficients along the first
+regressor, with two standard deviations. A reader in another language has the same lines.
 """
 
 import argparse
@@ -78,6 +79,23 @@ class Model:
         return a["center"] + a["output_scale"] * mean, a["output_scale"] * np.sqrt(variance)
 
 
+def draw(model, path):
+    """Draw the coefficients along the first regressor, the others as in the file's reference."""
+    from matplotlib.figure import Figure
+
+    a = model.arrays
+    X = np.repeat(a["reference_regressors"][:1], 100, axis=0)
+    X[:, 0] = a["shift"][0] + np.linspace(-2.0, 2.0, 100) * a["scale"][0]
+    mean, std = model.predict(X, input_noise=0.0)
+    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    panels = figure.subplots(2, 3, sharex=True).ravel()
+    for k, (ax, name) in enumerate(zip(panels, model.head["outputs"], strict=False)):
+        ax.fill_between(X[:, 0], mean[:, k] - 2 * std[:, k], mean[:, k] + 2 * std[:, k], alpha=0.3)
+        ax.plot(X[:, 0], mean[:, k])
+        ax.set(title=name, xlabel=model.head["regressors"][0]["name"])
+    figure.savefig(path, dpi=120)
+
+
 def main(arguments=None):
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -85,15 +103,18 @@ def main(arguments=None):
     parser.add_argument(
         "file", nargs="?", help="model.npz: its coefficients at a flown point, for exact regressors"
     )
-    path = parser.parse_args(arguments).file
-    if path is not None:
-        model = Model(path)
+    parser.add_argument("--output", help="a picture of its coefficients")
+    options = parser.parse_args(arguments)
+    if options.file is not None:
+        model = Model(options.file)
         a = model.arrays
         mean, std = model.predict(a["reference_regressors"], input_noise=0.0)
         for name, value, deviation in zip(model.head["outputs"], mean[0], std[0], strict=True):
             print(f"{name:4} {value:9.5f} +- {deviation:.5f}")
         off = np.abs(mean - a["reference_mean"]) / a["reference_std"]
         print(f"largest difference from the pipeline: {off.max():.1e} standard deviations")
+        if options.output is not None:
+            draw(model, options.output)
 
 
 if __name__ == "__main__":

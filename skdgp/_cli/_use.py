@@ -199,7 +199,9 @@ def _derivatives_text(mechanics: FlightMechanics) -> str:
     modes: Any = mechanics.modes
     table = mechanics.derivatives
     controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
-    flight = f"{point.airspeed:g} m/s in air of {point.density:.4g} kg/m^3"
+    flight = (
+        f"{point.airspeed:g} m/s at {point.altitude:.4g} m, in air of {point.density:.4g} kg/m^3"
+    )
     cells = table["value"].map("{:z.4f}".format)
     meaning = "values"
     if "std" in table:

@@ -108,7 +108,9 @@ class Code(Enum):
     FOLLOWS = "follows"
     FOLLOWS_SHORTLY = "follows_shortly"
     GUSTS_HIDE_ERRORS = "gusts_hide_errors"
+    NOT_EXCITED = "not_excited"
     NOT_SIMULATED = "not_simulated"
+    NO_FREQUENCY_RESPONSES = "no_frequency_responses"
 
 
 DOUBTS = frozenset({Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED})

@@ -450,7 +450,10 @@ TEXTS = _by_code(
     no_derivatives="No derivatives: {error}",
     no_trim="No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
     "state, and there are no modes.",
+    not_excited="No response of a rate to a surface is shown: at hardly a frequency does it stand out "
+    "of the noise of the test flights.",
     not_simulated="{error}",
+    no_frequency_responses="No frequency responses are shown: {error}",
     implausible_sizes="No aircraft has such effects: {values:+.2g}. Look at the place and the signs "
     "of the accelerometers, and at gusts without vanes.",
     wrong_signs="Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "

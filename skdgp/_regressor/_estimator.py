@@ -20,15 +20,16 @@ from skdgp._regressor._impute import imputed
 from skdgp._regressor._recipe import Recipe, RegressorSettings, likeliest_mean, weights_of
 from skdgp.inference import (
     ExactPosterior,
+    ExpectedErrors,
     FunctionErrors,
     KnownSlopes,
     Paths,
     PosteriorWithErrors,
     check_spread,
+    expected_errors,
     function_errors,
     mean_errors,
     misfit_variance,
-    narrowing,
     residual_drift,
 )
 from skdgp.kernels import as_multi_output, has_prior_paths
@@ -641,12 +642,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         d = self.n_features_in_
         return self.posterior_.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
-    def narrowing(self, added: Matrix) -> Matrix:
-        """Return the ratio (P, d) of deviations of slopes with and without further rows.
+    def expected_errors(self, added: Matrix) -> ExpectedErrors:
+        """Return the errors that are expected of a fit to further rows too, of regressors (k, d).
 
-        ``added`` (k, d) are their regressors; deviations as of least squares.
+        In units of the outputs; see :class:`skdgp.inference.ExpectedErrors`.
         """
-        return narrowing(self.posterior_, self._check_regressors(added))
+        expected = expected_errors(self.posterior_, self._check_regressors(added))
+        d = self.n_features_in_
+        return expected._replace(
+            errors=expected.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
+        )
 
     def sample_y(
         self,

@@ -30,6 +30,9 @@ LOOP_AXES = {
     "yaw": ("r", "", "rudder"),
 }
 NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
+# Beginnings of the names that control laws use, and of gains of multicopters
+OF_LAWS = ("FW_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "IMU_", "INS_GYRO_FILTER")
+OF_COPTERS = ("MC_", "ATC_RAT_")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +136,7 @@ def read_parameters(path: str | Path) -> dict[str, float]:
     Raises
     ------
     ValueError
-        If the file has none.
+        If the file has none, or a parameter of the control law is no finite number.
     """
     path = Path(path)
     found = {}
@@ -145,6 +148,11 @@ def read_parameters(path: str | Path) -> dict[str, float]:
                 number = _number(value)
                 if number is not None:
                     found[name] = number
+                elif name.startswith(OF_LAWS):
+                    raise ValueError(
+                        f"Got the line {line.strip()!r} in {path}, but expected a number behind {name}: "
+                        "save the parameters again."
+                    )
                 break
     if not found:
         raise ValueError(
@@ -155,9 +163,10 @@ def read_parameters(path: str | Path) -> dict[str, float]:
 
 def _number(text):
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
         return None
+    return number if np.isfinite(number) else None
 
 
 def autopilot_loops(
@@ -208,10 +217,15 @@ def autopilot_loops(
             "Got the gains RLL2SRV_P or PTCH2SRV_P of ArduPilot before 4.1, but expected RLL_RATE_P and "
             "PTCH_RATE_P: the older firmware has another control law."
         )
+    elif copter := [name for name in known if name.startswith(OF_COPTERS)]:
+        raise ValueError(
+            f"Got {copter[0]}, a gain of a multicopter, but expected FW_RR_P or FW_PR_P of PX4, or RLL_RATE_P or "
+            "PTCH_RATE_P of ArduPilot Plane: save the parameters of the aeroplane."
+        )
     else:
         raise ValueError(
-            f"Got {len(known)} parameters without gains of a rate loop, but expected FW_RR_P or FW_PR_P of PX4, or "
-            "RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane."
+            f"Got parameters without gains of a rate loop ({len(known)} in all), but expected FW_RR_P or FW_PR_P "
+            "of PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane."
         )
     if not loops:
         raise ValueError(

@@ -163,10 +163,10 @@ def plan(
     exchanged while that helps.
 
     The flight promises the standard deviation that
-    :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights. The targets of
-    the planned rows are the model's means and the residuals of its training rows, so the promise
-    holds what more rows do not lower: noise of the regressors, and what alpha_dot and beta_dot may
-    hold.
+    :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights, and at most
+    the present one. More rows lower the errors of the posterior and those correlated in time.
+    Biases by gusts and by noise of the regressors fall as far as the regressors vary more. The
+    discrepancy stays: see :class:`skdgp.inference.ExpectedErrors`.
 
     :func:`skdgp.listening` shows the progress.
 

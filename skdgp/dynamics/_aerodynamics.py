@@ -95,9 +95,9 @@ class Aerodynamics:
     function_errors : callable, optional
         () to the part of the errors of the paths that comes from the time series of the fit, or to
         None: see ``DependentGPRegressor``.
-    narrowing : callable, optional
-        Function of the regressors (k, d) of rows that are flown next. Its values (6, d) are ratios
-        of deviations of slopes with and without these rows.
+    expected_errors : callable, optional
+        Function of the regressors (k, d) of rows that are flown next, to the errors expected then:
+        see ``DependentGPRegressor.expected_errors``.
     training_rows : callable, optional
         () to the regressors (n, d) that the model was learned from, or to None.
     training_seconds : float, optional
@@ -142,7 +142,7 @@ class Aerodynamics:
     units: Mapping[str, str] = field(default_factory=dict)
     servo_lag: float = 0.0
     function_errors: Callable | None = None
-    narrowing: Callable | None = None
+    expected_errors: Callable | None = None
     training_rows: Callable | None = None
     training_seconds: float | None = None
     perturbation: Any = None
@@ -259,8 +259,8 @@ class PosteriorRegressor(Protocol):
     def function_errors(self) -> Any:
         """Return the errors of the function that the posterior does not hold, or None."""
 
-    def narrowing(self, added: Array) -> Array:
-        """Return the ratio (P, d) of standard deviations of slopes with and without added rows."""
+    def expected_errors(self, added: Array) -> Any:
+        """Return the errors that are expected of a fit to added rows (k, d) too."""
 
 
 @runtime_checkable
@@ -452,7 +452,7 @@ class _LearnedCoefficients:
             averaged=self.averaged,
             drift=self.drift(),
             function_errors=self.function_errors,
-            narrowing=self.narrowing,
+            expected_errors=self.expected_errors,
             training_rows=self.training_rows,
             training_seconds=seconds,
         )
@@ -481,9 +481,12 @@ class _LearnedCoefficients:
 
         return values, slopes
 
-    def narrowing(self, added: Array) -> Array:
-        """Return the ratio (6, d) of deviations of slopes with and without further rows (k, d)."""
-        return self.regressor.narrowing(self.scaled(added))[self.order]
+    def expected_errors(self, added: Array) -> Any:
+        """Return the errors that are expected of a fit to further rows (k, d) too."""
+        expected = self.regressor.expected_errors(self.scaled(added))
+        return expected._replace(
+            narrowing=expected.narrowing[self.order], errors=self._in_units(expected.errors)
+        )
 
     def training_rows(self) -> Array:
         """Return the regressors (n, d) that the model was learned from."""
@@ -496,8 +499,10 @@ class _LearnedCoefficients:
     @cached_property
     def _function_errors(self) -> Any:
         errors = self.regressor.function_errors()
-        if errors is None:
-            return None
+        return None if errors is None else self._in_units(errors)
+
+    def _in_units(self, errors: Any) -> Any:
+        """Return errors of the outputs as functions of the regressors in units and order of a flight."""
         units = np.ones(len(errors.discrepancy))
         return errors.in_units(self.shift, self.scale, units).of_outputs(self.order)
 

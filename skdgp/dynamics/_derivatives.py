@@ -167,7 +167,7 @@ def _with_points(tables: list[pd.DataFrame], now: Instant) -> pd.DataFrame:
 
 def _check_added(added: ArrayLike, model: Aerodynamics) -> Array:
     """Return the regressors of rows that are flown next, (k, d)."""
-    if model.narrowing is None:
+    if model.expected_errors is None:
         raise ValueError(
             "Got rows that are added to a model without its own, but expected one that holds the rows "
             "it was learned from: give a pipeline of identify."
@@ -199,28 +199,63 @@ def _deviations(
     if model.function_errors is None:
         return {"std": std}
     errors = model.function_errors()
-    std_random = np.zeros_like(std)
-    std_method = np.zeros_like(std)
-    if errors is not None:
-        (values, slopes), (values_by_method, slopes_by_method) = errors.parts(now.regressors)
-        std_random = frame.std(slopes, values)
-        std_method = frame.std(slopes_by_method, values_by_method)
+    std_random, std_method = _std_of_errors(errors, now, frame)
     # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
-    if added is not None and model.narrowing is not None:
-        factor = _narrowing(frame, model.narrowing(added), now)
-        std_posterior = std_posterior * factor
-        std_random = std_random * factor
-        std = np.sqrt(std_posterior**2 + (std_random**2 + std_method**2))
+    parts = {"std_posterior": std_posterior, "std_random": std_random, "std_method": std_method}
+    if added is not None and model.expected_errors is not None:
+        later = _later_parts(model, now, frame, std_posterior, added)
+        std = std * _ratio(_total(later), _total(parts))
+        parts = later
     std_merged, merged = _merged(motion, now, frame, std_by_method(errors))
+    return {"std": std, **parts, "std_merged": std_merged, "merged": merged}
+
+
+def _std_of_errors(errors: Any, now: Instant, frame: _Frame) -> tuple[Array, Array]:
+    """Return random standard deviations and those by method, (n, rows, 1 + columns); zero without errors."""
+    if errors is None:
+        nothing = frame.std(np.zeros((*now.coefficients.shape, now.regressors.shape[1], 1)))
+        return nothing, nothing
+    (values, slopes), (values_by_method, slopes_by_method) = errors.parts(now.regressors)
+    return frame.std(slopes, values), frame.std(slopes_by_method, values_by_method)
+
+
+def _later_parts(
+    model: Aerodynamics, now: Instant, frame: _Frame, std_posterior: Array, added: ArrayLike
+) -> dict[str, Array]:
+    """Return the parts of standard deviations of a model that learned from added rows too.
+
+    The discrepancy, a part of ``std_posterior``, is none that more rows reduce.
+    """
+    expected = model.expected_errors(added)  # type: ignore[misc]
+    errors = model.function_errors()  # type: ignore[misc]
+    discrepancy = np.zeros_like(std_posterior)
+    discrepancy_later = discrepancy
+    if errors is not None:
+        discrepancy = _std_of_slopes(errors.discrepancy_slopes(model.perturbation), now, frame)
+        of_errors = expected.errors.discrepancy_slopes(model.perturbation)
+        discrepancy_later = _std_of_slopes(of_errors, now, frame)
+    std_of_kernel = np.sqrt(np.maximum(std_posterior**2 - discrepancy**2, 0.0))
+    of_body = std_of_kernel[:, : len(COEFFICIENTS), 1:] / frame.scale[:, None, :]
+    before = _std_of_slopes(of_body, now, frame)
+    after = _std_of_slopes(expected.narrowing * of_body, now, frame)
+    std_random, std_method = _std_of_errors(expected.errors, now, frame)
     return {
-        "std": std,
-        "std_posterior": std_posterior,
-        "std_merged": std_merged,
+        "std_posterior": np.hypot(std_of_kernel * _ratio(after, before), discrepancy_later),
         "std_random": std_random,
         "std_method": std_method,
-        "merged": merged,
     }
+
+
+def _total(parts: Mapping[str, Array]) -> Array:
+    """Return the standard deviation of independent parts."""
+    return np.sqrt(np.sum(np.square([*parts.values()]), axis=0))
+
+
+def _ratio(after: Array, before: Array) -> Array:
+    """Return the ratio of standard deviations, at most one: a model may leave rows out."""
+    ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
+    return np.minimum(ratio, 1.0)
 
 
 def _merged(
@@ -239,14 +274,15 @@ def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
     return frame(paths(regressors), paths.gradient(regressors)).std(axis=0, ddof=1)
 
 
-def _narrowing(frame: _Frame, factor: Array, now: Instant) -> Array:
-    """Return the ``factor`` (6, d) of deviations of slopes for every entry of the table, (n, rows, 1 + columns)."""
+def _std_of_slopes(std: Array, now: Instant, frame: _Frame) -> Array:
+    """Return the standard deviations (n, rows, 1 + columns) of slopes, by ``std`` (n, 6, d) of body axes.
+
+    Errors of different outputs are independent.
+    """
     n, d = now.regressors.shape
-    # errors (n, 6, d, 6) that are independent between outputs
-    independent = np.broadcast_to(np.eye(6)[:, None], (n, 6, d, 6))
-    before = frame.std(independent)
-    after = frame.std(factor[..., None] * independent)
-    return np.divide(after, before, out=np.ones_like(before), where=before > 0)
+    independent = np.eye(6)[:, None]
+    slopes = np.broadcast_to(std, (n, 6, d))[..., None] * independent
+    return frame.std(slopes)
 
 
 def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:

@@ -244,7 +244,7 @@ def _first_beyond(squares: Array, limit: Vector, ends: Vector) -> Vector:
 
 def _mean_alone(model: Aerodynamics) -> Aerodynamics:
     """Return the model without its uncertainty: its paths differ by the gusts alone."""
-    certain: dict[str, Any] = dict.fromkeys(("drift", "narrowing", "function_errors"))
+    certain: dict[str, Any] = dict.fromkeys(("drift", "expected_errors", "function_errors"))
     return replace(
         model,
         function=model,

@@ -12,13 +12,15 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import without_warnings
-from skdgp._flight.channels import ALL_SURFACES
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, RATES
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    LinearModel,
     Trim,
     as_aerodynamics,
+    frequency_response,
     linearize,
     stability_derivatives,
     trim,
@@ -26,7 +28,12 @@ from skdgp.dynamics import (
 from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._learn import linear_terms
 from skdgp.identification._pipeline import reconstruction_of
+from skdgp.plotting import FrequencyDisplay
+from skdgp.preprocessing import ElevonSplitter
 from skdgp.report import FlightMechanics, TrainingRecord
+
+# Rate that a surface excites most
+RATE_OF = {"elevator": "q", "aileron": "p", "rudder": "r"}
 
 
 def flight_mechanics(
@@ -62,7 +69,9 @@ def flight_mechanics(
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
     try:
-        results |= _derivatives(pipeline, aircraft, state_and_inputs, conditions, least_squares)
+        results |= _derivatives(
+            pipeline, aircraft, state_and_inputs, conditions, least_squares, test
+        )
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
     results |= _simulations(pipeline, aircraft, test, settings)
@@ -101,8 +110,9 @@ def _derivatives(
     state_and_inputs: tuple,
     conditions: dict[str, Any],
     least_squares: Mapping[str, Mapping[str, float]] | None,
+    test: Sequence[pd.DataFrame],
 ) -> dict[str, Any]:
-    """Return derivatives of the model and of least squares, and modes at a trim."""
+    """Return derivatives of the model and of least squares; at a trim also modes and frequency responses."""
     point = aircraft, *state_and_inputs
     results: dict[str, Any] = {"derivatives": stability_derivatives(pipeline, *point, **conditions)}
     if least_squares is not None:
@@ -111,8 +121,33 @@ def _derivatives(
     if isinstance(state_and_inputs[0], Trim):
         # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
         n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
-        results["modes"] = linearize(pipeline, *point, n_paths=n_paths, **conditions).modes()
+        small_motion = linearize(pipeline, *point, n_paths=n_paths, **conditions)
+        results["modes"] = small_motion.modes()
+        results |= _frequency_responses(small_motion, test)
     return results
+
+
+def _frequency_responses(linear: LinearModel, test: Sequence[pd.DataFrame]) -> dict[str, Any]:
+    """Return responses of rates to the surfaces that move in the test flights, or why there are none."""
+    flights = [table.assign(flight=k) for k, table in enumerate(test)]
+    flown = pd.concat(flights, ignore_index=True)
+    if {*ELEVONS} <= {*flown} and "elevator" not in flown:
+        flown = ElevonSplitter().fit_transform(flown)
+    moved = flown.nunique() > 1
+    surfaces = [name for name in RATE_OF if name in linear.B.columns and moved.get(name, False)]
+    rates = [name for name in RATES if moved.get(name, False)]
+    if not surfaces or not rates:
+        return {"frequency_note": Finding(Code.NOT_EXCITED)}
+    try:
+        responses = frequency_response(flown, surfaces, rates, linear=linear)
+    except ValueError as error:
+        finding = Finding(Code.NO_FREQUENCY_RESPONSES, numbers={"error": str(error)})
+        return {"frequency_note": finding}
+    is_own = [RATE_OF[name] == output for output, name, _ in responses.index]
+    display = FrequencyDisplay(responses=responses[is_own])
+    if not display.keys:
+        return {"frequency_note": Finding(Code.NOT_EXCITED)}
+    return {"frequency": display}
 
 
 def _linear(
@@ -122,7 +157,7 @@ def _linear(
     model = as_aerodynamics(pipeline)
     intercepts, slopes = linear_terms(fitted)
     unknown: dict[str, Any] = dict.fromkeys(
-        ("sampler", "drift", "narrowing", "function_errors", "perturbation", "averaged")
+        ("sampler", "drift", "expected_errors", "function_errors", "perturbation", "averaged")
     )
     return replace(
         model,

@@ -26,10 +26,10 @@ from skdgp.inference._errors import (
     PosteriorWithErrors,
     function_errors,
     mean_errors,
-    narrowing,
 )
 from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mixture_of
 from skdgp.inference._fit import check_inducing as check_inducing
+from skdgp.inference._further_rows import ExpectedErrors, expected_errors
 from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
@@ -79,6 +79,7 @@ __all__ = [
     "CentredTerm",
     "Data",
     "ExactPosterior",
+    "ExpectedErrors",
     "Fit",
     "FunctionErrors",
     "KnownNoise",
@@ -92,6 +93,7 @@ __all__ = [
     "as_exact",
     "autocorrelation_time",
     "average",
+    "expected_errors",
     "fit_exact",
     "fit_sparse",
     "function_errors",
@@ -101,7 +103,6 @@ __all__ = [
     "misfit_variance",
     "mixture_of",
     "n_searched",
-    "narrowing",
     "residual_drift",
     "stratified",
     "training_inputs",

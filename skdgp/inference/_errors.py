@@ -127,6 +127,16 @@ class FunctionErrors(NamedTuple):
         random, method = self.random[:, 1:], self.method[:, 1:]
         return np.transpose(random, (2, 1, 0)), np.transpose(method, (2, 1, 0))
 
+    def discrepancy_slopes(self, spread: Vector | None = None) -> Matrix:
+        r"""Return the standard deviations (P, d) of slopes of the discrepancy.
+
+        Of its variance v and width l, averaged over :math:`x_k \sim N(x_{0k}, s_k^2)` with
+        ``spread`` s (d,): :math:`\sqrt v / l_k \, (1 + 2 s_k^2 / l_k^2)^{-3/4}`.
+        """
+        ratio = np.zeros_like(self.length_scale) if spread is None else spread / self.length_scale
+        of_unit = (1.0 + 2.0 * ratio**2) ** -0.75 / self.length_scale
+        return np.sqrt(self.discrepancy)[:, None] * of_unit
+
     def of_term(self, regressors: tuple[int, ...]) -> FunctionErrors:
         """Return the errors in the term of some regressors, of a sum: linear ones of one, the discrepancy of all."""
         keep = np.zeros(self.weights.shape[1], dtype=bool)
@@ -535,30 +545,3 @@ def _intercept_variance(kernel: MultiOutputKernel, centre: Vector) -> Vector:
             constant = term.term(())
             variance += [constant.block_diag(i, centre[None])[0] for i in range(len(variance))]
     return variance
-
-
-@one_blas_thread()
-def narrowing(posterior: Posterior, added: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
-    """Return the ratio (P, d) of deviations of slopes at the centre with and without further rows.
-
-    ``added`` (k, d) are the regressors of these rows. The ratio is as of linear least squares; with
-    too few rows for it, the ratio is one.
-    """
-    data = posterior.data
-    ratio = np.ones((len(data.y), added.shape[1]))
-    for i, x in enumerate(data.X):
-        if len(x) < settings.fewest * (1 + x.shape[1]):
-            continue
-        centre = x.mean(axis=0)
-        scale = column_scale(x)
-        together = np.vstack([x, added])
-        before = _slope_variances((x - centre) / scale, settings)
-        after = _slope_variances((together - centre) / scale, settings)
-        np.divide(after, before, out=ratio[i], where=before > 0)
-    return np.sqrt(np.minimum(ratio, 1.0))
-
-
-def _slope_variances(z: Matrix, settings: ErrorSettings) -> Vector:
-    """Return the variances (d,) of the slopes of a line by least squares at z (n, d), for noise of variance one."""
-    Q = _basis(z)
-    return np.diag(settings.inverse(Q.T @ Q))[1:]

@@ -15,9 +15,11 @@ ax : Figure, SubFigure or False, optional
 from skdgp.plotting._effects import Effects as Effects
 from skdgp.plotting._effects import EffectsDisplay
 from skdgp.plotting._effects import effects as effects
+from skdgp.plotting._frequency_responses import FrequencyDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [
     "EffectsDisplay",
+    "FrequencyDisplay",
     "TimeHistoryDisplay",
 ]

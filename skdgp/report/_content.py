@@ -22,7 +22,7 @@ from skdgp.metrics import (
     negative_log_predictive_density,
     normalized_rmse,
 )
-from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
+from skdgp.plotting import EffectsDisplay, FrequencyDisplay, TimeHistoryDisplay
 
 
 class Thresholds(NamedTuple):
@@ -192,10 +192,14 @@ class FlightMechanics:
         ``horizon`` [s].
     simulated : TimeHistoryDisplay, optional
         A part of a test flight, simulated with its bands, and as flown.
+    frequency : FrequencyDisplay, optional
+        Responses of rates to surfaces in the test flights, beside the model's.
     notes : tuple of Finding
         Why trim, modes or derivatives are missing.
     simulation_note : Finding, optional
         Why the simulation is missing.
+    frequency_note : Finding, optional
+        Why frequency responses are missing.
     """
 
     trim: Trim | None = None
@@ -204,8 +208,10 @@ class FlightMechanics:
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     simulated: TimeHistoryDisplay | None = None
+    frequency: FrequencyDisplay | None = None
     notes: tuple[Finding, ...] = ()
     simulation_note: Finding | None = None
+    frequency_note: Finding | None = None
 
     @property
     def mode_kinds(self) -> pd.Index:
@@ -230,6 +236,7 @@ class FlightMechanics:
             "least_squares": self.least_squares,
             "modes": modes,
             "simulation": self.simulation,
+            "frequency": None if self.frequency is None else self.frequency.errors(),
         }
         for name, table in tables.items():
             if table is not None:

@@ -152,6 +152,14 @@ SIMULATED = (
     "of the aircraft that the model allows, in the same air: gusts that no sensor shows are not in "
     "it."
 )
+FREQUENCY_ERRORS = (
+    "Frequency responses of the test flights: the band that they excite, and root mean square "
+    "differences of the model there."
+)
+FREQUENCY = (
+    "Responses estimated from the test flights without a model, where they are excited, with 95 % "
+    "errors, and the model's with the band of 95 % of its aircraft; beneath each gain its phase."
+)
 HOW_TO_READ = (
     '<div class="note"><p><b>NRMSE</b>: root mean squared error over the standard deviation of the '
     "values; 1 is no better than their mean. <b>95 % coverage</b>: share of the values inside the "
@@ -221,6 +229,7 @@ def _sections(content: ReportContent) -> list[str]:
         sections.append(_note(NO_FIGURES))
     sections.append(_mechanics(content.mechanics))
     sections.append(_simulation(content.mechanics, draw))
+    sections.append(_frequency(content.mechanics, draw))
     sections += _flights(content, draw)
     if draw and content.effects is not None:
         sections.append(section("Effects", content.effects.html(EFFECTS)))
@@ -528,6 +537,25 @@ def _simulation_errors(errors: pd.DataFrame) -> str:
             cells.append(number(row["lasts_without_gusts"], ".2g"))
         rows.append([state(str(name)), unit, *cells])
     return table(head, rows, caption=caption, classes="numbers narrow")
+
+
+def _frequency(mechanics: FlightMechanics, draw: bool) -> str:
+    """Return the model's errors of frequency responses in the test flights, and the responses."""
+    parts = []
+    if mechanics.frequency_note is not None:
+        parts.append(_note(text(text_of(mechanics.frequency_note))))
+    display = mechanics.frequency
+    if display is not None:
+        rows = []
+        for name, row in display.errors().iterrows():
+            band = f"{number(row['lowest'], '.3g')} to {number(row['highest'], '.3g')}"
+            errors = [number(row["gain"], ".2g"), number(row["phase"], ".2g")]
+            rows.append([text(name), band, *errors])
+        head = ["", "excited<br>[rad/s]", "gain<br>[dB]", "phase<br>[deg]"]
+        parts.append(table(head, rows, caption=FREQUENCY_ERRORS, classes="numbers narrow"))
+        if draw:
+            parts.append(display.html(FREQUENCY, display.phases()))
+    return section("Frequency responses", *parts)
 
 
 def _flights(content: ReportContent, draw: bool) -> list[str]:

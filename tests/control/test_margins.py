@@ -193,7 +193,8 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "full", "words"),
     [
-        ({"MC_ROLLRATE_P": 0.1}, {"aileron": 0.4}, "without gains of a rate loop"),
+        ({"MC_ROLLRATE_P": 0.1}, {"aileron": 0.4}, "a gain of a multicopter"),
+        ({"BATT_CAPACITY": 5.0}, {"aileron": 0.4}, "without gains of a rate loop"),
         ({"RLL2SRV_P": 1.0}, {"aileron": 0.4}, "before 4.1"),
         ({"FW_RR_P": 0.0}, {"aileron": 0.4}, "no gains other than zero"),
         ({"FW_RR_P": 0.1}, {"flap": 0.4}, "expected deflections"),
@@ -210,6 +211,16 @@ def test_a_file_without_parameters_is_refused(tmp_path):
     path = tmp_path / "notes.txt"
     path.write_text("the gains are fine\n")
     with pytest.raises(ValueError, match="without parameters"):
+        read_parameters(path)
+
+
+@pytest.mark.parametrize("value", ["abc", "nan", "0.3.4"])
+def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
+    path = tmp_path / "plane.params"
+    path.write_text(f"RLL_RATE_P 0.1\nRLL_RATE_FF {value}\n")
+    with pytest.raises(
+        ValueError, match=r"Got the line 'RLL_RATE_FF .*a number behind RLL_RATE_FF"
+    ):
         read_parameters(path)
 
 

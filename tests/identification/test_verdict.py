@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
+from scipy.signal import lfilter
 
 from skdgp.dynamics import (
     Aerodynamics,
@@ -500,6 +501,20 @@ class TestMechanics:
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
         assert found.to_dict()["note"].startswith("No steady flight was found at ")
         assert "No derivatives: " in found.to_dict()["note"]
+
+    @pytest.mark.parametrize("size", [0.0, 0.05])
+    def test_frequency_responses_are_of_surfaces_that_move(self, flight, size):
+        time = np.arange(0.0, 60.0, 0.02)
+        elevator = size * lfilter([0.3], [1.0, -0.7], default_rng(0).normal(size=len(time)))
+        q = lfilter([0.0, -0.5], [1.0, -0.9], elevator)
+        table = pd.DataFrame({"time": time, "elevator": elevator, "q": q})
+        found = mechanics_of(table, train=flight)
+        if size:
+            assert found.frequency.keys == [("q", "elevator")]
+            assert found.to_dict()["frequency"]["q by elevator"]["gain"] > 0
+        else:
+            assert found.frequency is None
+            assert found.frequency_note.code is Code.NOT_EXCITED
 
     def test_is_plain_for_json(self, flight):
         found = mechanics_of(flight).to_dict()

@@ -7,7 +7,13 @@ from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, ExactPosterior, function_errors, mean_errors
+from skdgp.inference import (
+    Data,
+    ExactPosterior,
+    FunctionErrors,
+    function_errors,
+    mean_errors,
+)
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N_DRAWN = 700
@@ -227,7 +233,49 @@ def test_more_rows_narrow_slopes_as_least_squares():
     rng = default_rng(7)
     x = rng.normal(size=(100, 2))
     model = DependentGPRegressor(structure="trend").fit(x, x @ [[1.0], [2.0]])
-    assert_allclose(model.narrowing(x), np.full((1, 2), np.sqrt(0.5)), rtol=1e-6)
-    same, narrowed = model.narrowing(np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1)))[0]
+    assert_allclose(model.expected_errors(x).narrowing, np.full((1, 2), np.sqrt(0.5)), rtol=0.1)
+    one_axis = np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1))
+    same, narrowed = model.expected_errors(one_axis).narrowing[0]
     assert same == pytest.approx(1.0, abs=0.05)
     assert narrowed < 0.3
+
+
+@pytest.fixture(scope="module")
+def model_of_noisy_regressors():
+    """Return a model of one regressor with noise, whose slope this flattens, and the regressors."""
+    rng = default_rng(8)
+    truth = rng.normal(size=(2000, 1))
+    x = truth + 0.5 * rng.normal(size=truth.shape)
+    options = {"structure": "trend", "input_noise": [0.5]}
+    time = np.arange(2000.0)
+    return DependentGPRegressor(**options).fit(x, 2 * truth, time=time), x
+
+
+@pytest.mark.parametrize("size", [0.5, 3.0])
+def test_biases_of_slopes_fall_with_the_variance_of_the_regressors(model_of_noisy_regressors, size):
+    model, x = model_of_noisy_regressors
+    later = model.expected_errors(size * x).errors.slopes()[1]
+    variance_ratio = (1 + size**2) / 2
+    now = model.function_errors().slopes()[1]
+    assert np.abs(now).max() > 0.1
+    assert_allclose(later, now / variance_ratio, rtol=0.01)
+
+
+def test_more_rows_do_not_lower_the_discrepancy(model_of_noisy_regressors):
+    model, x = model_of_noisy_regressors
+    later = model.expected_errors(x).errors
+    assert_allclose(later.discrepancy, model.function_errors().discrepancy)
+
+
+@pytest.mark.parametrize("spread", [None, [0.5, 2.0]])
+def test_slopes_of_the_discrepancy_are_those_of_its_paths(spread):
+    nothing = np.zeros((0, 3, 1))
+    errors = FunctionErrors(nothing, nothing, np.zeros(2), np.array([4.0]), np.array([1.0, 3.0]))
+    paths = errors.paths(N_DRAWN, 0)
+    point = np.zeros((1, 1, 2))
+    slopes = (
+        paths.slopes(point) if spread is None else paths.averaged_slopes(point, np.array(spread))
+    )
+    of_spread = None if spread is None else np.array(spread)
+    expected = errors.discrepancy_slopes(of_spread)
+    assert_allclose(slopes[:, 0].std(axis=0), expected, rtol=WITHIN)

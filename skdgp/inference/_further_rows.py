@@ -1,0 +1,112 @@
+"""Errors that are expected of a posterior after further rows, whose regressors alone are known."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.parallel import one_blas_thread
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._errors import (
+    SETTINGS,
+    ErrorSettings,
+    FunctionErrors,
+    PosteriorWithErrors,
+    mean_errors,
+    mean_noise,
+)
+from skdgp.inference._posterior import Posterior
+
+# Functions drawn for the covariance of slopes: standard deviations within 5 %
+N_PATHS = 200
+
+
+class ExpectedErrors(NamedTuple):
+    r"""Errors that are expected of a posterior after further rows.
+
+    Of an output with noise of variance :math:`s^2`, rows Q = (1, x - c) make the variance
+    :math:`\Sigma` of value and slopes at the centre c
+
+    .. math:: \Sigma' = (\Sigma^{-1} + Q^T Q / s^2)^{-1}
+
+    (Bishop 2006, section 3.3). Of the other errors those that are correlated in time fall as of least
+    squares, biases by gusts and by noise of the regressors as the inverse of the covariance of the
+    regressors. The discrepancy stays, with the width of all rows.
+    """
+
+    #: Standard deviations of the posterior's slopes over those without the rows, (P, d)
+    narrowing: Matrix
+    #: The errors that the posterior does not hold
+    errors: FunctionErrors
+
+
+@one_blas_thread()
+def expected_errors(
+    posterior: Posterior, added: Matrix, settings: ErrorSettings = SETTINGS
+) -> ExpectedErrors:
+    """Return the errors that are expected of a posterior that has learned from further rows too.
+
+    ``added`` (k, d) are the regressors of these rows. With too few rows for a line nothing changes.
+    """
+    errors = mean_errors(posterior)
+    if isinstance(posterior, PosteriorWithErrors):
+        errors = posterior.errors
+        posterior = posterior.posterior
+    X = posterior.data.X
+    longest = max(X, key=len)
+    narrowing = np.ones((len(X), added.shape[1]))
+    if min(map(len, X)) < settings.fewest * (1 + added.shape[1]):
+        return ExpectedErrors(narrowing, errors)
+
+    centre = longest.mean(axis=0)
+    scale = column_scale(longest)
+    paths = posterior.paths(N_PATHS, 0)
+    values = paths.each(centre[None, None])[:, 0]
+    slopes = paths.slopes(centre[None, None])[:, 0] * scale
+    noise = mean_noise(posterior)
+    Q_added = _basis((added - centre) / scale)
+    random = errors.random.copy()
+    method = errors.method.copy()
+    for i, x in enumerate(X):
+        line = np.column_stack([values[:, i], slopes[:, i]])
+        narrowing[i] = _narrowing(np.cov(line.T), Q_added, noise[i], settings)
+        Q = _basis((x - centre) / scale)
+        random[:, 1:, i] *= _least_squares_ratio(Q, Q_added, settings)
+        biases = method[:, 1:, i]
+        is_biased = np.any(biases != 0, axis=0)
+        method[:, 1:, i] = is_biased * (biases @ _bias_ratio(x, added, settings).T)
+    width = column_scale(np.vstack([longest, added]))
+    later = errors._replace(random=random, method=method, length_scale=width)
+    return ExpectedErrors(narrowing, later)
+
+
+def _basis(z: Matrix) -> Matrix:
+    return np.column_stack([np.ones(len(z)), z])
+
+
+def _narrowing(covariance: Matrix, Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:
+    """Return the ratios (d,) of standard deviations of slopes with and without rows Q (k, 1 + d)."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    # of value and slopes in units of their standard deviations
+    correlation = covariance / np.outer(scale, scale)
+    Q = Q * scale
+    information = settings.inverse(correlation) + Q.T @ Q / noise
+    after = np.diag(settings.inverse(information))
+    return np.sqrt(np.clip(after, 0.0, 1.0))[1:]
+
+
+def _least_squares_ratio(Q: Matrix, added: Matrix, settings: ErrorSettings) -> Vector:
+    """Return the ratios (d,) of standard deviations of slopes of least squares with and without added rows."""
+    before = np.diag(settings.inverse(Q.T @ Q))
+    after = np.diag(settings.inverse(Q.T @ Q + added.T @ added))
+    ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
+    return np.sqrt(np.minimum(ratio, 1.0))[1:]
+
+
+def _bias_ratio(x: Matrix, added: Matrix, settings: ErrorSettings) -> Matrix:
+    """Return the matrix (d, d) that makes the biases of slopes with added rows of those without."""
+    before = np.atleast_2d(np.cov(x.T))
+    after = np.atleast_2d(np.cov(np.vstack([x, added]).T))
+    return settings.inverse(after) @ before

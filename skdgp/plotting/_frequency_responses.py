@@ -1,0 +1,128 @@
+"""FrequencyDisplay: frequency responses of a flight beside the model's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+
+from skdgp._display.page import ROLES, symbol
+from skdgp.plotting._display import BAND, Display
+
+UNITS = {"gain": "dB", "phase": "deg"}
+#: Least number of excited frequencies of a response that is drawn
+FEWEST = 3
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class FrequencyDisplay(Display):
+    """Gain, or phase, by frequency: of a flight where it excites the response, and of a model.
+
+    Parameters
+    ----------
+    responses : DataFrame
+        Of :func:`skdgp.dynamics.frequency_response` with a linear model.
+    quantity : {"gain", "phase"}
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from matplotlib.figure import Figure
+    >>> from skdgp.plotting import FrequencyDisplay
+    >>> index = pd.MultiIndex.from_product([["p"], ["aileron"], [1.0, 2.0, 4.0]],
+    ...                                    names=["output", "input", "frequency"])
+    >>> table = pd.DataFrame({"gain": [3.0, 2.0, 0.0], "gain_std": 0.5, "phase": [-20.0, -40.0, -60.0],
+    ...                       "phase_std": 3.0, "excited": True, "model_gain": [3.2, 2.1, 0.1],
+    ...                       "model_phase": [-18.0, -41.0, -62.0]}, index=index)
+    >>> FrequencyDisplay(responses=table).plot(Figure()).keys
+    [('p', 'aileron')]
+    """
+
+    responses: pd.DataFrame
+    quantity: str = "gain"
+    size = (3.0, 1.9)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns of panels."""
+        return len(self.keys)
+
+    @property
+    def keys(self) -> list[tuple[str, str]]:
+        """Output and input of each response with several excited frequencies."""
+        pairs = self.responses.groupby(level=["output", "input"], sort=False)
+        n_excited = pairs["excited"].sum()
+        return [tuple(pair) for pair in n_excited.index[n_excited >= FEWEST]]
+
+    def words(self, key: tuple[str, str]) -> str:
+        """Return what a panel shows."""
+        output, name = key
+        return f"{self.quantity} of {output} by {name} against frequency"
+
+    def phases(self) -> Self:
+        """Return the display of the phases."""
+        return replace(self, quantity="phase")
+
+    def errors(self) -> pd.DataFrame:
+        """Return for each response the excited band [rad/s] and the model's rms errors of gain [dB] and phase [deg]."""
+        rows = {}
+        for output, name in self.keys:
+            of_pair: Any = self.responses.loc[(output, name)]
+            excited = of_pair[of_pair["excited"].astype(bool)]
+            gain = excited["model_gain"] - excited["gain"]
+            phase = _wrapped(excited["model_phase"] - excited["phase"])
+            rows[f"{output} by {name}"] = {
+                "lowest": float(excited.index.min()),
+                "highest": float(excited.index.max()),
+                "gain": float(np.sqrt(np.mean(gain**2))),
+                "phase": float(np.sqrt(np.mean(phase**2))),
+            }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def draw(self, ax: Any, key: tuple[str, str]) -> None:
+        """Draw the measured response with its 95 % errors, and the model's with its band."""
+        name = self.quantity
+        table: Any = self.responses.loc[key]
+        frequency = table.index.to_numpy(float)
+        model = table[f"model_{name}"].to_numpy(float)
+        measured = table[name].to_numpy(float)
+        if name == "phase":
+            model = np.rad2deg(np.unwrap(np.deg2rad(model)))
+            measured = model + _wrapped(measured - model)
+        if f"model_{name}_lower" in table:
+            moved = model - table[f"model_{name}"].to_numpy(float)
+            lower = table[f"model_{name}_lower"] + moved
+            upper = table[f"model_{name}_upper"] + moved
+            style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0}
+            ax.fill_between(frequency, lower, upper, label="95 % band", **style)
+        ax.plot(frequency, model, color=ROLES["mean"], linewidth=0.9, label="model")
+        is_excited = table["excited"].to_numpy(bool)
+        half = BAND * table[f"{name}_std"].to_numpy(float)
+        ax.errorbar(
+            frequency[is_excited],
+            measured[is_excited],
+            half[is_excited],
+            fmt="none",
+            ecolor=ROLES["measured"],
+            elinewidth=0.9,
+        )
+        ax.plot(
+            frequency[is_excited],
+            measured[is_excited],
+            color=ROLES["measured"],
+            linestyle="None",
+            marker="o",
+            markersize=2.5,
+            label="flight",
+        )
+        ax.set_xscale("log")
+        ax.tick_params(which="minor", labelbottom=False)
+        label = f"{symbol(key[0])} by {key[1]} [{UNITS[name]}]"
+        ax.set(xlabel="frequency [rad/s]", ylabel=label)
+
+
+def _wrapped(degrees: Any) -> Any:
+    """Return angles from -180 to 180 degrees."""
+    return (degrees + 180.0) % 360.0 - 180.0

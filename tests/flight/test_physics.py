@@ -322,13 +322,11 @@ def test_inspect_says_so(flight, tmp_path):
     assert any(remark.startswith("az is probably wrong") for remark in inspect_log(path).remarks)
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize(
-    "name",
-    ["c172p_test_calm", "c172p_train_latlon", "viggen_uav_train_lateral", "viggen_uav_test_twoalt"],
+    ("model", "air"), [("c172p", "calm"), ("c172p", "light"), ("T37", "light")]
 )
-def test_simulated_flights_have_none(shared_data, name):
-    table = read_flight(shared_data / "flights" / f"{name}.parquet")
+def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_benchmark, model, air):
+    table = jsbsim_benchmark.sensed(jsbsim_flight(model, air))
     assert contradictions(table) == []
     assert contradictions(vibrating(table)) == []
 

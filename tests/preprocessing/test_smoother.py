@@ -7,14 +7,10 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pandas.testing import assert_frame_equal
 from scipy import signal
-from sklearn.pipeline import make_pipeline
 
 from skdgp._flight.smoothing import noise_level
 from skdgp.preprocessing import (
-    ElevonSplitter,
     FlightSmoother,
-    RateNondimensionalizer,
-    RegressorSelector,
 )
 
 RATE = 40.0
@@ -300,28 +296,13 @@ def test_a_missing_column_is_named_once_with_its_flight():
     assert str(error.value).count("'beta'") == 1
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize("name", ["viggen_uav_train_latlon", "c172p_train_latlon"])
-def test_real_size_flights(shared_data, name):
-    table = pd.read_parquet(shared_data / "flights" / f"{name}.parquet")
+@pytest.mark.parametrize("model", ["c172p", "T37"])
+def test_flights_of_jsbsim(jsbsim_flight, model):
+    table = jsbsim_flight(model, "light")
     channels = ["alpha", "beta", "airspeed", "q", "r"]
     measured = table[channels].to_numpy(float)
     truth = table[[f"{channel}_true" for channel in channels]].to_numpy(float)
     left = rms(smooth(measured, table.time) - truth)
-    assert (left < [0.4, 0.4, 0.3, 0.9, 0.75] * rms(measured - truth)).all()
+    assert (left < [0.65, 0.5, 0.5, 0.9, 0.75] * rms(measured - truth)).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
-
-
-@pytest.mark.shared
-def test_the_way_to_regressors(shared_data):
-    table = pd.read_parquet(shared_data / "flights" / "viggen_uav_train_latlon.parquet")
-    steps = make_pipeline(
-        FlightSmoother(),
-        ElevonSplitter(),
-        RateNondimensionalizer(span=2.8, chord=1.2),
-        RegressorSelector("classical"),
-    )
-    out = steps.fit_transform(table)
-    assert out.shape == (14_400, 11)
-    assert np.isfinite(out.to_numpy()).all()

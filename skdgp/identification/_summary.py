@@ -88,10 +88,11 @@ def _score_text(against: Mapping[str, pd.DataFrame], names: list[str]) -> str:
 
 def verdict_lines(verdict: Verdict, n_warnings: int = 3) -> list[str]:
     """Return error, comparison with least squares, uses and the first warnings."""
-    lines = [
-        f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands"
-    ]
-    if verdict.least_squares_error is not None:
+    error = "no error to judge"
+    if np.isfinite(verdict.error):
+        error = f"error {verdict.error:.3f} of the spread"
+    lines = [f"{error}, {100 * verdict.coverage:.1f} % in 95 % bands"]
+    if verdict.least_squares_error is not None and np.isfinite(verdict.error):
         lines.append(verdict.compared())
     for use in verdict.uses:
         lines.append(f"{use.purpose + ':':<22}{use.fit}, {use.reason}")

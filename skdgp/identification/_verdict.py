@@ -222,6 +222,7 @@ def _prediction(table: pd.DataFrame, missing: dict[str, str], still: list[str]) 
     """
     purpose = "predict coefficients"
     unjudged = []
+    missing = {name: vane for name, vane in missing.items() if name not in still}
     if missing:
         numbers = {"names": list(missing), "vanes": list(missing.values())}
         unjudged.append(Finding(Code.BY_CONSTRUCTION, numbers=numbers))
@@ -229,7 +230,7 @@ def _prediction(table: pd.DataFrame, missing: dict[str, str], still: list[str]) 
         unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": still}))
     if table["normalized_rmse"].mean() > 1:
         return _use(purpose, "no", Code.DIVERGING, error=table["normalized_rmse"].mean())
-    table = table.drop(index=[name for name in missing if name in table.index])
+    table = table.drop(index=list(missing))
     if table.empty:
         return Use(purpose, "unknown", tuple(unjudged))
     judged = _judged(purpose, table)

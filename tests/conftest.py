@@ -1,5 +1,6 @@
 """What every test may ask for."""
 
+import importlib
 import os
 import signal
 import sys
@@ -161,6 +162,31 @@ def first_minute(once):
     load = partial(datasets.load_example_flights, duration=60.0)
     folder = once("first minute", lambda folder: joblib.dump(load(), folder / "flights"))
     return lambda: joblib.load(folder / "flights")
+
+
+@pytest.fixture(scope="session")
+def jsbsim_benchmark():
+    """Return the module of the benchmarks that flies JSBSim."""
+    pytest.importorskip("jsbsim", reason="flies JSBSim, which is not installed")
+    folder = str(Path(__file__).parent / "benchmarks")
+    sys.path.insert(0, folder)
+    module = importlib.import_module("_jsbsim_flight")
+    sys.path.remove(folder)
+    return module
+
+
+@pytest.fixture(scope="session")
+def jsbsim_flight(jsbsim_benchmark, once):
+    """Return a function from a model of JSBSim and its air to 40 s of a flight with truth, flown once."""
+
+    def flight(model, air):
+        def write(folder):
+            table, _ = jsbsim_benchmark.flight_of(model, 1, air, 1, duration=40.0)
+            joblib.dump(table, folder / "flight")
+
+        return joblib.load(once(f"{model} in {air} air", write) / "flight")
+
+    return flight
 
 
 @pytest.fixture

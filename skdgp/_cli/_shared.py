@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import sys
+import threading
 import time
 import warnings
 from argparse import Namespace
@@ -232,16 +233,24 @@ STAGES = {"fit": "all outputs", "members": "components of the average"}
 
 
 class Console:
-    """Output of a command; a context manager, which removes the progress line at its end."""
+    """Output of a command; a context manager, which removes the progress line at its end.
 
-    def __init__(self, stream: TextIO | None = None, period: float = 0.2) -> None:
+    A thread shows a stage that lasts, with its seconds: no command is silent for long.
+    """
+
+    def __init__(
+        self, stream: TextIO | None = None, period: float = 0.2, silence: float = LINE_SECONDS
+    ) -> None:
         self.period = period  # between two states of the progress line [s]
+        self.silence = silence  # longest time without a line [s]
         self.stream = sys.stderr if stream is None else stream
         self.messages: list[str] = []
         self._shows_progress = self.stream.isatty()
         self._began = time.monotonic()
         self._shown = -period
         self._printed = self._began  # time of the last line without a terminal
+        self._stage = ""
+        self._done = threading.Event()
 
     def __enter__(self) -> Console:
         self._warnings = warnings.catch_warnings()
@@ -250,14 +259,17 @@ class Console:
         for category in (UserWarning, RuntimeWarning):
             warnings.simplefilter("always", category)
         warnings.showwarning = self._show_warning
+        threading.Thread(target=self._show_stages_that_last, daemon=True).start()
         return self
 
     def __exit__(self, kind, error, trace):
+        self._done.set()
         self._warnings.__exit__(kind, error, trace)
         self._end_progress()
 
     def print(self, text: str) -> None:
         """Print a result; raise OSError if it cannot be written."""
+        self._done.set()
         self._end_progress()
         try:
             print(text, flush=True)
@@ -272,7 +284,15 @@ class Console:
     def stage(self, text: str) -> None:
         """Show the stage that begins."""
         self._began = time.monotonic()
+        self._stage = text
         self._show(text)
+
+    def _show_stages_that_last(self):
+        while not self._done.wait(self.silence / 5):
+            now = time.monotonic()
+            last = self._shown if self._shows_progress else self._printed
+            if self._stage and now - max(last, self._began) >= self.silence:
+                self._show(f"{self._stage} · {now - self._began:.0f} s")
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Show the stage of an identification; the listener of ``skdgp.listening``."""
@@ -288,7 +308,7 @@ class Console:
 
     def _show(self, line):
         """Show a line in place of the last one; without a terminal print one at most every five seconds."""
-        if not self.stream.isatty() and time.monotonic() - self._printed >= LINE_SECONDS:
+        if not self.stream.isatty() and time.monotonic() - self._printed >= self.silence:
             self._printed = time.monotonic()
             self._write(f"{line}\n")
         if self._shows_progress:

@@ -90,6 +90,7 @@ class Code(Enum):
     ERRORS_SMALL = "errors_small"
     ERRORS_TOO_LARGE = "errors_too_large"
     LEAST_SQUARES_BETTER = "least_squares_better"
+    NOT_VARYING = "not_varying"
     TOO_LITTLE_FLOWN = "too_little_flown"
 
     # flight mechanics
@@ -101,6 +102,7 @@ class Code(Enum):
     NO_TRIM = "no_trim"
     TRIM_BEYOND = "trim_beyond"
     IMPLAUSIBLE_SIZES = "implausible_sizes"
+    SIGNS_UNKNOWN = "signs_unknown"
     WRONG_SIGNS = "wrong_signs"
 
     # simulation

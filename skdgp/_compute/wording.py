@@ -447,6 +447,8 @@ TEXTS = _by_code(
     "(error above 1): {flights:short}.",
     least_squares_better="Least squares is better in {worse} of {coefficients} coefficients: "
     "{names: }.",
+    not_varying="In the test flights {names: } vary by less than their noise, so their errors over "
+    "the spread tell nothing: test on a flight with inputs of every surface.",
     no_derivatives="No derivatives: {error}",
     no_trim="No steady flight was found at {airspeed:.3g} m/s: the reference is the median "
     "state, and there are no modes.",
@@ -456,6 +458,8 @@ TEXTS = _by_code(
     no_frequency_responses="No frequency responses are shown: {error}",
     implausible_sizes="No aircraft has such effects: {values:+.2g}. Look at the place and the signs "
     "of the accelerometers, and at gusts without vanes.",
+    signs_unknown="The signs of these derivatives are not known, as their 95 % bands hold zero: "
+    "{values:+.2g}. Fly larger inputs of every surface.",
     wrong_signs="Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
     "the signs of the log's surfaces and rates, at the place and the signs of the accelerometers, "
     "and at gusts without vanes.",
@@ -475,6 +479,8 @@ REASONS = _by_code(
     "the same accelerometers",
     diverging="the error is {error:.3g} of the spread, so a constant predicts better",
     implausible_sizes="implausible {names}",
+    not_varying="{names: } vary by less than their noise in the test flights",
+    signs_unknown="unknown sign of {names}",
     too_little_flown="learned from {seconds:.3g} s and {each:.2g} rows for each regressor: a "
     "judgement needs {least_seconds:g} s and {least_rows:g} rows",
     wrong_signs="wrong sign of {names}",

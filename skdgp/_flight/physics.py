@@ -62,6 +62,10 @@ class PhysicsSettings:
     least_samples: float = 10.0
     # least distance of a slope from its admissible interval, in standard deviations
     least_t: float = 5.0
+    # the same of the reverse slope, which tells noise of x from a wrong scale, and its largest
+    # standard deviation that tells anything (guesses)
+    reverse_t: float = 1.5
+    reverse_std: float = 0.5
     # least partial correlation of an effect of wrong sign: feedback, lags and gusts cause weaker
     # ones
     least_correlation: float = 0.3
@@ -356,6 +360,8 @@ class Check:
     # a check that must fail too: accelerometers ahead of the centre of gravity feel the yawing by
     # beta, so the sign of ay alone tells nothing
     witness: Check | None = None
+    # x is of accelerometers, whose noise has no bound: engines shake them
+    vibrates: bool = False
     # angle of the flow that the response depends on, if one
     angle: str | None = None
 
@@ -388,7 +394,8 @@ def _force(channels: tuple[str, ...], axis: int) -> Check:
     y = "the change of velocity"
     x = "the integral of specific force and gravity"
     regression = partial(level_force, axis=axis)
-    return Check(channels, y, x, regression, EQUAL, FORCE_CHANNELS, 0.5, KINEMATIC_LAGS)
+    check = Check(channels, y, x, regression, EQUAL, FORCE_CHANNELS, 0.5, KINEMATIC_LAGS)
+    return replace(check, vibrates=True)
 
 
 def _effect(
@@ -648,6 +655,9 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
         least *= 1 - (check.noise / best.size) ** 2
         slope = slopes[0.0]
+        is_attenuated = check.vibrates and 0 < slope.value < least
+        if is_attenuated and _is_reverse_admissible(check, signals):
+            return None
     else:
         slope = _slope_of_response(check, slopes, signals)
         if abs(slope.correlation) < settings.least_correlation:
@@ -658,6 +668,20 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
     if check.witness is not None and _judged(check.witness, signals) is None:
         return None
     return Judgement(check, check.channels, "slope", slope, t)
+
+
+def _is_reverse_admissible(check: Check, signals: Signals) -> bool:
+    """Return whether x over y has an admissible slope: equal signals, of which x alone is noisy.
+
+    Noise of x attenuates the slope of y over x, not this one (Frisch 1934); a wrong scale changes
+    both.
+    """
+    y, x, others = check.regression(signals)
+    reverse = estimated_slope(Regression(x, y, others), signals.settings)
+    settings = signals.settings
+    if reverse is None or reverse.std > settings.reverse_std:
+        return False
+    return abs(reverse.t(*check.slopes)) < settings.reverse_t
 
 
 def _slope_of_response(check: Check, slopes: dict[float, Slope], signals: Signals) -> Slope:

@@ -11,6 +11,7 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import software_versions
+from skdgp._compute.findings import Code, with_codes
 from skdgp._compute.wording import text_of
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp.dynamics import Aircraft
@@ -88,16 +89,27 @@ def _score_text(against: Mapping[str, pd.DataFrame], names: list[str]) -> str:
 
 def verdict_lines(verdict: Verdict, n_warnings: int = 3) -> list[str]:
     """Return error, comparison with least squares, uses and the first warnings."""
-    lines = [
-        f"error {verdict.error:.3f} of the spread, {100 * verdict.coverage:.1f} % in 95 % bands"
-    ]
-    if verdict.least_squares_error is not None:
+    error = "no error to judge"
+    if np.isfinite(verdict.error):
+        error = f"error {verdict.error:.3f} of the spread{_of_judged(verdict)}"
+    lines = [f"{error}, {100 * verdict.coverage:.1f} % in 95 % bands"]
+    if verdict.least_squares_error is not None and np.isfinite(verdict.error):
         lines.append(verdict.compared())
     for use in verdict.uses:
         lines.append(f"{use.purpose + ':':<22}{use.fit}, {use.reason}")
     for number, warning in enumerate(verdict.warnings[:n_warnings], start=1):
         lines.append(f"warning {number}: {warning}")
     return lines
+
+
+def _of_judged(verdict: Verdict) -> str:
+    """Return the coefficients that the error is of, empty if of all."""
+    unjudged: set[str] = set()
+    for finding in with_codes(verdict.findings, Code.NOT_VARYING):
+        unjudged.update(finding.numbers["names"])
+    if not unjudged:
+        return ""
+    return " of " + " ".join(name for name in COEFFICIENTS if name not in unjudged)
 
 
 def assumption_lines(assumed: Iterable[str]) -> list[str]:

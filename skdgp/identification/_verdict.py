@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.findings import Code, Finding, Severity
-from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, SPECIFIC_FORCE
+from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPECIFIC_FORCE
 from skdgp.report import (
     THRESHOLDS,
     Evaluation,
@@ -55,31 +55,37 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table = scores(evaluations)["measured"]
+    # a band that does not hold judges a coefficient all the same
+    holds = table["interval_coverage"] >= THRESHOLDS.held
+    still = [name for name in _not_varying(evaluations) if holds[name]]
+    judged = table.drop(index=still)
     doubts = _doubts(fit, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
     uses: tuple[Use, ...] = (
-        _prediction(table, _by_construction(evaluations, fit)),
+        _prediction(judged, _by_construction(evaluations, fit), still),
         _simulation(mechanics, fit.regressors),
-        _control(mechanics, table, faults),
+        _control(mechanics, table, judged, faults),
     )
     too_little = _too_little(fit)
     if too_little is not None:
         uses = tuple(_unknown(use, too_little) for use in uses)
-    better, worse = _against_least_squares(table)
-    warnings = [*faults, *_scored(table, evaluations, worse)]
+    better, worse = _against_least_squares(judged)
+    warnings = [*faults, *_scored(judged, evaluations, worse)]
+    if still:
+        warnings.append(Finding(Code.NOT_VARYING, numbers={"names": still}))
     if not fit.converged:
         warnings.append(Finding(Code.FIT_NOT_CONVERGED))
     warnings += [finding for finding in findings if finding.severity is not Severity.DOUBT]
     learned = list(train)
-    means = table.mean()
+    means = judged.mean()
     return Verdict(
         regressors=fit.regressors,
         tested=Extent.of([flight.table for flight in evaluations]),
         trained=Extent.of(learned) if learned else None,
         samples=fit.training.samples if fit.training else 0,
         error=float(means["normalized_rmse"]),
-        coverage=float(means["interval_coverage"]),
+        coverage=float(table["interval_coverage"].mean()),
         least_squares_error=means.get("least_squares_normalized_rmse"),
         better=better,
         worse=worse,
@@ -148,8 +154,20 @@ def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[
     return missing
 
 
+def _not_varying(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return coefficients whose spread in the test flights is below their noise, so that no error judges them."""
+    measured = np.concatenate([flight.measured for flight in evaluations])
+    spread = np.nanstd(measured, axis=0)
+    variances = [flight.measured_std**2 - flight.std**2 for flight in evaluations]
+    noise = np.sqrt(np.maximum(np.nanmean(np.concatenate(variances), axis=0), 0.0))
+    return [name for name, is_still in zip(COEFFICIENTS, spread < noise, strict=True) if is_still]
+
+
 def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
-    """Return the finding of derivatives of other sign than on a conventional stable aircraft, if any."""
+    """Return the findings of derivatives of other sign than on a conventional stable aircraft, if any.
+
+    Wrong is a sign that the 95 % band excludes; the others are not known.
+    """
     if derivatives.empty:
         return []
     signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
@@ -157,10 +175,18 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     by_rudder = derivatives["value"].reindex([*OPPOSITE])
     if (by_rudder > 0).all() or (by_rudder < 0).all():
         wrong = wrong.combine_first(by_rudder.iloc[:1])
-    if wrong.empty:
-        return []
-    numbers = {"values": wrong.to_dict(), "names": list(wrong.index)}
-    return [Finding(Code.WRONG_SIGNS, numbers=numbers)]
+    is_known = pd.Series(True, index=wrong.index)
+    if "std" in derivatives:
+        is_known = wrong.abs() > 1.96 * derivatives["std"].reindex(wrong.index)
+    findings = []
+    for code, values in (
+        (Code.WRONG_SIGNS, wrong[is_known]),
+        (Code.SIGNS_UNKNOWN, wrong[~is_known]),
+    ):
+        if len(values):
+            numbers = {"values": values.to_dict(), "names": list(values.index)}
+            findings.append(Finding(code, numbers=numbers))
+    return findings
 
 
 def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
@@ -191,18 +217,27 @@ def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
     return Use(purpose, fit, (Finding(code, numbers=numbers),))
 
 
-def _prediction(table: pd.DataFrame, missing: dict[str, str]) -> Use:
-    """Return whether the model predicts coefficients, of which those that lack a vane cannot be judged."""
+def _prediction(table: pd.DataFrame, missing: dict[str, str], still: list[str]) -> Use:
+    """Return whether the model predicts coefficients, of which some cannot be judged.
+
+    ``missing``: coefficients that lack a vane; ``still``: those that do not vary, without a row.
+    """
     purpose = "predict coefficients"
+    unjudged = []
+    missing = {name: vane for name, vane in missing.items() if name not in still}
+    if missing:
+        numbers = {"names": list(missing), "vanes": list(missing.values())}
+        unjudged.append(Finding(Code.BY_CONSTRUCTION, numbers=numbers))
+    if still:
+        unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": still}))
     if table["normalized_rmse"].mean() > 1:
         return _use(purpose, "no", Code.DIVERGING, error=table["normalized_rmse"].mean())
-    judged = _judged(purpose, table.drop(index=list(missing)))
-    if not missing:
-        return judged
-    numbers = {"names": list(missing), "vanes": list(missing.values())}
-    finding = Finding(Code.BY_CONSTRUCTION, numbers=numbers)
-    fit = "partly" if judged.fit == "yes" else judged.fit
-    return Use(purpose, fit, (*judged.findings, finding))
+    table = table.drop(index=list(missing))
+    if table.empty:
+        return Use(purpose, "unknown", tuple(unjudged))
+    judged = _judged(purpose, table)
+    fit = "partly" if judged.fit == "yes" and unjudged else judged.fit
+    return Use(purpose, fit, (*judged.findings, *unjudged))
 
 
 def _judged(purpose: str, table: pd.DataFrame) -> Use:
@@ -257,8 +292,13 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     )
 
 
-def _control(mechanics: FlightMechanics, table: pd.DataFrame, faults: Sequence[Finding]) -> Use:
-    """Return whether the model serves to design a controller."""
+def _control(
+    mechanics: FlightMechanics,
+    table: pd.DataFrame,
+    judged: pd.DataFrame,
+    faults: Sequence[Finding],
+) -> Use:
+    """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores."""
     purpose = "design a controller"
     if faults:
         return Use(purpose, "no", tuple(faults))
@@ -273,7 +313,6 @@ def _control(mechanics: FlightMechanics, table: pd.DataFrame, faults: Sequence[F
     if len(wide):
         parts = _largest_parts(mechanics.derivatives, wide.index)
         return _use(purpose, "no", Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict(), parts=parts)
-    errors = table["normalized_rmse"]
     coverages = table["interval_coverage"]
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
@@ -285,7 +324,8 @@ def _control(mechanics: FlightMechanics, table: pd.DataFrame, faults: Sequence[F
     if beyond:
         finding = Finding(Code.TRIM_BEYOND, numbers={"names": beyond})
         return Use(purpose, "no", (finding, controls_known))
-    poor = [name for name in MOMENTS if errors[name] > 1]
+    errors = judged["normalized_rmse"].reindex([*MOMENTS])
+    poor = list(errors.index[errors > 1])
     if poor:
         finding = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
         return Use(purpose, "partly", (controls_known, finding))
@@ -324,14 +364,15 @@ def _scored(
     findings = []
     bad = []
     for flight in evaluations:
-        if flight.scores["measured"]["normalized_rmse"].mean() > 1:
+        if flight.scores["measured"].loc[table.index, "normalized_rmse"].mean() > 1:
             bad.append(flight.name)
     if bad:
         numbers = {"flights": bad, "worse": len(bad), "tested": len(evaluations)}
         findings.append(Finding(Code.CONSTANT_BETTER_IN_FLIGHTS, numbers=numbers))
     means = table.mean()
     limit = (1 + THRESHOLDS.tie) * means.get("least_squares_normalized_rmse", np.inf)
-    if len(worse) >= len(table) / 2 or means["normalized_rmse"] > limit:
+    is_mostly_worse = bool(worse) and len(worse) >= len(table) / 2
+    if is_mostly_worse or means["normalized_rmse"] > limit:
         numbers = {"names": list(worse), "worse": len(worse), "coefficients": len(table)}
         findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers))
     coverages = table["interval_coverage"]

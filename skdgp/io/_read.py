@@ -38,6 +38,7 @@ from skdgp.io._tables import (
     read_parquet,
     reading,
     to_floats,
+    with_attitude,
 )
 
 UNKNOWN = "unknown_columns"
@@ -62,9 +63,8 @@ def read_flight(
 ) -> pd.DataFrame:
     r"""Read one log into a flight table: SI, radians, one clock, the names of the vocabulary.
 
-    A CSV header may state units, ``alpha [deg]``, or have a row of units under it: these are
-    converted. Columns that the vocabulary does not know are kept,
-    ``table.attrs["unknown_columns"]``.
+    A CSV header may state units, ``alpha [deg]``: these are converted. Columns that the vocabulary
+    does not know are kept, ``table.attrs["unknown_columns"]``.
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where
     slower, NaN in gaps) and cut into flights; ``table.attrs["sources"]`` names the message of each
@@ -157,7 +157,7 @@ def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.Da
             f"Got the suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: "
             "convert it, in MATLAB by writetable, or rename it."
         )
-    table = _renamed(TABLES[kind](path, rename), rename)
+    table = with_attitude(_renamed(TABLES[kind](path, rename), rename))
     if flight is not None or "flight" not in table:
         table["flight"] = path.stem if flight is None else flight
     return _as_flight(table)

@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.channels import CHANNELS, EULER, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.frames import quaternion_to_euler
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class TableLimits:
     # bytes that any file may take when unpacked, and more for each byte of the file
     room: int = 2**28
     room_per_byte: int = 100
+    # of the norm of a quaternion that was rounded
+    norm_error: float = 0.05
 
 
 LIMITS = TableLimits()
@@ -39,18 +42,21 @@ TO_SI = {
     "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", np.pi / 180),
     "m": ("m", 1.0), "ft": ("m", 0.3048),
     "m/s": ("m/s", 1.0), "kt": ("m/s", 1852 / 3600), "km/h": ("m/s", 1 / 3.6), "ft/s": ("m/s", 0.3048),
-    "ft/min": ("m/s", 0.3048 / 60),
-    "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665),
-    "kg": ("kg", 1.0), "lb": ("kg", 0.45359237),
-    "kg/m^3": ("kg/m^3", 1.0), "N": ("N", 1.0), "N m": ("N m", 1.0), "": ("", 1.0), "%": ("", 0.01),
+    "ft/min": ("m/s", 0.3048 / 60), "mph": ("m/s", 0.44704),
+    "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665), "ft/s^2": ("m/s^2", 0.3048),
+    "kg": ("kg", 1.0), "lb": ("kg", 0.45359237), "slug": ("kg", 14.593903),
+    "kg/m^3": ("kg/m^3", 1.0), "lb/ft^3": ("kg/m^3", 16.018463), "slug/ft^3": ("kg/m^3", 515.378818),
+    "lbf": ("N", 4.4482216), "N": ("N", 1.0), "N m": ("N m", 1.0), "": ("", 1.0), "%": ("", 0.01),
 }  # fmt: skip
 UNITS = {unit.lower(): meaning for unit, meaning in TO_SI.items()}
 SPELLINGS = {
-    "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "sec": "s", "µs": "us", "-": "",
-    "1": "", "kts": "kt", "knots": "kt", "m/s2": "m/s^2", "m/s²": "m/s^2", "rad/s2": "rad/s^2", "rad/s²": "rad/s^2",
-    "deg/s2": "deg/s^2", "°/s²": "deg/s^2", "kg/m3": "kg/m^3", "kg/m³": "kg/m^3", "nm": "N m", "n": "N",
-    "fpm": "ft/min",
+    "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "°/s^2": "deg/s^2", "dps": "deg/s", "µs": "us",
+    "-": "", "1": "", "kts": "kt", "knots": "kt", "nm": "N m", "n": "N", "fpm": "ft/min", "lbs": "lb", "mi/h": "mph",
 }  # fmt: skip
+# Powers and seconds have several spellings in any unit: m/s2, m/s², m/sec^2
+POWER = re.compile(r"(?<=[a-z])([23])\b")
+# Columns of a quaternion from body to north-east-down, the scalar first
+ATTITUDES = (("qw", "qx", "qy", "qz"), ("q0", "q1", "q2", "q3"))
 
 
 class FlightReadError(ValueError):
@@ -130,8 +136,7 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
     converted = {}
     for name, text in units.items():
         expected = CHANNELS[base_name(name)].unit
-        written = text.strip()
-        unit = SPELLINGS.get(written.lower(), written)
+        unit = _usual_spelling(text)
         quantity, factor = UNITS.get(unit.lower(), ("unknown", 1.0))
         if quantity != expected:
             fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
@@ -141,6 +146,35 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
         if factor != 1.0:
             converted[name] = to_floats(table[name]) * factor
     return table.assign(**converted)
+
+
+def _usual_spelling(unit: str) -> str:
+    """Return a unit as the table of units spells it, in lower case if it has it."""
+    written = unit.strip().lower().replace("²", "2").replace("³", "3").replace("sec", "s")
+    written = POWER.sub(r"^\1", written)
+    return SPELLINGS.get(written, written)
+
+
+def with_attitude(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with phi, theta, psi of its quaternions, with a FlightDataWarning, if it has these alone."""
+    for names in ATTITUDES:
+        is_whole = {*names} <= {*table.columns}
+        if not is_whole or {*EULER} & {*table.columns}:
+            continue
+        quaternions = table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+        norms = np.linalg.norm(quaternions, axis=1)
+        if not np.nanmax(np.abs(norms - 1), initial=0.0) < LIMITS.norm_error:
+            continue
+        warn(
+            f"phi, theta and psi follow from the quaternion {' '.join(names)}, taken to turn body axes "
+            "to north, east, down, the scalar first.",
+            FlightDataWarning,
+            stacklevel=5,
+        )
+        angles = quaternion_to_euler(quaternions)
+        others = table.drop(columns=list(names))
+        return others.assign(**dict(zip(EULER, angles.T, strict=True)))
+    return table
 
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")
@@ -195,11 +229,15 @@ def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataF
 
 
 def _parsed(rows: str, names: list[str], separator: str) -> pd.DataFrame:
-    """Return the columns that have a name; the file does not say which decimal mark it has."""
+    """Return the columns that have a name; the file does not say which decimal mark it has.
+
+    It is the one by which more columns are numbers, as times may be dates.
+    """
     named = [name for name in names if name]
     numbers = [name for name in named if is_number(name)]
-    for decimal in "." if separator == "," else ",.":
-        table = pd.read_csv(
+
+    def parsed(decimal: str) -> pd.DataFrame:
+        return pd.read_csv(
             io.StringIO(rows),
             sep=separator,
             decimal=decimal,
@@ -211,9 +249,15 @@ def _parsed(rows: str, names: list[str], separator: str) -> pd.DataFrame:
             skipinitialspace=True,
             low_memory=False,
         )
-        if all(map(pd.api.types.is_numeric_dtype, table[numbers].dtypes)):
-            break
-    return table
+
+    def n_numeric(table: pd.DataFrame) -> int:
+        return sum(map(pd.api.types.is_numeric_dtype, table[numbers].dtypes))
+
+    table = parsed(".")
+    if separator == "," or n_numeric(table) == len(numbers):
+        return table
+    by_comma = parsed(",")
+    return by_comma if n_numeric(by_comma) > n_numeric(table) else table
 
 
 def _records(lines: list[str], separator: str) -> Any:

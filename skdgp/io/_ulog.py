@@ -212,6 +212,8 @@ SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elev
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Left and right flaps
 FLAPS = (9, 10)
+# Left and right ailerons, which are flaperons with a CA_SV_CSn_FLAP
+AILERONS = (1, 2)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
@@ -496,12 +498,14 @@ def _flaps(types: Mapping[int, int], parameters: Mapping[str, float]) -> dict[st
     """Return the mean of the flaps, 0 to 1.
 
     Their outputs are (2 f - 1) CA_SV_CSn_FLAP, in versions without this parameter f on the left
-    and -f on the right (ActuatorEffectivenessControlSurfaces.cpp).
+    and -f on the right (ActuatorEffectivenessControlSurfaces.cpp). Of flaperons, too, the mean is f,
+    as rolling turns them apart; they need the parameter.
     """
     servos = []
     for n, kind in types.items():
         scale = parameters.get(f"CA_SV_CS{n}_FLAP")
-        if kind not in FLAPS or scale == 0:
+        is_flaperon = kind in AILERONS and scale is not None and _turn_apart(types, parameters)
+        if scale == 0 or not (kind in FLAPS or is_flaperon):
             continue
         closed, opened = (0.0, 1.0) if kind == FLAPS[0] else (0.0, -1.0)
         if scale is not None:
@@ -512,6 +516,16 @@ def _flaps(types: Mapping[int, int], parameters: Mapping[str, float]) -> dict[st
     if not servos:
         return {}
     return {"flap": tuple((1 / len(servos), servo) for servo in servos)}
+
+
+def _turn_apart(types: Mapping[int, int], parameters: Mapping[str, float]) -> bool:
+    """Return whether rolling does not change the mean of the flaperons over their CA_SV_CSn_FLAP."""
+    parts = []
+    for n, kind in types.items():
+        scale = parameters.get(f"CA_SV_CS{n}_FLAP", 0.0)
+        if kind in AILERONS and scale:
+            parts.append(parameters.get(f"CA_SV_CS{n}_TRQ_R", 0.0) / scale)
+    return bool(parts) and abs(sum(parts)) < 1e-3 * sum(map(abs, parts))
 
 
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Finding
+from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._compute.wording import reasons_of, text_of, texts_of
 from skdgp._flight.channels import COEFFICIENTS
@@ -98,8 +98,8 @@ class Verdict:
     regressors : sequence of str
         Regressors of the model.
     error, coverage : float
-        NRMSE and coverage of the 95 % band, means of the six coefficients, of all test flights
-        together.
+        NRMSE and coverage of the 95 % band, means of the coefficients, of all test flights
+        together. The error is of those that vary by more than their noise, NaN where none does.
     uses : tuple of Use
         Judgements by `THRESHOLDS`.
     findings : tuple of Finding
@@ -160,9 +160,12 @@ class Verdict:
 
     def compared(self) -> str:
         """Return a sentence on least squares, empty where it is not known."""
-        if self.least_squares_error is None:
+        if self.least_squares_error is None or not np.isfinite(self.error):
             return ""
-        equal = [name for name in COEFFICIENTS if name not in (*self.better, *self.worse)]
+        others = {*self.better, *self.worse}
+        for finding in with_codes(self.findings, Code.NOT_VARYING):
+            others.update(finding.numbers["names"])
+        equal = [name for name in COEFFICIENTS if name not in others]
         kinds = {"better": self.better, "equal": equal, "worse": self.worse}
         parts = [f"{kind} in {' '.join(names)}" for kind, names in kinds.items() if names]
         errors = f"an error of {self.least_squares_error:.3f}, the model {self.error:.3f}"

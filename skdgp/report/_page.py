@@ -285,7 +285,7 @@ def _error_and_coverage(verdict: Verdict) -> str:
         beside = f"<span>least squares {_thousandths(verdict.least_squares_error)}</span>"
     return (
         f'<div class="head"><div><b>{_thousandths(verdict.error)}</b><span>error over spread '
-        f"(NRMSE), mean of the six</span>{beside}</div><div><b>{percent(verdict.coverage)}"
+        f"(NRMSE), mean of the coefficients</span>{beside}</div><div><b>{percent(verdict.coverage)}"
         "<small>%</small></b><span>of measured values inside the 95 % band</span>"
         "<span>95 is right</span></div></div>"
     )

@@ -120,7 +120,7 @@ SOURCES = sources()
 
 
 @cache
-def flight_of(model, number, air, seed):
+def flight_of(model, number, air, seed, duration=DURATION):
     """Return a flight with sensors of a small aircraft and its truth, ending in _true, and the aircraft.
 
     It has the manoeuvres of a plan of the example flights, held level or in slow turns.
@@ -138,7 +138,7 @@ def flight_of(model, number, air, seed):
         fdm["atmosphere/turb-type"] = 3
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
     theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
-    time = np.arange(round((SETTLING + DURATION) * RATE * FRAMES)) / (RATE * FRAMES) - SETTLING
+    time = np.arange(round((SETTLING + duration) * RATE * FRAMES)) / (RATE * FRAMES) - SETTLING
     command = np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS])
     command *= [1.0, 1.5, 1.0, 1.0]
     rows = []

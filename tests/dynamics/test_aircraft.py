@@ -78,15 +78,6 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
         Aircraft.from_dict(GOOD).inertia[0, 0] = -1.0
 
 
-@pytest.mark.shared
-@pytest.mark.parametrize(
-    "path", ["flights/viggen_uav.json", "flights/c172p.json", "ampyx_ap2/ampyx_ap2.json"]
-)
-def test_shared_aircraft_are_read(shared_data, path):
-    stored = json.loads((shared_data / path).read_text())
-    assert Aircraft.from_file(shared_data / path).to_dict() == stored
-
-
 @pytest.mark.parametrize("name", ["mass", "wing_area", "span", "chord"])
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "heavy", None])
 def test_sizes_must_be_positive_numbers(name, value):

@@ -7,7 +7,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import aerodynamic_coefficients
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
@@ -175,44 +175,3 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
 def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words):
     with pytest.warns(UserWarning, match=words):
         aerodynamic_coefficients(change(simulated), aircraft, cutoff=None)
-
-
-FLIGHTS = [
-    ("viggen_uav_train_lateral", "viggen_uav"),
-    ("viggen_uav_train_latlon", "viggen_uav"),
-    ("viggen_uav_test_twoalt", "viggen_uav"),
-    ("c172p_train_latlon", "c172p"),
-    ("c172p_test_calm", "c172p"),
-]
-
-
-def noise_free(flight):
-    """The truth columns under their plain names; the coefficients keep their suffix."""
-    truth = [
-        c for c in flight if c.endswith("_true") and c.removesuffix("_true") not in COEFFICIENTS
-    ]
-    plain = flight.drop(
-        columns=[c.removesuffix("_true") for c in truth if c.removesuffix("_true") in flight]
-    )
-    return plain.rename(columns={c: c.removesuffix("_true") for c in truth})
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize(("name", "kind"), FLIGHTS)
-def test_noise_free_columns_give_back_the_true_coefficients(shared_data, name, kind):
-    flight = noise_free(pd.read_parquet(shared_data / "flights" / f"{name}.parquet"))
-    aircraft = Aircraft.from_file(shared_data / "flights" / f"{kind}.json")
-    truth = flight[[f"{c}_true" for c in COEFFICIENTS]].to_numpy()
-    got = aerodynamic_coefficients(flight, aircraft, cutoff=None).to_numpy()
-    assert (np.abs(got - truth).max(axis=0) < 2e-3 * truth.std(axis=0)).all()
-
-
-@pytest.mark.shared
-def test_tethered_flight_needs_to_be_told_of_its_rope(shared_data):
-    flight = pd.read_parquet(shared_data / "ampyx_ap2" / "ampyx_ap2.parquet")
-    aircraft = Aircraft.from_file(shared_data / "ampyx_ap2" / "ampyx_ap2.json")
-    with pytest.raises(ValueError, match="thrust=None"):
-        aerodynamic_coefficients(flight, aircraft)
-    got = aerodynamic_coefficients(flight, aircraft, thrust=None, external_forces=["tether"])
-    assert np.isfinite(got).all(axis=None)
-    assert -1.5 < got["CZ"].median() < -0.5, "lift of a wing at work, not of a rope"

@@ -16,6 +16,7 @@ ELEVONS = ["elevon_left", "elevon_right"]
 FORCES = ["ax", "ay", "az"]
 DEGREES = 180 / np.pi
 GRAVITY = 9.80665
+FOOT = 0.3048
 
 
 @pytest.fixture(scope="module")
@@ -322,15 +323,22 @@ def test_inspect_says_so(flight, tmp_path):
     assert any(remark.startswith("az is probably wrong") for remark in inspect_log(path).remarks)
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize(
-    "name",
-    ["c172p_test_calm", "c172p_train_latlon", "viggen_uav_train_lateral", "viggen_uav_test_twoalt"],
+    ("model", "air"), [("c172p", "calm"), ("c172p", "light"), ("T37", "light")]
 )
-def test_simulated_flights_have_none(shared_data, name):
-    table = read_flight(shared_data / "flights" / f"{name}.parquet")
+def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_benchmark, model, air):
+    table = jsbsim_benchmark.sensed(jsbsim_flight(model, air))
     assert contradictions(table) == []
     assert contradictions(vibrating(table)) == []
+
+
+def test_noise_of_a_sensor_is_no_contradiction_and_a_wrong_scale_beside_it_is(flight):
+    """Noise attenuates the slope of the change of velocity over the impulse, and not the reverse slope."""
+    noise = default_rng(0).normal(0.0, 5.0, len(flight))
+    noisy = flight.assign(ay=flight["ay"] + noise)
+    assert contradictions(noisy) == []
+    in_feet = noisy.assign(**{name: noisy[name] / FOOT for name in FORCES})
+    assert channels_of(contradictions(in_feet)) & {*FORCES}
 
 
 @pytest.mark.shared

@@ -148,11 +148,6 @@ class TestALogAMassAndASpan:
         assert table.loc["Cm_elevator", "per"] == "full throw"
         assert table.loc["Cm_alpha", "per"] == "rad"
 
-    def test_says_what_it_assumed_in_ten_lines(self, found):
-        lines = found.summary().partition("assumed, as nothing was told:")[2].strip().splitlines()
-        assert len(lines) <= 10
-        assert any("full throw" in line for line in lines)
-
     @pytest.mark.filterwarnings("ignore")
     def test_the_model_reads_other_logs_in_its_unit(self, found, log, tmp_path):
         found.save(tmp_path)
@@ -171,7 +166,10 @@ class TestALogAMassAndASpan:
         assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
 
     @pytest.mark.filterwarnings("ignore")
-    def test_the_report_shows_full_throws_and_what_was_assumed(self, found, tmp_path, no_pictures):
+    def test_full_throws_and_assumptions_are_told(self, found, tmp_path, no_pictures):
+        lines = found.summary().partition("assumed, as nothing was told:")[2].strip().splitlines()
+        assert len(lines) <= 10
+        assert any("full throw" in line for line in lines)
         page = (found.save(tmp_path) / "report.html").read_text(encoding="utf-8")
         assert "What was assumed</h2>" in page
         assert "Those by surfaces are by their full throw." in page

@@ -89,14 +89,15 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
     noise /= np.sqrt((noise**2).mean(axis=0))
     error = np.broadcast_to(error, 6)
     time = 0.05 * np.arange(n)
+    measured_std = error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6))
     return Evaluation(
         name=name,
         time=time,
         measured=measured,
         mean=measured + error * noise,
         baseline=measured + linear * noise,
-        std=np.full((n, 6), 0.01),
-        measured_std=error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6)),
+        std=np.sqrt(measured_std**2 - 0.01**2),  # of the function; the noise is small
+        measured_std=measured_std,
         table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
         rows=np.arange(n),
         regressors=measured,
@@ -403,6 +404,44 @@ def test_effects_that_no_aircraft_has_forbid_a_controller():
         if wrong:
             assert f"{name} {value:+.2g}" in found.warnings[0]
             assert "the accelerometers" in found.warnings[0]
+
+
+def still(flight, *outputs):
+    """Return a flight in which outputs vary by a thousandth of their noise, and the model errs by much more."""
+    noise = 0.1
+    spread = np.where(np.isin(np.arange(6), outputs), 1e-3 * noise, 1.0)
+    std = np.sqrt(flight.measured_std**2 + noise**2)
+    return replace(flight, measured=spread * flight.measured, measured_std=std)
+
+
+class TestCoefficientsThatDoNotVary:
+    def test_one_is_left_out_of_the_error(self):
+        calm = still(evaluation(), 5)
+        found = verdict([calm])
+        assert found.error == pytest.approx(verdict().error)
+        fit, reason = use(found, "predict coefficients")
+        assert fit == "partly"
+        assert "Cn vary by less than their noise in the test flights" in reason
+        assert "Cn" not in found.compared()
+        assert any("In the test flights Cn vary by less" in warning for warning in found.warnings)
+
+    def test_of_none_there_is_no_error(self):
+        found = verdict([still(evaluation(), *range(6))])
+        assert np.isnan(found.error)
+        assert found.compared() == ""
+        assert use(found, "predict coefficients")[0] == "unknown"
+        assert [finding.code for finding in found.findings] == [Code.NOT_VARYING]
+
+    def test_a_large_error_of_one_that_varies_is_a_no(self):
+        assert use(verdict([evaluation(error=1.5)]), "predict coefficients")[0] == "no"
+
+
+def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown():
+    table = mechanics().derivatives
+    added = pd.DataFrame({"value": [0.1], "std": [0.2]}, index=["CY_beta"])
+    found = verdict(derivatives=pd.concat([table, added]))
+    assert use(found, "design a controller") == ("no", "unknown sign of CY_beta")
+    assert "not known, as their 95 % bands hold zero: CY_beta +0.1" in found.warnings[0]
 
 
 def test_without_vanes_forces_that_agree_by_construction_are_not_judged():

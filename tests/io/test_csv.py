@@ -5,9 +5,11 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
+from skdgp.dynamics import euler_to_quaternion
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
@@ -57,9 +59,9 @@ CASES = {
         ["time [ms],alpha [deg]\n0,1\n20,2\n", "time (ms);alpha (°)\n0;1\n20;2\n"],
         {"time": [0, 0.02], "alpha": [DEGREE, 2 * DEGREE]},
     ),
-    "unit of another quantity or system, such as lbf": (
-        ["time,thrust_x [lbf]\n0,1\n0.02,2\n", "time,alpha [m/s]\n0,1\n0.02,2\n"],
-        r"Got unit '(lbf|m/s)' for column '\w+', but expected one of",
+    "unit of another quantity or system, such as kgf": (
+        ["time,thrust_x [kgf]\n0,1\n0.02,2\n", "time,alpha [m/s]\n0,1\n0.02,2\n"],
+        r"Got unit '(kgf|m/s)' for column '\w+', but expected one of",
     ),
     "units under the header": (
         ["time,alpha\nms,deg\n0,1\n20,2\n", "time [ms],alpha\ns,deg\n0,1\n20,2\n"],
@@ -157,3 +159,45 @@ def test_case(tmp_path, text, expected):
 def test_the_page_has_these_cases():
     section = PAGE.partition("\n## CSV files\n")[2].partition("\n## ")[0]
     assert re.findall(r"^\| ([^|]+?) \|", section, flags=re.MULTILINE) == ["in a CSV", *CASES]
+
+
+def test_dates_beside_decimal_commas(tmp_path):
+    rows = ["time;alpha [deg];az [ft/sec²]", "2024-05-01T10:00:00.0Z;1,5;-32,2"]
+    rows.append("2024-05-01T10:00:00.1Z;2,5;-31,2")
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    table = read_flight(tmp_path / "a.csv")
+    assert_allclose(np.diff(table.time), 0.1, atol=1e-6)
+    assert_allclose(table.alpha, np.deg2rad([1.5, 2.5]))
+    assert_allclose(table.az, [-32.2 * 0.3048, -31.2 * 0.3048])
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        ("mph", 0.44704),
+        ("KTS", 1852 / 3600),
+        ("m/sec", 1.0),
+        ("ft/sec", 0.3048),
+        ("ft/min", 0.00508),
+    ],
+)
+def test_speeds(tmp_path, unit, factor):
+    (tmp_path / "a.csv").write_text(f"time,airspeed [{unit}]\n0,40\n0.1,50\n")
+    assert_allclose(read_flight(tmp_path / "a.csv").airspeed, [40 * factor, 50 * factor])
+
+
+@pytest.mark.parametrize("names", ["qw qx qy qz", "q0 q1 q2 q3"])
+def test_an_attitude_of_quaternions(tmp_path, names):
+    angles = np.array([[0.3, -0.2, 1.0], [0.1, 0.4, -2.0]])
+    turned = euler_to_quaternion(*angles.T)
+    table = pd.DataFrame(turned, columns=names.split()).assign(time=[0.0, 0.1])
+    table.to_csv(tmp_path / "a.csv", index=False)
+    with pytest.warns(FlightDataWarning, match=f"the quaternion {names}, taken to turn body axes"):
+        found = read_flight(tmp_path / "a.csv")
+    assert_allclose(found[["phi", "theta", "psi"]], angles, atol=1e-12)
+    assert "qw" not in found
+
+
+def test_columns_that_are_no_quaternion_stay(tmp_path):
+    (tmp_path / "a.csv").write_text("time,q0,q1,q2,q3\n0,1,2,3,4\n0.1,1,2,3,4\n")
+    assert "phi" not in read_flight(tmp_path / "a.csv")

@@ -155,26 +155,34 @@ def test_a_bench_of_a_vtol(vtol_bench):
     assert "never stays above 13.3 m/s" in summary.remarks[-1]
 
 
-@pytest.mark.shared
-class TestSharedLogs:
-    def test_benches(self, shared_data):
-        summary = inspect_log(shared_data / "logs" / "pyflightcoach_elevator_bench.BIN")
-        assert summary.firmware.startswith("ArduPlane V4.0.6")
-        assert "no valid airspeed" in summary.remarks[-1]
-        assert any("ARSP.Airspeed is never valid" in remark for remark in summary.remarks)
+@pytest.fixture
+def bench(write, dataflash):
+    """Return a log of a bench: the safety switch is on, so no pulses go out; nothing blows into the pitot tube."""
+    time = 0.04 * np.arange(500)
+    level = {f"Gyr{axis}": ("f", 0.0) for axis in "XYZ"} | {
+        f"Acc{axis}": ("f", 0.0) for axis in "XYZ"
+    }
+    log = dataflash("ArduPlane V4.0.6 (abcdef01)", SERVO2_FUNCTION=19.0)
+    log.topic("IMU", time, I=("B", 0), **level | {"AccZ": ("f", -9.8)})
+    log.topic("ARSP", time, I=("B", 0), Airspeed=("f", 1.0), H=("B", 0), U=("B", 1))
+    log.topic("AETR", time, Elev=("h", 4500 * np.sin(time)))
+    log.topic("RCOU", time, C2=("H", 0))
+    return write(log, "bench.bin")
 
-    def test_servos_that_were_switched_off(self, shared_data):
-        """The safety switch was on: no pulses went out, but the commands stand in AETR."""
-        path = shared_data / "logs" / "pyflightcoach_elevator_bench.BIN"
-        pulses = {"elevator": {"channel": "RCOU.C2", "points": [[1100, -0.35], [1900, 0.35]]}}
-        assert (
-            "RCOU.C2 sends no pulse, so there is no elevator"
-            in inspect_log(path, servos=pulses).remarks
-        )
-        commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
-        summary = inspect_log(path, servos=commands)
-        elevator = summary.columns.loc["elevator"]
-        assert elevator["rate"] == pytest.approx(25, rel=0.01)
+
+def test_an_airspeed_that_is_never_valid(bench):
+    summary = inspect_log(bench)
+    assert "no valid airspeed" in summary.remarks[-1]
+    assert any("ARSP.Airspeed is never valid" in remark for remark in summary.remarks)
+
+
+def test_servos_that_were_switched_off(bench):
+    pulses = {"elevator": {"channel": "RCOU.C2", "points": [[1100, -0.35], [1900, 0.35]]}}
+    said = inspect_log(bench, servos=pulses).remarks
+    assert "RCOU.C2 sends no pulse, so there is no elevator" in said
+    commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
+    elevator = inspect_log(bench, servos=commands).columns.loc["elevator"]
+    assert elevator["rate"] == pytest.approx(25, rel=0.01)
 
 
 def test_a_missing_channel_names_the_others(whole):

@@ -172,6 +172,22 @@ class TestVehicles:
         assert_allclose(table.flap, flap)
         assert_allclose(table.differential_throttle, 0.1 * np.sin(table.time), atol=0.002)
 
+    @pytest.mark.parametrize("second", [0.5, 0.3])
+    def test_flaperons_of_px4(self, read, ulog, second):
+        """The flap is read where rolling leaves the mean of the ailerons over their CA_SV_CSn_FLAP alone."""
+        flaps = {"CA_SV_CS0_FLAP": 0.5, "CA_SV_CS1_FLAP": second}
+        torques = {"CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS1_TRQ_R": 0.5}
+        log = ulog(CA_SV_CS0_TYPE=1, CA_SV_CS1_TYPE=2, **flaps, **torques)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        roll, flap = 0.2 * np.sin(SLOW), 0.3
+        outputs = [0.5 * (2 * flap - 1) - roll, second * (2 * flap - 1) + roll]
+        log.topic("actuator_servos", SLOW, control=np.column_stack(outputs))
+        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        assert ("flap" in table) == (second == 0.5)
+        if second == 0.5:
+            assert_allclose(table.flap, flap, atol=1e-6)
+            assert_allclose(table.aileron, 0.2 * np.sin(table.time), atol=0.002)
+
     @pytest.mark.parametrize("scales", [{}, {"CA_SV_CS0_FLAP": 0.8, "CA_SV_CS1_FLAP": -0.8}])
     def test_flaps_and_a_twin_of_px4(self, read, ulog, scales):
         """(2 f - 1) CA_SV_CSn_FLAP, without it f on the left, -f on the right."""

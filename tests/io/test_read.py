@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError, read_flight
 
@@ -204,22 +204,6 @@ class TestRename:
         path = write("a.parquet", table().rename(columns={"elevator": "de"}))
         with pytest.raises(FlightReadError, match=message):
             read_flight(path, rename=rename)
-
-
-@pytest.mark.shared
-def test_every_shared_flight(shared_data):
-    paths = sorted(
-        [
-            *(shared_data / "flights").glob("*.parquet"),
-            *(shared_data / "ampyx_ap2").glob("*.parquet"),
-        ]
-    )
-    assert len(paths) == 6
-    for path in paths:
-        flight = read_flight(path)
-        raw = pd.read_parquet(path)
-        assert set(flight.columns) == set(raw.columns)
-        assert_array_equal(flight.alpha, raw.alpha.astype(float))
 
 
 def test_accelerations_that_were_never_sampled_are_no_warning(tmp_path):

@@ -115,13 +115,6 @@ class TestCleanLogs:
         flights = first_minute()
         assert faults(flights.train) == faults(flights.test) == []
 
-    @pytest.mark.shared
-    def test_the_shared_flights_have_none(self, shared_data):
-        paths = sorted(shared_data.glob("*/*.parquet"))
-        assert len(paths) == 6
-        for path in paths:
-            assert faults(pd.read_parquet(path)) == [], path.name
-
 
 FAULTS = [
     ("alpha", "stuck", held("alpha", 400, 480), range(401, 481)),

@@ -407,11 +407,13 @@ def test_effects_that_no_aircraft_has_forbid_a_controller():
 
 
 def still(flight, *outputs):
-    """Return a flight in which outputs vary by a thousandth of their noise, and the model errs by much more."""
+    """Return a flight in which outputs vary by a thousandth of their noise, and the model errs by as much as that."""
     noise = 0.1
     spread = np.where(np.isin(np.arange(6), outputs), 1e-3 * noise, 1.0)
     std = np.sqrt(flight.measured_std**2 + noise**2)
-    return replace(flight, measured=spread * flight.measured, measured_std=std)
+    measured = spread * flight.measured
+    mean = measured + flight.mean - flight.measured
+    return replace(flight, measured=measured, mean=mean, measured_std=std)
 
 
 class TestCoefficientsThatDoNotVary:
@@ -431,6 +433,11 @@ class TestCoefficientsThatDoNotVary:
         assert found.compared() == ""
         assert use(found, "predict coefficients")[0] == "unknown"
         assert [finding.code for finding in found.findings] == [Code.NOT_VARYING]
+
+    def test_one_whose_band_does_not_hold_is_judged(self):
+        calm = still(evaluation(), 5)
+        off = replace(calm, mean=calm.mean + np.array([0, 0, 0, 0, 0, 1.0]))
+        assert use(verdict([off]), "predict coefficients")[0] == "no"
 
     def test_a_large_error_of_one_that_varies_is_a_no(self):
         assert use(verdict([evaluation(error=1.5)]), "predict coefficients")[0] == "no"

@@ -55,9 +55,9 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
     table = scores(evaluations)["measured"]
-    # a band that does not hold judges a coefficient all the same
-    holds = table["interval_coverage"] >= THRESHOLDS.held
-    still = [name for name in _not_varying(evaluations) if holds[name]]
+    # a band that does not hold judges a coefficient all the same, and so does an error below the spread
+    excused = (table["interval_coverage"] >= THRESHOLDS.held) & (table["normalized_rmse"] > 1)
+    still = [name for name in _not_varying(evaluations) if excused[name]]
     judged = table.drop(index=still)
     doubts = _doubts(fit, findings)
     derivatives = mechanics.derivatives

@@ -51,7 +51,7 @@ SEARCH = SearchSettings(values=(300, 300), trial_iterations=2, single_iterations
 def quick(**options):
     """Return a regressor with one short search: what it learns matters little."""
     model = DependentGPRegressor(**{"max_iter": 6, "random_state": 0} | options)
-    model.settings = replace(model.settings, n_searches=1, search=SEARCH)
+    model.settings = replace(model.settings, search=SEARCH)
     return model
 
 

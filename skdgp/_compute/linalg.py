@@ -120,6 +120,15 @@ def cholesky_inverse(L: Matrix) -> Matrix:
     return potri(L, lower=1, overwrite_c=1)[0]
 
 
+def in_single_precision(M: Matrix) -> Matrix:
+    """Return a square matrix in Fortran order in single precision, in its own memory, which it overwrites."""
+    n = len(M)
+    single = M.T.reshape(-1).view(np.float32)[: n * n].reshape(n, n)
+    for k in range(n):  # column by column, as each ends before the next one begins
+        single[k] = M.T[k]
+    return single.T
+
+
 def condition_of_factor(L: Matrix) -> float:
     """Return the ratio of the largest to the smallest diagonal element of a Cholesky factor."""
     diagonal = np.einsum("ii->i", L)

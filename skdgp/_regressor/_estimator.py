@@ -807,6 +807,7 @@ def _check_number(what, number):
 def _check_memory(recipe, n_values):
     """Raise a ValueError if the covariance, and the factors of the components, do not fit into memory."""
     if recipe.inference_of(n_values) == "exact":
-        several = recipe.n_searches > 1
-        n_matrices = 1 + 2 * recipe.n_searches if several else 2
+        # the covariance, and a factor for each component of the average of a time series
+        is_average = recipe.time_series and recipe.structure == "average"
+        n_matrices = 4 if is_average else 2
         check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)

@@ -38,8 +38,6 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_
 class RegressorSettings:
     """Choices of the estimator where a parameter is not given."""
 
-    #: Searches of a time series, each from other rows (docs/results.md, pairs of flights)
-    n_searches: int = 2
     #: Fewest and most shared latents; more take more time
     n_latent: tuple[int, int] = (2, 4)
     #: Iterations for a time series
@@ -156,12 +154,6 @@ class Recipe:
     # -- the fit
 
     @property
-    def n_searches(self) -> int:
-        """Number of searches whose averages a fit is the mean of."""
-        several = self.time_series and self._averages
-        return self.settings.n_searches if several else 1
-
-    @property
     def _averages(self):
         return self.structure == "average" and self.optimizer is not None
 
@@ -205,19 +197,7 @@ class Recipe:
         ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
         random_state = check_random_state(self.random_state)
-        fits: list[Fit] = []
-        weights: list[float] = []
         data = Data.from_table(X, Z, known.loading)  # one copy for all
-        for _ in range(self.n_searches):
-            found, shares = self._searched(kernels, X, Z, data, known, random_state)
-            fits += found
-            weights += [share / self.n_searches for share in shares]
-            if fits[-1].learned.interrupted:
-                return fits[0].cut_short()
-        return mixture_of(fits, weights)
-
-    def _searched(self, kernels, X, Z, data, known, random_state):
-        """Return the fits of one search, and their weights."""
         seeds = random_state.randint(2**31 - 1, size=2)
         request = SearchOptions(
             optimizer=self.optimizer,
@@ -245,7 +225,9 @@ class Recipe:
             if self._averages and not fit.learned.interrupted:
                 fit = self._average(fit, samples, random_state)
             fits.append(fit)
-        return fits, weights[likeliest]
+            if fit.learned.interrupted:
+                return fits[0].cut_short()
+        return mixture_of(fits, weights[likeliest])
 
     def _of_few(self, learned, samples, rng):
         """Return the fit of samples that exact inference can take all of."""

@@ -106,7 +106,7 @@ class AveragePosterior(Posterior):
     """A mixture of posteriors, its components, with weights for each output (``moments``).
 
     Each posterior of all terms is followed by the posteriors of its parts, with the same
-    hyperparameters. Another posterior of all terms comes from another search.
+    hyperparameters. Another posterior of all terms is of another structure.
 
     Outputs have the same component as far as their weights agree: one number from 0 to 1 for all
     outputs picks it by the cumulated weights.

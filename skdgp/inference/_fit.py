@@ -370,7 +370,7 @@ def _average(fit, X, Y, random_state, known, parts):
 def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
     """Return the fit of the mixture of posteriors with weights that add up to one; with the likelihood of the first.
 
-    Searches explain the data equally well but predict other data differently, so their mean
+    Structures may explain the data equally well but predict other data differently, so their mean
     predicts better than each (Breiman 1996).
     """
     if len(fits) == 1:

@@ -25,6 +25,7 @@ from skdgp._compute.linalg import (
     cholesky_solve,
     condition_of_factor,
     consecutive,
+    in_single_precision,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
@@ -377,13 +378,13 @@ def _value(L, y):
 
 
 def _minus_W(L, y):
-    """Return K^-1 - alpha alpha^T; only its upper triangle is computed, perhaps over L.
+    """Return K^-1 - alpha alpha^T; only its upper triangle is computed, over L.
 
     Of many values in single precision, of which gradients keep three digits or more.
     """
     alpha = cholesky_solve(L, y)
     if len(y) >= SINGLE_PRECISION.values and condition_of_factor(L) <= SINGLE_PRECISION.condition:
-        inverse = cholesky_inverse(L.astype(np.float32, order="F"))
+        inverse = cholesky_inverse(in_single_precision(L))
         return ssyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
     inverse = cholesky_inverse(L)
     return dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T

@@ -87,7 +87,7 @@ def with_discrepancy(regressor, variance):
 def identified(once, first_minute, cut_short):
     """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen.
 
-    The default model of few rows: two searches, sparse, with a discrepancy.
+    The default model of few rows: sparse, with a discrepancy.
     """
 
     def write(folder):
@@ -97,7 +97,7 @@ def identified(once, first_minute, cut_short):
             inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
         )
         options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [2.0]}
-        with cut_short(n_searches=2), warnings.catch_warnings():
+        with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
             found = identify(train, data.aircraft, **options)
         learned = found.pipeline[-1]

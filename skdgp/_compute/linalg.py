@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence, Sized
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, lapack
@@ -126,7 +126,8 @@ def in_single_precision(M: Matrix) -> Matrix:
     single = M.T.reshape(-1).view(np.float32)[: n * n].reshape(n, n)
     for k in range(n):  # column by column, as each ends before the next one begins
         single[k] = M.T[k]
-    return single.T
+    lower: Any = single.T
+    return lower
 
 
 def condition_of_factor(L: Matrix) -> float:

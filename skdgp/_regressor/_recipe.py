@@ -227,7 +227,7 @@ class Recipe:
             fits.append(fit)
             if fit.learned.interrupted:
                 return fits[0].cut_short()
-        return mixture_of(fits, weights[likeliest])
+        return mixture_of(fits, weights[likeliest].tolist())
 
     def _of_few(self, learned, samples, rng):
         """Return the fit of samples that exact inference can take all of."""

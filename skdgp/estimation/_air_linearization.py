@@ -73,7 +73,7 @@ class Layout(NamedTuple):
     by_instruments: bool = True
 
     @classmethod
-    def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool) -> Layout:
+    def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool = True) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
         features = [*STATE_TERMS, *surfaces]
         rows, columns = [], []

@@ -1,7 +1,6 @@
 """Flights behind a stand-in for ArduPilot, which sends packets as SIM_JSON.cpp does and reads lines as it does."""
 
 import json
-import signal
 import socket
 import struct
 import threading
@@ -11,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.control import fly
-from skdgp.dynamics import Turbulence, simulate, standard_density, trim
+from skdgp.dynamics import Aerodynamics, Turbulence, simulate, standard_density, trim
 
 GRAVITY = 9.80665
 FULL = {"aileron": 0.4, "elevator": 0.3, "rudder": 0.3, "thrust": 60.0}
@@ -243,13 +242,24 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
     assert flown(play, height=50.0).steps == 3
 
 
-def test_ctrl_c_ends_the_flight_and_keeps_its_table(flown):
+def test_ctrl_c_ends_the_flight_and_keeps_its_table(flown, glider):
+    pressed = threading.Event()
+    linear = glider.model()
+
+    def interrupted(X):
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        return linear(X)
+
     def play(autopilot):
         for _ in range(20):
             autopilot.send()
-        signal.raise_signal(signal.SIGINT)
+        pressed.set()
+        autopilot.socket.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            autopilot.send()
 
-    result = flown(play, height=50.0, wait=5.0)
+    result = flown(play, model=Aerodynamics(interrupted, linear.regressors), height=50.0, wait=5.0)
     assert result.reason == "ended by Ctrl-C"
     assert result.steps == 20
     assert result.table["time"].max() > 8 / RATE

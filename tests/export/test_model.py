@@ -36,13 +36,13 @@ def test_slopes_are_those_of_the_simulation(case):
 
 
 def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
-    """Members of two searches, errors of the function, noise, unequal scales."""
+    """Members of an average, errors of the function, noise, unequal scales."""
     case = case_of("identified")
     learned = case.pipeline[-1]
     posterior = learned.posterior_
     assert isinstance(posterior.members[0], SparsePosterior)
-    assert posterior.mixture.shape == (6, 6)
-    assert posterior.mixture[:3].sum(axis=0) == pytest.approx(np.full(6, 0.5))
+    assert posterior.mixture.shape == (3, 6)
+    assert posterior.mixture.sum(axis=0) == pytest.approx(np.ones(6))
     assert np.abs(posterior.errors.weights).max() > 0.001
     assert (learned.misfit_variance_ > 0).all()
     assert learned.scale_.max() > 3 * learned.scale_.min()

@@ -298,13 +298,14 @@ class Console:
         """Show the stage of an identification; the listener of ``skdgp.listening``."""
         if n_evaluations == 0:
             self.stage(stage)
-        elif time.monotonic() - self._shown >= self.period:
+            return
+        self._stage = f"fit · {STAGES.get(stage, stage)}"
+        if time.monotonic() - self._shown >= self.period:
             value = (
                 f" · log likelihood {log_likelihood:.1f}" if math.isfinite(log_likelihood) else ""
             )
             seconds = f"{time.monotonic() - self._began:.0f} s"
-            name = STAGES.get(stage, stage)
-            self._show(f"fit · {name} · {n_evaluations} evaluations{value} · {seconds}")
+            self._show(f"{self._stage} · {n_evaluations} evaluations{value} · {seconds}")
 
     def _show(self, line):
         """Show a line in place of the last one; without a terminal print one at most every five seconds."""

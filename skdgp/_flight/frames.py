@@ -172,7 +172,7 @@ def components(vector: ArrayLike) -> tuple[Any, ...]:
     vector = np.asarray(vector, dtype=float)
     if vector.ndim == 1:
         return tuple(vector.tolist())
-    return tuple(vector[..., k] for k in range(vector.shape[-1]))  # faster than moveaxis
+    return tuple([vector[..., k] for k in range(vector.shape[-1])])  # faster than moveaxis
 
 
 def _vector(*components: ArrayLike) -> np.ndarray:

@@ -170,6 +170,20 @@ class Aerodynamics:
         """Whether functions can be drawn from a posterior."""
         return self.sampler is not None
 
+    @property
+    def ranges(self) -> Array:
+        """Widths of the training ranges (d,), 1 where a regressor has none."""
+        unknown = np.ones(len(self.regressors))
+        if self.limits is None:
+            return unknown
+        widths = np.ptp(self.limits, axis=0)
+        return np.where(widths > 0, widths, unknown)
+
+    @property
+    def has_path_slopes(self) -> bool:
+        """Whether these are functions drawn from a posterior, with slopes of their own."""
+        return self.n_paths is not None and self.slopes is not None
+
     def lengths(self, aircraft: Aircraft) -> dict[str, float]:
         """Return span and chord of the non-dimensional rates [m], by default of the aircraft that flies."""
         return {"span": self.span or aircraft.span, "chord": self.chord or aircraft.chord}
@@ -225,8 +239,7 @@ class Aerodynamics:
 
     def _differences(self, X: Array, step: float = 1e-4) -> Array:
         """Return central differences, of steps over the range of a regressor, or absolute without one."""
-        ranges = np.zeros(X.shape[-1]) if self.limits is None else np.ptp(self.limits, axis=0)
-        return central_difference(self, X, step * np.where(ranges > 0, ranges, 1.0))
+        return central_difference(self, X, step * self.ranges)
 
 
 @runtime_checkable

@@ -106,6 +106,8 @@ class GustyAir:
 
     wind: AirAt
     gusts: Gusts  #: At each stage, (n_stages, ..., 3)
+    #: Whether anything follows from the rate of change of the wind; it is None else
+    with_rate: bool = True
 
     def __call__(self, stage: Any, state: Array) -> LocalAir:
         """Return the air at a stage, or at several, and states (..., 13)."""
@@ -113,10 +115,12 @@ class GustyAir:
         steady = self.wind(stage, state)
         attitude = state[..., ATTITUDE]
         wind = body_to_ned(attitude, velocity)
-        # a gust turns with the aircraft
-        rate = body_to_ned(attitude, acceleration + cross(state[..., RATES], velocity))
         if steady is not None:
             wind = steady.wind + wind
-            if steady.wind_rate is not None:
-                rate = steady.wind_rate + rate
+        if not self.with_rate:
+            return LocalAir(wind, None, rotation)
+        # a gust turns with the aircraft
+        rate = body_to_ned(attitude, acceleration + cross(state[..., RATES], velocity))
+        if steady is not None and steady.wind_rate is not None:
+            rate = steady.wind_rate + rate
         return LocalAir(wind, rate, rotation)

@@ -17,7 +17,7 @@ from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import air_data, body_to_ned, ned_to_body, quaternion_to_euler
 from skdgp.dynamics._air import AirAt, LocalAir
 from skdgp.dynamics._inputs import Clock
-from skdgp.dynamics._motion import Instant, Motion, by_name
+from skdgp.dynamics._motion import Instant, Motion, Tangent, by_name
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._servos import Servos
 
@@ -44,6 +44,20 @@ class FlightLimits:
 FLIGHT_LIMITS = FlightLimits()
 
 
+@dataclass(frozen=True)
+class TangentSettings:
+    """Settings of steps with one evaluation of the paths."""
+
+    # Time for which slopes are kept [s]: errors of the states are then below those of Runge and
+    # Kutta at steps of 0.02 s
+    interval: float = 0.1
+    # Largest change of a control in a step, over its training range, that slopes account for
+    reach: float = 0.02
+
+
+TANGENTS = TangentSettings()
+
+
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
     attitude = states[..., ATTITUDE]
@@ -68,13 +82,34 @@ class Moment(NamedTuple):
     commands: dict[str, Any]
     controls: dict[str, Any]  #: With the deflections of the surfaces
     wind: Array | None
+    tangent: Tangent | None  #: Of the paths, None where every stage evaluates the model
+
+
+class End(NamedTuple):
+    """States at the end of a step, and what the next step begins with."""
+
+    state: Array
+    deflections: Mapping[str, Array]
+    implicit: Array | None = None  #: Guess of the implicit regressors
+    tangent: Tangent | None = None
 
 
 class Integrator:
-    """Integration of a motion under commands in some air, step by step.
+    r"""Integration of a motion under commands in some air, step by step.
 
     Parameters as for `fly_record`. A step has three stages: its beginning, its middle and its end,
     which is the beginning of the next step.
+
+    Paths are evaluated once a step, as they take most of the time. The stages have their tangent at
+    the beginning,
+
+    .. math:: C(x) = C_0 + J (x - x_0),
+
+    and at the last stage, :math:`x_1`, its error :math:`e = C(x_1) - C_0 - J (x_1 - x_0)` is known.
+    With B the derivative of d state / dt by the coefficients, and :math:`\bar e` the mean of the
+    errors over the step (`Tangent.mean_error`), the state at its end is corrected by
+    :math:`h B \bar e`. The next tangent begins at :math:`x_1`. Its slopes J are kept for some
+    steps, as their error is in e. Where a control jumps, all stages evaluate the paths.
     """
 
     def __init__(
@@ -84,6 +119,7 @@ class Integrator:
         air: AirAt,
         clock: Clock,
         drifts: Array | None = None,
+        tangents: TangentSettings = TANGENTS,
     ) -> None:
         self.motion = motion
         self.commands = commands
@@ -91,35 +127,73 @@ class Integrator:
         self.dt = clock.dt
         self.drifts = drifts
         self.servos = Servos.of(motion)
+        self.tangents = tangents
+        # Steps for which slopes are kept; if only for one they save nothing
+        self._renewal = min(clock.n_steps, round(tangents.interval / clock.dt))
+        self._has_tangents = motion.aerodynamics.has_path_slopes and self._renewal > 1
 
-    def begin(
-        self, step: int, state: Array, deflections: Mapping[str, Array], guess: Array | None
-    ) -> Moment:
-        """Return what happens at the beginning of a step, with the deflections that the last one reached."""
+    def begin(self, step: int, last: End) -> Moment:
+        """Return what happens at the beginning of a step, with what the ``last`` one reached."""
+        state = last.state
         stage = 2 * step
         air, commands = self._inputs(step, stage, state)
-        controls = self.servos.deflected(commands, 0.0, commands, deflections)
-        now = self.motion.at(state, controls, air, guess, self._drift(stage))
-        return Moment(state, now, commands, controls, None if air is None else air.wind)
+        controls = self.servos.deflected(commands, 0.0, commands, last.deflections)
+        drift = self._drift(stage)
+        now = self.motion.at(state, controls, air, last.implicit, drift, tangent=last.tangent)
+        tangent = last.tangent
+        if self._has_tangents and tangent is None:
+            tangent = self._tangent(now.regressors, now.coefficients - drift)
+        wind = None if air is None else air.wind
+        return Moment(state, now, commands, controls, wind, tangent)
 
-    def step(self, step: int, begin: Moment) -> tuple[Array, dict[str, Array]]:
-        """Return the states and the deflections of the surfaces at the end of a step."""
-        state = rk4_step(partial(self._rate, step, begin), 0.0, begin.state, self.dt)
-        if not self.servos.surfaces:
-            return state, {}
-        _, commands = self._inputs(step, 2 * step + 2, state)
-        return state, self.servos.deflected(commands, self.dt, begin.commands, begin.controls)
+    def step(self, step: int, begin: Moment) -> End:
+        """Return the end of a step: states, deflections of the surfaces, and the next tangent."""
+        stages = [begin.now]
 
-    def _rate(self, step: int, begin: Moment, t: float, state: Array) -> Array:
-        """Return d state / dt at a time ``t`` [s] after a step began."""
-        part = round(2 * t / self.dt)
-        if part == 0:
-            return begin.now.derivative
-        stage = 2 * step + part
+        def rate(t: float, state: Array) -> Array:
+            if t > 0.0:
+                stages.append(self._at(step, begin, t, state))
+            return stages[-1].derivative
+
+        state = rk4_step(rate, 0.0, begin.state, self.dt)
+        tangent = begin.tangent
+        if tangent is not None:
+            change, tangent = self._corrected(stages, tangent)
+            state = state + change
+        deflections: Mapping[str, Array] = {}
+        if self.servos.surfaces:
+            _, commands = self._inputs(step, 2 * step + 2, state)
+            deflections = self.servos.deflected(commands, self.dt, begin.commands, begin.controls)
+        return End(state, deflections, begin.now.implicit, tangent)
+
+    def _at(self, step: int, begin: Moment, t: float, state: Array) -> Instant:
+        """Return what happens at a time ``t`` [s] after a step began."""
+        stage = 2 * step + round(2 * t / self.dt)
         air, commands = self._inputs(step, stage, state)
         controls = self.servos.deflected(commands, t, begin.commands, begin.controls)
         guess = begin.now.implicit
-        return self.motion.at(state, controls, air, guess, self._drift(stage)).derivative
+        drift = self._drift(stage)
+        return self.motion.at(state, controls, air, guess, drift, tangent=begin.tangent)
+
+    def _corrected(self, stages: list[Instant], tangent: Tangent) -> tuple[Array, Tangent]:
+        """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
+        *_, middle, last = (stage.regressors for stage in stages)
+        coefficients = self.motion.evaluated(last)
+        error = coefficients - tangent(last)
+        is_far = tangent.is_far(last)
+        if is_far:
+            # Simpson's rule; the error is zero at the beginning
+            halfway = self.motion.evaluated(middle) - tangent(middle)
+            mean_error = (4.0 * halfway + error) / 6.0
+        else:
+            mean_error = tangent.mean_error(error)
+        change = self.dt * self.motion.response(stages[-1], mean_error)
+        if is_far or tangent.age + 1 >= self._renewal:
+            return change, self._tangent(last, coefficients)
+        return change, tangent.moved(last, coefficients, error)
+
+    def _tangent(self, X: Array, coefficients: Array) -> Tangent:
+        return self.motion.tangent(X, coefficients, self.tangents.reach)
 
     def _inputs(self, step: int, stage: int, state: Array) -> tuple[LocalAir | None, dict]:
         """Return the air and the commands at a stage of a step."""
@@ -163,6 +237,7 @@ def fly_record(
     drifts: Array | None = None,
     deflections: Mapping[str, Array] | None = None,
     limits: FlightLimits = FLIGHT_LIMITS,
+    tangents: TangentSettings = TANGENTS,
 ) -> Record:
     """Return the flight from states: the loop of RK4 over time.
 
@@ -183,22 +258,23 @@ def fly_record(
         Of the surfaces at the start, by default as commanded.
     limits : FlightLimits
         Where a trajectory ends.
+    tangents : TangentSettings
+        Of paths, which are evaluated once a step.
 
     Returns
     -------
     Record
     """
-    integrator = Integrator(motion, commands, air, clock, drifts)
+    integrator = Integrator(motion, commands, air, clock, drifts, tangents)
     start = state
-    reached = deflections or {}
-    guess = None
+    last = End(state, deflections or {})
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
     end = np.full(state.shape[:-1], clock.n_steps + 1)
     flown: list[Moment] = []
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(clock.n_steps + 1):
-            moment = integrator.begin(k, state, reached, guess)
-            over = end_reasons(state, moment.now, limits)
+            moment = integrator.begin(k, last)
+            over = end_reasons(moment.state, moment.now, limits)
             for reason, where in over.items():
                 just = where & (ended == FLYING)
                 ended[just] = reason
@@ -207,13 +283,12 @@ def fly_record(
             flies_on = is_flying.any()
             if over and flies_on:
                 # flights that ended continue from their start, without being shown
-                state = np.where(is_flying[..., None], state, start)
-                moment = integrator.begin(k, state, reached, None)
+                state = np.where(is_flying[..., None], moment.state, start)
+                moment = integrator.begin(k, End(state, last.deflections))
             flown.append(moment)
             if k == clock.n_steps or not flies_on:
                 break
-            state, reached = integrator.step(k, moment)
-            guess = moment.now.implicit
+            last = integrator.step(k, moment)
     return _record(motion, clock, flown, ended, end)
 
 
@@ -229,7 +304,7 @@ def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end
         array[is_over] = np.nan
         return array
 
-    states, instants, _, controls, winds = zip(*flown, strict=True)
+    states, instants, _, controls, winds, _ = zip(*flown, strict=True)
     force = over_time((now.force for now in instants), 3)
     deflected = {}
     for name in controls[0]:

@@ -104,6 +104,46 @@ def check_settled(instant: Instant) -> None:
         )
 
 
+class Tangent(NamedTuple):
+    """Coefficients near regressors x_0 where they are known, C(x) = C_0 + J (x - x_0).
+
+    Where regressors are farther than ``reach`` the model is evaluated: controls jump.
+    """
+
+    model: Callable
+    reach: Array  #: (d,)
+    regressors: Array  #: x_0, (..., d)
+    coefficients: Array  #: C_0, (..., 6)
+    slopes: Array  #: J, (..., 6, d)
+    age: int = 0  #: Steps since the slopes were evaluated
+    error: Array | float = 0.0  #: At the end of the last step, (..., 6)
+
+    def __call__(self, X: Array) -> Array:
+        """Return the coefficients (..., 6) at regressors (..., d)."""
+        if self.is_far(X):
+            return self.model(X)
+        change = X - self.regressors
+        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
+
+    def is_far(self, X: Array) -> bool:
+        """Return whether any regressors (..., d) are out of reach."""
+        return bool((np.abs(X - self.regressors) > self.reach).any())
+
+    def mean_error(self, error: Array) -> Array:
+        """Return the mean error over a step of the ``error`` at its end, whose curve is a parabola.
+
+        It is zero at the beginning, where it has no slope if slopes are new, and else the value at
+        the beginning of the last step (Adams-Moulton of third order).
+        """
+        if self.age == 0:
+            return error / 3.0
+        return (5.0 * error + self.error) / 12.0
+
+    def moved(self, X: Array, coefficients: Array, error: Array) -> Tangent:
+        """Return the tangent at other regressors, with the same slopes, after a step with an ``error``."""
+        return self._replace(regressors=X, coefficients=coefficients, age=self.age + 1, error=error)
+
+
 class Flow(NamedTuple):
     """The air that an aircraft meets, at states (..., 13)."""
 
@@ -231,20 +271,22 @@ class Motion:
         implicit: Array | None = None,
         drift: Array | float = 0.0,
         coefficients: Array | None = None,
+        tangent: Tangent | None = None,
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
         ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best from the last call.
         ``drift`` (..., 6) is added to the coefficients. Given ``coefficients`` (..., 6) take the
-        place of the model's.
+        place of the model's, a ``tangent`` takes the place of the model.
         """
+        model = self.evaluated if tangent is None else tangent
         flow = self._flow(state, air)
         X = self._explicit(state, controls, flow, air)
         values = {**controls, "airspeed": flow.airspeed, "density": flow.density}
         engine = propulsive_loads(values, self.aircraft, self.thrust)
 
         def loaded() -> Instant:
-            C = self._coefficients(X) + drift if coefficients is None else coefficients
+            C = model(X) + drift if coefficients is None else coefficients
             return self._loaded(state, X, C, flow, engine)
 
         def follow(guess: Array) -> Instant:
@@ -306,11 +348,30 @@ class Motion:
                 X[..., k] = values[name] * self.factor(k, flow.airspeed)
         return X
 
-    def _coefficients(self, X: Array) -> Array:
+    def evaluated(self, X: Array) -> Array:
         """Return the model's coefficients (..., 6) at regressors (..., d), NaN where a state has diverged."""
         # models refuse infinite values
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
+
+    def tangent(self, X: Array, coefficients: Array, reach: float) -> Tangent:
+        """Return the tangent of the model at regressors (..., d), where it has these ``coefficients`` (..., 6).
+
+        It holds for controls that change by at most ``reach`` of their ranges.
+        """
+        finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        slopes = self.aerodynamics.gradient(np.where(finite, X, 0.0))
+        is_control = np.isin(self.regressors, self.controls)
+        largest = np.where(is_control, reach * self.aerodynamics.ranges, np.inf)
+        return Tangent(self.evaluated, largest, X, coefficients, slopes)
+
+    def response(self, now: Instant, change: Array) -> Array:
+        """Return the change of d state / dt (..., 13) by a ``change`` of the coefficients (..., 6)."""
+        force, moment = aerodynamic_loads(change, now.airspeed, now.density, self.aircraft)
+        response = np.zeros_like(now.derivative)
+        response[..., VELOCITY] = force / self.aircraft.mass
+        response[..., RATES] = moment @ self.aircraft.inertia_inverse
+        return response
 
     def _loaded(
         self, state: Array, X: Array, C: Array, flow: Flow, engine: tuple[Array, Array]

@@ -124,7 +124,7 @@ def gusty_air(
     velocity, acceleration, rates = (part.reshape(n_stages, -1, n_starts, 3) for part in drawn)
     if tables_of(described.wind):
         velocity = acceleration = np.zeros_like(rates)
-    return GustyAir(air, Gusts(velocity, acceleration, rates))
+    return GustyAir(air, Gusts(velocity, acceleration, rates), with_rate=bool(motion.implicit))
 
 
 def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:

@@ -385,17 +385,25 @@ class Waves(PathBundle):
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
 
+    def _tangents(self, X):
+        """Return tan(x / 2) of the arguments x of the waves, (S, n, C).
+
+        It is vectorised in NumPy, and ten times as fast as its sine and cosine.
+        """
+        half = X @ self._half_omega
+        half += self._half_phase
+        return np.tan(half, out=half)
+
     def each(self, X):
-        square = X @ self._half_omega
-        square += self._half_phase
-        np.tan(square, out=square)  # vectorised in NumPy, and ten times as fast as its cosine
+        square = self._tangents(X)
         square *= square
         square += 1.0
-        wave = np.divide(2.0, square, out=square)  # cos(2 x) + 1 = 2 / (1 + tan(x)^2)
+        wave = np.divide(2.0, square, out=square)  # cos(x) + 1 = 2 / (1 + tan(x / 2)^2)
         return wave @ self.weights - self._sum
 
     def gradient(self, X):
-        wave = -np.sin(X @ self.omega + self.phase)
+        tangent = self._tangents(X)
+        wave = -2.0 * tangent / (1.0 + tangent * tangent)  # -sin(x)
         turned = self.omega.swapaxes(1, 2)[:, None]
         return (wave[:, :, None] * self.weights.swapaxes(1, 2)[:, None]) @ turned
 

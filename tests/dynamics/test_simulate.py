@@ -100,36 +100,46 @@ def flown(aircraft):
     return fly(aircraft, dt=0.01, duration=4.0, air=[3.0, -2.0, 0.7])
 
 
+def solved(aircraft, coefficients, inputs, duration, wind=(0.0, 0.0, 0.0)):
+    """States at the end of a flight by equations typed from the textbook.
+
+    They are position, velocity over the ground, the matrix body to NED, rates.
+    """
+    wind, line, lengths = np.array(wind), aircraft.thrust_line, [2.6, 0.55, 2.6]
+    V, a, b, phi, theta, psi, p, q, r, north, east, altitude = START.values()
+    attitude = Rotation.from_euler("ZYX", [psi, theta, phi])
+    air = V * np.array([np.cos(a) * np.cos(b), np.sin(b), np.sin(a) * np.cos(b)])
+    velocity = attitude.apply(air) + wind
+    matrix = attitude.as_matrix().ravel()
+    start = np.array([north, east, -altitude, *velocity, *matrix, p, q, r])
+
+    def rate(t, x):
+        R, omega = x[6:15].reshape(3, 3), x[15:]
+        u, v, w = R.T @ (x[3:6] - wind)
+        speed = np.sqrt(u * u + v * v + w * w)
+        *surfaces, thrust = inputs(t).values()
+        reduced = omega * lengths / (2 * speed)
+        regressors = [np.arctan(w / u), np.arcsin(v / speed), *reduced, *surfaces]
+        C = coefficients(np.array(regressors))
+        C = 0.5 * standard_density(-x[2]) * speed**2 * aircraft.wing_area * C
+        thrust = thrust * line.direction
+        moment = C[3:] * lengths + np.cross(line.position, thrust)
+        moment -= np.cross(omega, aircraft.inertia @ omega)
+        acceleration = R @ (C[:3] + thrust) / aircraft.mass + [0, 0, 9.80665]
+        turning = R @ np.cross(np.eye(3), -omega).T
+        omega_dot = np.linalg.solve(aircraft.inertia, moment)
+        return np.concatenate([x[3:6], acceleration, turning.ravel(), omega_dot])
+
+    options = {"rtol": 1e-10, "atol": 1e-10, "max_step": 0.02}
+    return solve_ivp(rate, (0, duration), start, **options).y[:, -1]
+
+
 class TestEquations:
     def test_follows_equations_typed_from_the_textbook_with_rotation_matrices(
         self, aircraft, flown
     ):
-        """States: position, velocity over the ground, the matrix body to NED, rates."""
-        wind, line, lengths = np.array([3.0, -2.0, 0.7]), aircraft.thrust_line, [2.6, 0.55, 2.6]
-        V, a, b, phi, theta, psi, p, q, r, north, east, altitude = START.values()
-        attitude = Rotation.from_euler("ZYX", [psi, theta, phi])
-        air = V * np.array([np.cos(a) * np.cos(b), np.sin(b), np.sin(a) * np.cos(b)])
-        velocity = attitude.apply(air) + wind
-        matrix = attitude.as_matrix().ravel()
-        start = np.array([north, east, -altitude, *velocity, *matrix, p, q, r])
-
-        def rate(t, x):
-            R, omega = x[6:15].reshape(3, 3), x[15:]
-            u, v, w = R.T @ (x[3:6] - wind)
-            speed = np.sqrt(u * u + v * v + w * w)
-            *surfaces, thrust = commands(t).values()
-            reduced = omega * lengths / (2 * speed)
-            C = INTERCEPT + SLOPES @ [np.arctan(w / u), np.arcsin(v / speed), *reduced, *surfaces]
-            C = 0.5 * standard_density(-x[2]) * speed**2 * aircraft.wing_area * C
-            thrust = thrust * line.direction
-            moment = C[3:] * lengths + np.cross(line.position, thrust)
-            moment -= np.cross(omega, aircraft.inertia @ omega)
-            acceleration = R @ (C[:3] + thrust) / aircraft.mass + [0, 0, 9.80665]
-            turning = R @ np.cross(np.eye(3), -omega).T
-            omega_dot = np.linalg.solve(aircraft.inertia, moment)
-            return np.concatenate([x[3:6], acceleration, turning.ravel(), omega_dot])
-
-        truth = solve_ivp(rate, (0, 4), start, rtol=1e-11, atol=1e-11).y[:, -1]
+        wind = [3.0, -2.0, 0.7]
+        truth = solved(aircraft, lambda x: INTERCEPT + SLOPES @ x, commands, 4.0, wind)
         end = flown[STATES].iloc[-1]
         assert_allclose(end[["north", "east", "down"]], truth[:3], atol=1e-6)
         assert_allclose(end[["v_north", "v_east", "v_down"]], truth[3:6], atol=1e-6)
@@ -451,6 +461,44 @@ class TestEnsembles:
         for k, (_, path) in enumerate(paths.groupby("path")):
             alone = fly(aircraft, linear(SLOPES * (1 + 0.1 * off[k])), duration=1.0)
             assert_allclose(path[STATES], alone[STATES], atol=1e-10)
+
+    @pytest.mark.parametrize("jump", [0.0, 0.06])
+    def test_paths_that_are_curved_follow_the_equations(self, aircraft, jump):
+        """Errors are of second order in the step, whatever bends: stall, damping, an elevator that jumps."""
+
+        def inputs(t, state=None):
+            values = commands(t)
+            return {**values, "elevator": values["elevator"] + np.interp(t, [1.0, 1.04], [0, jump])}
+
+        def curved(X):
+            alpha, q, elevator = X[..., 0], X[..., 3], X[..., 5]
+            C = INTERCEPT + X @ SLOPES.T
+            C[..., 2] += 20.0 * alpha**3
+            C[..., 4] += 3.0 * elevator**2 - 2.0 * alpha**2 - 900.0 * q**2
+            return C
+
+        def curved_slopes(X):
+            slopes = np.tile(SLOPES, (*X.shape[:-1], 1, 1))
+            slopes[..., 2, 0] += 60.0 * X[..., 0] ** 2
+            slopes[..., 4, 0] -= 4.0 * X[..., 0]
+            slopes[..., 4, 3] -= 1800.0 * X[..., 3]
+            slopes[..., 4, 5] += 6.0 * X[..., 5]
+            return slopes
+
+        model = linear(sampler=lambda n, random_state: (curved, curved_slopes))
+        errors = []
+        truth = solved(aircraft, curved, inputs, 2.0)
+        for dt in (0.04, 0.02):
+            t = np.arange(0.0, 2.0 + dt / 2, dt)
+            paths = fly(
+                aircraft, model, START, pd.DataFrame({"time": t, **inputs(t)}), dt=dt, n_paths=2
+            )
+            end = paths[paths["path"] == 1].iloc[-1]
+            ground = end[["v_north", "v_east", "v_down"]] - truth[3:6]
+            turning = end[["p", "q", "r"]] - truth[15:]
+            errors.append(np.abs([*ground / 22.0, *turning]).max())
+        assert errors[1] < 1e-4
+        assert errors[1] < errors[0] / 3
 
     def test_the_spread_by_a_drift_is_that_of_an_integrated_ornstein_uhlenbeck_process(
         self, aircraft

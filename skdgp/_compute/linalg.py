@@ -126,12 +126,12 @@ def in_single_precision(M: Matrix) -> Matrix:
     single = M.T.reshape(-1).view(np.float32)[: n * n].reshape(n, n)
     for k in range(n):  # column by column, as each ends before the next one begins
         single[k] = M.T[k]
-    lower: Any = single.T
-    return lower
+    transposed: Any = single.T
+    return transposed
 
 
 def condition_of_factor(L: Matrix) -> float:
-    """Return the ratio of the largest to the smallest diagonal element of a Cholesky factor."""
+    """Return the ratio of the largest to the smallest diagonal element of a Cholesky factor, at most its condition."""
     diagonal = np.einsum("ii->i", L)
     return float(diagonal.max() / diagonal.min())
 

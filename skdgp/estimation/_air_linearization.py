@@ -68,7 +68,8 @@ class Layout(NamedTuple):
     columns: Indices
     names: list[str]
     n_features: int
-    #: What slopes are by, beside the constants: nothing else of a known aircraft in a search
+    #: Whether slopes by the derivatives, and their instruments, are computed beside those by the
+    #: constants: the derivatives of a known aircraft are held
     by_derivatives: bool = True
     by_instruments: bool = True
 

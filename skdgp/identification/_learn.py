@@ -82,8 +82,8 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
     Y = aerodynamic_coefficients(table, flights.aircraft, **flights.loads)
-    seconds = Extent.of(list(flights.train.values())).seconds
-    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), seconds))
+    flown = Extent.of(list(flights.train.values())).seconds
+    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
@@ -101,7 +101,7 @@ def learn(
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
         conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
-        flown=Extent.of(list(flights.train.values())).seconds,
+        flown=flown,
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
@@ -126,7 +126,7 @@ class RowSettings:
     exact: int = 755
     #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
     rate: float = 10.0
-    #: At most
+    #: Most rows, of long flights
     most: int = 5000
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.findings import Code, Finding, Severity
+from skdgp._compute.statistics import half_width
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPECIFIC_FORCE
 from skdgp.report import (
     THRESHOLDS,
@@ -57,13 +58,13 @@ def judge(
     table = scores(evaluations)["measured"]
     # a band that does not hold judges a coefficient all the same, and so does an error below the spread
     excused = (table["interval_coverage"] >= THRESHOLDS.held) & (table["normalized_rmse"] > 1)
-    still = [name for name in _not_varying(evaluations) if excused[name]]
-    judged = table.drop(index=still)
+    unvarying = [name for name in _not_varying(evaluations) if excused[name]]
+    judged = table.drop(index=unvarying)
     doubts = _doubts(fit, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
     uses: tuple[Use, ...] = (
-        _prediction(judged, _by_construction(evaluations, fit), still),
+        _prediction(judged, _by_construction(evaluations, fit), unvarying),
         _simulation(mechanics, fit.regressors),
         _control(mechanics, table, judged, faults),
     )
@@ -72,8 +73,8 @@ def judge(
         uses = tuple(_unknown(use, too_little) for use in uses)
     better, worse = _against_least_squares(judged)
     warnings = [*faults, *_scored(judged, evaluations, worse)]
-    if still:
-        warnings.append(Finding(Code.NOT_VARYING, numbers={"names": still}))
+    if unvarying:
+        warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
     if not fit.converged:
         warnings.append(Finding(Code.FIT_NOT_CONVERGED))
     warnings += [finding for finding in findings if finding.severity is not Severity.DOUBT]
@@ -177,7 +178,7 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
         wrong = wrong.combine_first(by_rudder.iloc[:1])
     is_known = pd.Series(True, index=wrong.index)
     if "std" in derivatives:
-        is_known = wrong.abs() > 1.96 * derivatives["std"].reindex(wrong.index)
+        is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
     findings = []
     for code, values in (
         (Code.WRONG_SIGNS, wrong[is_known]),
@@ -217,19 +218,19 @@ def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
     return Use(purpose, fit, (Finding(code, numbers=numbers),))
 
 
-def _prediction(table: pd.DataFrame, missing: dict[str, str], still: list[str]) -> Use:
+def _prediction(table: pd.DataFrame, missing: dict[str, str], unvarying: list[str]) -> Use:
     """Return whether the model predicts coefficients, of which some cannot be judged.
 
-    ``missing``: coefficients that lack a vane; ``still``: those that do not vary, without a row.
+    ``missing``: coefficients that lack a vane; ``unvarying``: those that do not vary, without a row.
     """
     purpose = "predict coefficients"
     unjudged = []
-    missing = {name: vane for name, vane in missing.items() if name not in still}
+    missing = {name: vane for name, vane in missing.items() if name not in unvarying}
     if missing:
         numbers = {"names": list(missing), "vanes": list(missing.values())}
         unjudged.append(Finding(Code.BY_CONSTRUCTION, numbers=numbers))
-    if still:
-        unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": still}))
+    if unvarying:
+        unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
     if table["normalized_rmse"].mean() > 1:
         return _use(purpose, "no", Code.DIVERGING, error=table["normalized_rmse"].mean())
     table = table.drop(index=list(missing))

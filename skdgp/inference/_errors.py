@@ -54,8 +54,9 @@ class ErrorSettings:
     delays: tuple[int, ...] = (2, 4, 6)
     #: F statistic of the first stage below which instruments are weak (Staiger & Stock 1997)
     least_f: float = 10.0
-    #: Standard deviation of the bend of a function over that of the residuals, below which it is a line
-    least_bend: float = 0.01
+    #: Standard deviation of the nonlinear part of a function over that of the residuals, below which
+    #: the function counts as linear
+    least_nonlinear: float = 0.01
     #: Fraction of the largest eigenvalue below which instruments count as equal
     singular: float = 1e-10
 
@@ -94,7 +95,7 @@ class FunctionErrors(NamedTuple):
 
     def linear(self, X: Matrix) -> Array:
         """Return the linear terms at X (n, d), (K + K', n, P)."""
-        return _basis(X - self.centre) @ self.weights
+        return linear_basis(X - self.centre) @ self.weights
 
     def variance(self, X: Matrix) -> Matrix:
         """Return the variance at X (n, d), (n, P)."""
@@ -115,7 +116,7 @@ class FunctionErrors(NamedTuple):
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
         """Return values (n, P, k) and slopes (n, P, d, k) of random and method terms at X (n, d)."""
-        Q = _basis(X - self.centre)
+        Q = linear_basis(X - self.centre)
         parts = []
         for weights, slopes in zip((self.random, self.method), self.slopes(), strict=True):
             values = np.moveaxis(Q @ weights, 0, -1)
@@ -257,9 +258,10 @@ def function_errors(
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
       of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
       counts by one number for each regressor;
-    - gusts bend a function, as calm parts of a flight show them and manoeuvres do not. The bend is
-      what a line leaves of the mean. Instruments find the part of it that is false; where they are
-      weak, all of it counts that is no larger than the residuals.
+    - gusts bias slopes in calm parts of a flight, not in manoeuvres, and so make a function
+      nonlinear. The nonlinear part is the mean less its best linear approximation. The fraction of
+      it that counts is the one that instruments find to be false, beyond chance; where they are
+      weak, all of it. No more counts than the standard deviation of the residuals.
 
     With too few samples only the discrepancy and ``mean_errors`` are returned.
 
@@ -298,30 +300,32 @@ def function_errors(
     parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
     noise = mean_noise(posterior)
     over_spread = posterior.gradient(centre[None], scale)[0] * scale
-    random, instruments, bends = [], [], []
+    random, instruments, nonlinear = [], [], []
     for i, (x, sample) in enumerate(zip(data.X, samples, strict=True)):
-        Q = _basis((x - centre) / scale)
+        Q = linear_basis((x - centre) / scale)
         mean = data.y[i] - residuals[i]
         of_blocks = [_places(sample, rows) for rows in parts]
         of_records = [_places(sample, rows) for rows in records]
         correlated = block_errors(Q, residuals[i], of_blocks, settings)
         random.append(beyond(correlated, white_variance(Q, noise[i], settings)))
         instruments.append(_gust_bias(Q, residuals[i], of_records, settings))
-        bends.append(_bend_bias(Q, residuals[i], mean, over_spread[i], of_records, settings))
+        nonlinear.append(
+            _nonlinear_bias(Q, residuals[i], mean, over_spread[i], of_records, settings)
+        )
 
     unit = np.append(1.0, scale)[:, None]  # of the weights of Q
     correlated = np.stack(random, axis=-1) / unit
     gusts = np.stack(instruments, axis=-1)[None] / unit
-    bent = np.stack(bends, axis=-1)[None] / unit
+    curved = np.stack(nonlinear, axis=-1)[None] / unit
     slopes = posterior.gradient(centre[None])[0]
     flattened = _attenuation(data.X, input_std, slopes, settings)
     return errors._replace(
         random=np.concatenate([errors.random, correlated]),
-        method=np.concatenate([gusts, flattened, bent]),
+        method=np.concatenate([gusts, flattened, curved]),
     )
 
 
-def _bend_bias(
+def _nonlinear_bias(
     Q: Matrix,
     residual: Vector,
     mean: Vector,
@@ -329,18 +333,19 @@ def _bend_bias(
     records: Sequence[Indices],
     settings: ErrorSettings,
 ) -> Vector:
-    """Return the part of slopes at the centre that gusts may have bent, and zero for the constant, (m,).
+    """Return the errors of slopes at the centre by a nonlinear part that gusts may have made, (m,).
 
-    ``mean`` (n,) are values of the posterior's mean and ``slopes`` (m - 1,) its slopes over one
-    standard deviation of the regressors. The bend is what a line Q (n, m) leaves of the mean.
+    That of the constant is zero. ``mean`` (n,) are values of the posterior's mean, and ``slopes``
+    (m - 1,) its slopes over one standard deviation of the regressors. The nonlinear part is the
+    mean less its best linear approximation in the terms Q (n, m).
     """
     line = np.linalg.lstsq(Q, mean, rcond=None)[0]
-    bend = mean - Q @ line
-    size = float(bend.std())
+    nonlinear = mean - Q @ line
+    size = float(nonlinear.std())
     bias = np.zeros(Q.shape[1])
-    if size <= settings.least_bend * residual.std():
+    if size <= settings.least_nonlinear * residual.std():
         return bias
-    terms = np.column_stack([Q, bend / size])
+    terms = np.column_stack([Q, nonlinear / size])
     change, scatter, is_determined = instrumented(terms, residual, records, settings)
     fraction = min(1.0, float(residual.std()) / size)
     if is_determined[-1]:
@@ -399,8 +404,8 @@ def _attenuation(
     return attenuation
 
 
-def _basis(x: Array) -> Array:
-    """Return (1, x), (..., d + 1)."""
+def linear_basis(x: Array) -> Array:
+    """Return (1, x), (..., d + 1), for x (..., d)."""
     return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)
 
 

@@ -14,6 +14,7 @@ from skdgp.inference._errors import (
     ErrorSettings,
     FunctionErrors,
     PosteriorWithErrors,
+    linear_basis,
     mean_errors,
     mean_noise,
 )
@@ -66,13 +67,13 @@ def expected_errors(
     values = paths.each(centre[None, None])[:, 0]
     slopes = paths.slopes(centre[None, None])[:, 0] * scale
     noise = mean_noise(posterior)
-    Q_added = _basis((added - centre) / scale)
+    Q_added = linear_basis((added - centre) / scale)
     random = errors.random.copy()
     method = errors.method.copy()
     for i, x in enumerate(X):
         line = np.column_stack([values[:, i], slopes[:, i]])
         narrowing[i] = _narrowing(np.cov(line.T), Q_added, noise[i], settings)
-        Q = _basis((x - centre) / scale)
+        Q = linear_basis((x - centre) / scale)
         random[:, 1:, i] *= _least_squares_ratio(Q, Q_added, settings)
         biases = method[:, 1:, i]
         is_biased = np.any(biases != 0, axis=0)
@@ -80,10 +81,6 @@ def expected_errors(
     width = column_scale(np.vstack([longest, added]))
     later = errors._replace(random=random, method=method, length_scale=width)
     return ExpectedErrors(narrowing, later)
-
-
-def _basis(z: Matrix) -> Matrix:
-    return np.column_stack([np.ones(len(z)), z])
 
 
 def _narrowing(covariance: Matrix, Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:

@@ -283,7 +283,7 @@ class SinglePrecision:
 
     #: Fewest values: for fewer the inverse is a small part of the time
     values: int = 800
-    #: Largest condition of the Cholesky factor: the error of the inverse is 6e-8 times it
+    #: Largest ratio of the diagonal of the Cholesky factor: errors of the inverse are some 6e-8 times it
     condition: float = 1e3
 
 

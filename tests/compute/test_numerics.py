@@ -17,6 +17,7 @@ from skdgp._compute.linalg import (
     JitterWarning,
     cholesky_inverse,
     cholesky_solve,
+    in_single_precision,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
@@ -83,6 +84,16 @@ class TestCholesky:
         assert_allclose(triangular_solve(L, np.array(B, order="F")), expected, rtol=1e-10)
         inverse = np.tril(cholesky_inverse(L))
         assert_allclose(inverse, np.tril(np.linalg.inv(K)), rtol=1e-9, atol=1e-12)
+
+    def test_inverse_of_single_precision_in_the_memory_of_the_factor(self):
+        L = cholesky(K)
+        single = in_single_precision(L)
+        assert np.shares_memory(single, L)
+        assert single.dtype == np.float32
+        assert_allclose(single, cholesky(K).astype(np.float32))
+        inverse = np.tril(cholesky_inverse(single))
+        expected = np.tril(np.linalg.inv(K))
+        assert_allclose(inverse, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 
 
 class TestCentralDifferences:

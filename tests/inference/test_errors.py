@@ -192,7 +192,7 @@ def test_errors_by_method_hold_what_gusts_take_from_the_damping(memory):
     assert 0.4 * missing < by_method < 1.5 * missing
 
 
-def bend_error(y, x):
+def slope_error(y, x):
     """Return how far the model's slope over the spread of x lies from -1, and its errors by method."""
     model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=30, structure="joint")
     model.fit(x[:, None], y[:, None], time=np.arange(len(x)) * 1.0)
@@ -201,18 +201,18 @@ def bend_error(y, x):
     return slope + 1, np.sqrt(np.sum(by_method**2))
 
 
-def test_errors_by_method_hold_a_bend_by_gusts_and_no_true_one():
+def test_errors_by_method_hold_a_nonlinearity_by_gusts_and_no_true_one():
     """A gust moves the aircraft in calm parts of a flight, manoeuvres do elsewhere."""
     rng = default_rng(8)
     gust, stick = wandering(rng, 600, 2), wandering(rng, 600, 30)
     flown = np.arange(600) % 200 < 100
     x = 0.5 * gust + 2.0 * stick * flown
-    off, by_method = bend_error(-x + gust, x)
+    off, by_method = slope_error(-x + gust, x)
     assert off > 0.1
     assert 0.3 * off < by_method < 3 * off
 
     x = 2.0 * stick
-    _, by_method = bend_error(np.sin(x) + 0.05 * gust, x)
+    _, by_method = slope_error(np.sin(x) + 0.05 * gust, x)
     assert by_method < 0.05
 
 

@@ -42,7 +42,7 @@ class TileSettings:
     #: Beside the diagonal
     side: int = 768
     #: On the diagonal, where both triangles are computed
-    diagonal: int = 128
+    diagonal: int = 256
 
 
 TILES = TileSettings()

@@ -97,6 +97,12 @@ class Filters(NamedTuple):
             shift[:, i] - shift[:, j],
         )
 
+    def of_regressors(self, columns: Indices) -> Filters:
+        """Return the filters along some regressors."""
+        return self._replace(
+            length_scale=self.length_scale[..., columns], shift=self.shift[..., columns]
+        )
+
     def zeros(self) -> Filters:
         """Return zeros in the shapes of the parameters, to which derivatives are added."""
         return Filters(
@@ -377,12 +383,15 @@ class ConvolvedGaussian(MultiOutputKernel):
     def blocks_with_gradient(
         self, pairs: Sequence[InputPair]
     ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
-        filters = self.filters
+        # exponents of regressors without effect would cost most of the time of one-dimensional kernels
+        full = self.filters
+        acting = np.flatnonzero(~self.without_effect(full.length_scale.shape[-1]))
+        filters = full.of_regressors(acting)
         of_outputs = {(pair.i, pair.j): filters.pair(pair.i, pair.j) for pair in pairs}
         covariances = [of_outputs[pair.i, pair.j] for pair in pairs]
 
         def with_moments(k):
-            return covariances[k].with_moments(pairs[k].Xi, pairs[k].Xj)
+            return covariances[k].with_moments(pairs[k].Xi[:, acting], pairs[k].Xj[:, acting])
 
         blocks = thread_map(with_moments, range(len(pairs)))
 
@@ -391,7 +400,11 @@ class ConvolvedGaussian(MultiOutputKernel):
             slopes = filters.zeros()
             for pair, covariance, sums in zip(pairs, covariances, moments, strict=True):
                 slopes.add(pair.i, pair.j, covariance.gradient(sums))
-            return self.theta_gradient(slopes._asdict())
+            by_value = full.zeros()
+            by_value.amplitude[:] = slopes.amplitude
+            by_value.length_scale[..., acting] = slopes.length_scale
+            by_value.shift[..., acting] = slopes.shift
+            return self.theta_gradient(by_value._asdict())
 
         return [K for K, _ in blocks], gradient
 

@@ -400,55 +400,71 @@ class _JointSearch(NamedTuple):
         """Return the hyperparameters of a kernel from one start."""
         options = self.options
         data = Data.from_table(self.X, self.Y, self.known.loading)
-        noise = self.noise
+        start = self._start(kernel)
+        shared = self._start(coarse(kernel))
 
         # Stage 2. From shared widths, stage 3 needs few iterations, and ends at optima that predict
         # better than those reached from arbitrary widths. Few values show them, unless slopes of this
         # fit propagate noise of the regressors (example flights, four seeds: errors 7 % larger).
-        start = self._start(kernel)
-        shared = self._start(coarse(kernel))
-        n_iter = 0
-        of_exact_regressors = -np.inf
         step = 1 if options.input_noise else -(-data.n_values // options.settings.coarse_values)
-        if shared.n_dims < start.n_dims or options.input_noise or step > 1:
-            half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
-            few = data.every(step)
-            shared, noise, end = self._climb(shared, noise, self.bounds, few, half)
-            n_iter = end.n_iter
-            of_exact_regressors = end.value
-            start = from_coarse(kernel, start, shared)
-
-        bounds = self.bounds
+        if shared.n_dims == start.n_dims and step == 1 and not options.input_noise:
+            return self._all_learned(start, self.noise, data, 0)
+        half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
+        few = data.every(step)
+        shared, noise, end = self._climb(shared, self.noise, self.bounds, few, half)
+        start = from_coarse(kernel, start, shared)
         if options.input_noise:
-            # slopes of the kernel of stage 2 propagate noise of the regressors
-            data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
-            noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
-            bounds = np.concatenate([bounds, input_bounds])
-        n_left = options.max_iter - n_iter
-        best, noise, end = self._climb(start, noise, bounds, data, n_left)
-        converged = end.converged or self._gains_nothing(best, noise, data, end, n_left)
-        # noise that does not raise the likelihood is none; fewer iterations saw exact regressors
-        is_worse = options.input_noise and end.value < of_exact_regressors
-        if is_worse and self.known.input_std is None and not self.stop.is_set():
-            exact = self._replace(options=replace(options, input_noise=False))
-            return exact.learned(kernel)
+            noisy = self._learned_with_input_noise(shared, start, noise, data, end)
+            if noisy is not None:
+                return noisy
+        return self._all_learned(start, noise, data, end.n_iter)
 
-        # Stage 4.
-        if options.input_noise and not self.exact and not self.stop.is_set():
+    def _all_learned(self, start, noise, data, n_iter) -> Hyperparameters:
+        """Return all hyperparameters from a start (stage 3), for exact regressors."""
+        n_left = self.options.max_iter - n_iter
+        best, noise, end = self._climb(start, noise, self.bounds, data, n_left)
+        return Hyperparameters(
+            best,
+            noise,
+            n_iter=n_iter + end.n_iter,
+            interrupted=self.stop.is_set(),
+            remaining=end.remaining,
+            converged=end.converged or self._gains_nothing(best, noise, data, end, n_left),
+            log_likelihood=end.value,
+        )
+
+    def _learned_with_input_noise(
+        self, shared, start, noise, data, of_exact: Optimum
+    ) -> Hyperparameters | None:
+        """Return all hyperparameters with the noise of the regressors (stages 3 and 4).
+
+        Slopes of the kernel of stage 2, whose end was ``of_exact``, propagate this noise. None:
+        the data show none, as it does not raise the likelihood of exact regressors.
+        """
+        options = self.options
+        data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
+        noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
+        bounds = np.concatenate([self.bounds, input_bounds])
+        n_left = options.max_iter - of_exact.n_iter
+        best, noise, end = self._climb(start, noise, bounds, data, n_left)
+        is_known = self.known.input_std is not None
+        if end.value < of_exact.value and not is_known and not self.stop.is_set():
+            return None
+        converged = end.converged or self._gains_nothing(best, noise, data, end, n_left)
+        if not self.exact and not self.stop.is_set():
             noise = _noise_from_half(
                 best, noise, bounds, self.X, self.Y, self.scale, self.stop, options.settings
             )
         P = self.Y.shape[1]
-        input_std = None
-        if options.input_noise:
+        if is_known:
             input_std = self.known.input_std
-            if input_std is None:
-                input_std = self.scale * np.sqrt(noise[P:])
+        else:
+            input_std = self.scale * np.sqrt(noise[P:])
         return Hyperparameters(
             best,
             noise[:P],
             input_std,
-            n_iter=n_iter + end.n_iter,
+            n_iter=of_exact.n_iter + end.n_iter,
             interrupted=self.stop.is_set(),
             remaining=end.remaining,
             converged=converged,

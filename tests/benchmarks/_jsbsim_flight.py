@@ -224,6 +224,7 @@ MOVED = {
     "aileron": ("fcs/aileron-cmd-norm", "fcs/left-aileron-pos-rad"),
     "rudder": ("fcs/rudder-cmd-norm", "fcs/rudder-pos-rad"),
 }
+REACH = 0.5  # of the perturbation, where a surface does not reach further
 BANK = 0.5  # rad, changes alpha_dot and beta_dot of an instant, and no other regressor
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(6)
 KNOT, SEA_LEVEL_DENSITY = 0.514444, 1.225
@@ -292,6 +293,21 @@ class JSBSimAerodynamics:
                 coefficients, dots = self(x)
                 slopes[:, k] += weight * node / step * (coefficients - by_dots @ dots)
         return pd.DataFrame(np.hstack([slopes, by_dots]), COEFFICIENTS, [*STEADY[:8], *NAMES[9:]])
+
+
+def evaluated_derivatives(name, flight, aircraft, at):
+    """Return the derivatives (6, 10) of an aircraft of JSBSim, the mean over the spread of each regressor in a flight.
+
+    The spread is smaller where a surface does not reach that far.
+    """
+    spread = exact_regressors(flight, aircraft).std(axis=0)[:8]
+    evaluated = JSBSimAerodynamics(name, flight)
+    for fraction in (1.0, REACH):
+        try:
+            return evaluated.derivatives(at[:8], fraction * spread)
+        except ValueError:
+            continue
+    raise ValueError(f"Got surfaces of {name} that do not reach {REACH:.0%} of what was flown.")
 
 
 def learned_derivatives(model, aircraft, at, airspeed, names=STEADY):

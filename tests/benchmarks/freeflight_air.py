@@ -7,7 +7,7 @@ sensors, and is asked about flights along another path. Coverage is the fraction
 
 Models, at every tenth row: "coefficients" of flights in each air as measured, by bands of new
 measurements; "function" at regressors without noise in calm air, against the true coefficients, by
-bands of the function; "derivatives" within two standard deviations of the known ones; "NRMSE" of the
+bands of the function; "derivatives" within two standard deviations of JSBSim's own; "NRMSE" of the
 function, and that over the one of least squares on the same regressors and coefficients.
 
 Free flight: from 20 points of the flights, under the logged controls and thrust, from the true
@@ -30,9 +30,9 @@ from _jsbsim_flight import (
     KNOTS,
     STEADY,
     TRAINING,
+    evaluated_derivatives,
     exact_regressors,
     flight_of,
-    known_derivatives,
     learned_derivatives,
     sensed,
 )
@@ -85,9 +85,9 @@ def model_row(name, model, log, aircraft, flown):
     mean, std = model[-3:].predict(asked, return_std=True, include_input_noise=False)
     row["function, calm"] = 100.0 * interval_coverage(truth, mean, std)
     at = exact.mean(axis=0)
-    flights = [flight_of(name, 1, air, int(air != "calm"))[0] for air in FLOWN]
-    known = known_derivatives(flights, aircraft, at)
-    table = learned_derivatives(model[-3:], aircraft, at, calm["airspeed_true"].mean())
+    known = evaluated_derivatives(name, calm, aircraft, at)
+    airspeed = calm["airspeed_true"].mean()
+    table = learned_derivatives(model[-3:], aircraft, at, airspeed, STEADY[:8])
     true = [known.loc[one.coefficient, one.regressor] for one in table.itertuples()]
     inside = np.abs(table["value"] - true) < 2 * table["std"]
     row["derivatives"] = 100.0 * inside[np.abs(true) > 0].mean()

@@ -20,7 +20,7 @@ from _jsbsim_flight import (
     FLOWN,
     STEADY,
     TRAINING,
-    JSBSimAerodynamics,
+    evaluated_derivatives,
     exact_regressors,
     flight_of,
     known_derivatives,
@@ -36,7 +36,6 @@ FLIGHTS = {"viggen_uav": ("train_latlon", "test_twoalt", "delta")}
 JSBSIM = {"c172p": "conventional", "c182": "conventional", "DHC6": "twin", "A4": "delta"}
 WITHHELD = ("nothing", "sizes", "thrust")
 REGRESSORS = STEADY[:-1]
-REACH = 0.5  # of the perturbation, where a surface does not reach further
 SIGNS = (
     *("CZ_alpha", "Cm_alpha", "Cm_q", "Cl_p"),
     *("Cn_beta", "Cm_elevator", "Cl_aileron", "Cn_rudder"),
@@ -78,16 +77,9 @@ def learned(thing, aircraft, kind, train, at, airspeed):
 
 def true_derivatives(name, flights, aircraft, at):
     """Return the derivatives to compare with, by coefficient and regressor."""
-    if name not in JSBSIM:
-        return known_derivatives(flights, aircraft, at)
-    spread = exact_regressors(flights[0], aircraft).std(axis=0)[: len(REGRESSORS)]
-    evaluated = JSBSimAerodynamics(name, flights[0])
-    for fraction in (1.0, REACH):
-        try:
-            return evaluated.derivatives(at[: len(REGRESSORS)], fraction * spread)
-        except ValueError:  # a surface does not reach that far
-            continue
-    raise ValueError(f"Got surfaces of {name} that do not reach {REACH:.0%} of what was flown.")
+    if name in JSBSIM:
+        return evaluated_derivatives(name, flights[0], aircraft, at)
+    return known_derivatives(flights, aircraft, at)
 
 
 def compared(table, known):

@@ -34,18 +34,22 @@ class TrendSettings:
 
     #: Bounds of intercepts
     intercept_bounds: tuple[float, float] = (1e-3, 1e2)
-    #: Bounds of slopes (trials)
+    #: Bounds of slopes by many regressors (trials)
     slope_bounds: tuple[float, float] = (0.05, 1e2)
     #: The lower bound of slopes is this number over n for few rows n: a smaller one makes slopes
     #: that are not significant too certain (benchmark ``coverage``)
     few_rows: float = 6.0
     #: Largest lower bound of few rows
     largest_bound: float = 0.3
+    #: The lower bound by d regressors is d to this power: only of many do most not matter, and a
+    #: slope that is nearly certain to be zero makes bands beyond the data too narrow
+    few_regressors: float = -2.0
 
-    def least_slope(self, n_rows: int) -> float:
-        """Return the lower bound of slopes that are learned from so many rows."""
-        of_few = min(self.few_rows / n_rows, self.largest_bound)
-        return max(self.slope_bounds[0], of_few)
+    def least_slope(self, n_rows: int, n_regressors: int) -> float:
+        """Return the lower bound of slopes by so many regressors that are learned from so many rows."""
+        of_few_rows = min(self.few_rows / n_rows, self.largest_bound)
+        of_few_regressors = float(n_regressors) ** self.few_regressors
+        return max(self.slope_bounds[0], of_few_rows, of_few_regressors)
 
 
 SETTINGS = TrendSettings()
@@ -152,7 +156,7 @@ class LinearTrend(MultiOutputKernel):
         y_scale = column_scale(Y)
         unit = y_scale[:, None] / column_scale(X)
         n_rows = np.isfinite(Y).sum(axis=0).max()
-        least = settings.least_slope(n_rows)
+        least = settings.least_slope(n_rows, d)
         bounds: dict[str, Any] = {
             "intercept_scale": np.multiply.outer(y_scale, settings.intercept_bounds),
             "slope_scale": np.multiply.outer(unit, (least, settings.slope_bounds[1])),

@@ -50,6 +50,9 @@ class StartSettings:
     shared_variance: float = 0.5
     #: Largest amplitude
     largest_amplitude: float = 30.0
+    #: Smallest amplitude of a private latent beside shared ones where targets are missing: without
+    #: it a few rows where outputs overlap may make one output certain from another (trials)
+    least_private: float = 0.1
     #: Smallest and largest width
     width_bounds: tuple[float, float] = (0.05, 1e3)
     #: Starting widths of the first and of the last shared latent, for one regressor
@@ -558,13 +561,19 @@ def starting_values(
     lengths = lengths * np.exp(settings.width_scatter * scatter)
 
     largest = np.broadcast_to(settings.largest_amplitude * y_scale, (M, P))
+    smallest = -largest
+    observed = np.isfinite(Y)
+    has_gaps = np.any(observed.any(axis=1) & ~observed.all(axis=1))
+    if n_shared and has_gaps:
+        is_private = ~shared[:, None] & feeds
+        smallest = np.where(is_private, settings.least_private * y_scale, smallest)
     widths = np.multiply.outer(x_scale, settings.width_bounds)
     values = {
         "amplitude": amplitude,
         "length_scale": np.repeat(lengths[:, None], P, axis=1),
     }
     bounds = {
-        "amplitude": np.stack([-largest, largest], axis=-1),
+        "amplitude": np.stack([smallest, largest], axis=-1),
         "length_scale": np.array(np.broadcast_to(widths, (M, P, d, 2))),
         "shift": DEFAULT_BOUNDS["shift"],
     }

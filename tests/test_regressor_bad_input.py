@@ -264,7 +264,7 @@ class TestMemory:
         assert errors[1] < 0.05 < errors[0]
 
     def test_auto_chooses_by_the_number_of_values(self, X, Y):
-        model = quick(n_inducing=10)
+        model = quick(n_inducing=20)
         model.settings = replace(model.settings, exact_values=59)
         assert model.fit(X, Y).inference_ == "sparse"
         Y[0] = np.nan

@@ -33,8 +33,16 @@ from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
-from skdgp.inference._starts import coarse, from_coarse, narrowed, single_output, starting_kernel
+from skdgp.inference._starts import (
+    coarse,
+    from_coarse,
+    from_simpler,
+    narrowed,
+    single_output,
+    starting_kernel,
+)
 from skdgp.inference._structures import (
+    contains,
     has_shared_latents,
     n_mattering,
     with_shifts,
@@ -290,7 +298,9 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
     """
     few = joint.trial()
     structures = [_Structure(kernel) for kernel in kernels]
-    found = [few.compared(structure) for structure in structures]
+    found: list[Hyperparameters] = []
+    for structure in structures:
+        found.append(few.compared(structure, found))
     if shift is not None:
         for kernel, without in zip(kernels, list(found), strict=True):
             if has_shared_latents(kernel):
@@ -308,7 +318,10 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
     promising = np.flatnonzero(scores > scores.max() - margins)
     if few.n_values == joint.n_values:
         return [joint.continued(structures[k], found[k]) for k in promising]
-    return [joint.compared(structures[k]) for k in promising]
+    learned: list[Hyperparameters] = []
+    for k in promising:
+        learned.append(joint.compared(structures[k], learned))
+    return learned
 
 
 class _JointSearch(NamedTuple):
@@ -349,9 +362,11 @@ class _JointSearch(NamedTuple):
             options=replace(self.options, max_iter=few),
         )
 
-    def compared(self, structure: _Structure) -> Hyperparameters:
-        """Return the hyperparameters of a structure, with its price."""
-        return self._priced(structure, self.likeliest(structure.kernel))
+    def compared(
+        self, structure: _Structure, simpler: Sequence[Hyperparameters] = ()
+    ) -> Hyperparameters:
+        """Return the hyperparameters of a structure, with its price; simpler ones may give its start."""
+        return self._priced(structure, self.likeliest(structure.kernel, simpler))
 
     def continued(self, structure: _Structure, trial: Hyperparameters) -> Hyperparameters:
         """Return the hyperparameters of a structure, from where a trial on the same values ended, with its price."""
@@ -378,9 +393,11 @@ class _JointSearch(NamedTuple):
         )
         return learned._replace(price=price + structure.price)
 
-    def likeliest(self, kernel: MultiOutputKernel) -> Hyperparameters:
+    def likeliest(
+        self, kernel: MultiOutputKernel, simpler: Sequence[Hyperparameters] = ()
+    ) -> Hyperparameters:
         """Return the hyperparameters of a kernel with the largest likelihood, of all starts."""
-        best = self.learned(kernel)
+        best = self.learned(kernel, simpler)
         for _ in range(self.options.n_restarts):
             if self.stop.is_set():
                 break
@@ -396,8 +413,10 @@ class _JointSearch(NamedTuple):
         start = self._start(kernel)
         return start.clone_with_theta(self.random_state.uniform(*start.bounds.T))
 
-    def learned(self, kernel: MultiOutputKernel) -> Hyperparameters:
-        """Return the hyperparameters of a kernel from one start."""
+    def learned(
+        self, kernel: MultiOutputKernel, simpler: Sequence[Hyperparameters] = ()
+    ) -> Hyperparameters:
+        """Return the hyperparameters of a kernel from one start, or from the likelier end of a simpler kernel."""
         options = self.options
         data = Data.from_table(self.X, self.Y, self.known.loading)
         start = self._start(kernel)
@@ -411,7 +430,13 @@ class _JointSearch(NamedTuple):
             return self._all_learned(start, self.noise, data, 0)
         half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
         few = data.every(step)
-        shared, noise, end = self._climb(shared, self.noise, self.bounds, few, half)
+        starts = [(shared, self.noise)]
+        for each in simpler:
+            if contains(kernel, each.kernel):
+                starts.append((from_simpler(shared, each.kernel), each.noise))
+        if len(starts) > 1:
+            starts.sort(key=lambda start: log_likelihood(start[0], start[1], few))
+        shared, noise, end = self._climb(*starts[-1], self.bounds, few, half)
         start = from_coarse(kernel, start, shared)
         if options.input_noise:
             noisy = self._learned_with_input_noise(shared, start, noise, data, end)

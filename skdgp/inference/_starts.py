@@ -30,6 +30,8 @@ class StartSettings:
     #: Largest width of a start from fits of few rows, in standard deviations of the regressor: from
     #: wider ones, where the likelihood is flat, a search does not come back
     widest: float = 10.0
+    #: Private amplitudes beside the filters of a simpler kernel, over their starting values
+    private_beside: float = 0.1
 
 
 SETTINGS = StartSettings()
@@ -90,6 +92,13 @@ def from_coarse(
 ) -> MultiOutputKernel:
     """Return a start with missing values from the fit of the coarse kernel."""
     return _of_terms(_from_coarse, kernel, start, fitted)
+
+
+def from_simpler(
+    start: MultiOutputKernel, fitted: MultiOutputKernel, settings: StartSettings = SETTINGS
+) -> MultiOutputKernel:
+    """Return a start with small private latents beside the shared ones of a fitted kernel, which has no others."""
+    return _of_terms(partial(_from_simpler, settings), start, fitted)
 
 
 def narrowed(
@@ -166,6 +175,19 @@ def _from_coarse(term, start, fitted):
         return start
     values = fitted.values()
     return _with_missing(term, start, {name: values[name] for name in names})
+
+
+def _from_simpler(settings, term, fitted):
+    if isinstance(term, LinearTrend):
+        values = fitted.values()
+        names = ("intercept_scale", "slope_scale")
+        return clone(term).set_params(**{name: values[name] for name in names})
+    n = fitted.n_latent
+    amplitude = settings.private_beside * term.filters.amplitude
+    amplitude[:n] = fitted.filters.amplitude
+    lengths = term.filters.length_scale
+    lengths[:n] = fitted.filters.length_scale
+    return clone(term).set_params(amplitude=amplitude, length_scale=lengths)
 
 
 def _from_singles(settings, X, term, start, *singles):

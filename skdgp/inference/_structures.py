@@ -56,6 +56,20 @@ def has_shared_latents(kernel: MultiOutputKernel) -> bool:
     return any(term.n_latent > 0 for term in processes)
 
 
+def contains(kernel: MultiOutputKernel, simpler: MultiOutputKernel) -> bool:
+    """Return whether a kernel without values has private latents beside as many shared ones as a simpler one alone."""
+    terms, others = kernel.summands(), simpler.summands()
+    if len(terms) != len(others):
+        return False
+    for term, other in zip(terms, others, strict=True):
+        if not isinstance(term, ConvolvedGaussian):
+            continue
+        is_shared_alone = other.n_latent > 0 and not other.private_latents
+        if not (is_shared_alone and term.private_latents and term.n_latent == other.n_latent):
+            return False
+    return has_shared_latents(kernel)
+
+
 def n_mattering(
     kernel: MultiOutputKernel, X: Matrix, settings: StructureSettings = SETTINGS
 ) -> int:

@@ -7,7 +7,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from skdgp import DependentGPRegressor, listening
-from skdgp.inference import structure_weights
+from skdgp.inference import SearchOptions, search, structure_weights
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -100,6 +100,19 @@ def test_noisy_copies_learn_from_the_exact_one():
         alone.append(gp.fit(X, y).predict(points))
     joint = error_over_spread(model.predict(points), truth)
     assert joint < 0.7 * error_over_spread(np.column_stack(alone), truth)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains(seed):
+    """After as few iterations: private latents beside shared ones can all be zero."""
+    rng = np.random.default_rng(seed)
+    x = np.sort(rng.uniform(0, 10, 100))
+    latent = np.column_stack([np.sin(2 * x), np.cos(3 * x)])
+    Y = latent @ rng.normal(size=(2, 5)) + 0.05 * rng.normal(size=(100, 5))
+    tied = ConvolvedGaussian(2, private_latents=False, covariance_type="tied")
+    options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=20, random_state=0)
+    simple, rich = search([tied, ConvolvedGaussian(2)], x[:, None], Y, options)
+    assert rich.log_likelihood > simple.log_likelihood - 1.0
 
 
 def test_independent_outputs_do_not_learn_from_each_other():

@@ -37,12 +37,12 @@ def without_estimate(offset: Vector, prior_std: Vector) -> Matrix:
     return np.diag(prior_std**2) + np.outer(offset, offset)
 
 
-def spread_of(path: list[Vector]) -> Matrix:
+def spread_of(history: list[Vector]) -> Matrix:
     """Return the mean square distance of the last passes of a search (k, p) from its end.
 
     Errors of a search that did not converge.
     """
-    offsets = np.array(path) - path[-1]
+    offsets = np.array(history) - history[-1]
     return offsets.T @ offsets / len(offsets)
 
 
@@ -91,6 +91,14 @@ def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> 
     covariance = sandwich(sums.information, sums.scatter)
     scatter = correlated_scatter(fit.block_scores(fitted))
     return widen(covariance, sandwich(sums.information, scatter))
+
+
+def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
+    """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's."""
+    last = fit.history[-fit.settings.last_passes :]
+    if len(last) == len(fit.history):
+        return without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
+    return inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
 
 
 def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
-from skdgp.estimation._air_linearization import TURN, Layout, linearized
+from skdgp.estimation._air_linearization import RATE_STATES, Layout, linearized
 from skdgp.estimation._air_noise import NoiseSearch, whitened
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record
@@ -65,7 +65,7 @@ class AirFit:
         self.is_known = parameters.n_held > 0
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
-        self.path: list[Vector] = []  # of x in the search
+        self.history: list[Vector] = []  # of x in the search
         self.winds = []
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
@@ -75,7 +75,7 @@ class AirFit:
         if not self.is_known:
             self.x = self.regression.derivatives(records, self.x)
         # rates as measured, without gusts
-        before = ((0, 0), (TURN.start, 0))
+        before = ((0, 0), (RATE_STATES.start, 0))
         self.states = [np.pad(record.rates, before) for record in records]
 
     def search(self, n_before: int) -> bool:
@@ -105,7 +105,7 @@ class AirFit:
             else:
                 fraction = min(settings.longer * fraction, 1.0)
             self.x[sums.free] += fraction * step
-            self.path.append(self.x.copy())
+            self.history.append(self.x.copy())
             last = step
             noise_length = np.inf
             if number:

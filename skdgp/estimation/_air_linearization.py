@@ -27,10 +27,10 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, cross_matrix
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_model import (
-    AIR,
-    ERRORS,
+    AIR_VELOCITY,
+    BODY_RATES,
+    COEFFICIENT_ERRORS,
     N_VARIABLES,
-    RATES,
     AirMotionModel,
     Inputs,
     differentiated,
@@ -46,15 +46,15 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record, servo_output, servo_slopes
 from skdgp.estimation._kalman import Linearization
-from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE, SensorErrors
+from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE_READINGS, SensorErrors
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 N_STATES = 11
-SLOW = slice(0, 3)
-FAST = slice(3, 6)
-PATH_Y = 6
-PATH_Z = 7
-TURN = slice(8, 11)
+SLOW_GUST = slice(0, 3)
+FAST_GUST = slice(3, 6)
+PATH_ERROR_Y = 6
+PATH_ERROR_Z = 7
+RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
 NOT_SAMPLED = 1e12  # variance of a sensor without a sample [SI], whatever its noise
 BIASES = {name: BIASED[name] for name in [*SHARED, *OWN] if name in BIASED}
@@ -137,12 +137,14 @@ class Layout(NamedTuple):
         """
         n_constants = len(self.names) - self.n_derivatives
         slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + n_constants))
-        slopes[:, AIR, :N_STATES] = air_by_state
-        slopes[:, RATES, TURN] = np.eye(3)
+        slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
+        slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
         by_constants = slopes[..., N_STATES:]
-        by_constants[:, ERRORS, self._constant("servo_lag", "thrust_scale")] = coefficient_changes
-        by_constants[:, AIR, self._constant(*WINDS)] = -attitude
-        by_constants[:, AIR, self._constant(*ARM)] = -cross_matrix(rates)
+        by_constants[:, COEFFICIENT_ERRORS, self._constant("servo_lag", "thrust_scale")] = (
+            coefficient_changes
+        )
+        by_constants[:, AIR_VELOCITY, self._constant(*WINDS)] = -attitude
+        by_constants[:, AIR_VELOCITY, self._constant(*ARM)] = -cross_matrix(rates)
         return slopes
 
     def _constant(self, *names: str) -> list[int]:
@@ -157,7 +159,7 @@ class Layout(NamedTuple):
         """
         n, m = by_variables.shape[:2]
         by_constants = by_variables @ slopes
-        by_coefficients = by_variables[:, :, ERRORS][:, :, self.rows]
+        by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
         out = np.empty((n, m, N_STATES + self.n_slopes))
         constants = self.constants
         out[..., :N_STATES] = by_constants[..., :N_STATES]
@@ -182,11 +184,11 @@ class Layout(NamedTuple):
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
     """Return the velocity relative to the air (n, 3), body axes, and its derivatives by the states (n, 3, N)."""
     by_state = np.zeros((len(states), 3, N_STATES))
-    by_state[:, :, SLOW] = -record.attitude
-    by_state[:, :, FAST] = -record.attitude
-    by_state[:, 1, PATH_Y] = -1.0
-    by_state[:, 2, PATH_Z] = -1.0
-    by_state[:, :, TURN] = cross_matrix(stacked(value, *ARM))
+    by_state[:, :, SLOW_GUST] = -record.attitude
+    by_state[:, :, FAST_GUST] = -record.attitude
+    by_state[:, 1, PATH_ERROR_Y] = -1.0
+    by_state[:, 2, PATH_ERROR_Z] = -1.0
+    by_state[:, :, RATE_STATES] = cross_matrix(stacked(value, *ARM))
     steady = record.velocity - record.attitude @ stacked(value, *WINDS)
     return steady + _product(by_state, states), by_state
 
@@ -218,7 +220,7 @@ class _Expansion:
         self.later = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
         self.changes = self.model.lag_and_thrust_slopes(self.air, logged, by_lag)
-        self.start = _variables(self.air, states[:, TURN])[:-1]
+        self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
         # gusts and errors of the path decay, and the air velocity with them
         self.kept = np.exp(-record.step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
@@ -231,7 +233,7 @@ class _Expansion:
         end, slopes = differentiated(
             lambda start: self.model.step(start, gravity, drift, self.inputs, steps), self.start
         )
-        return _variables(end[:, AIR], end[:, RATES]), slopes
+        return _variables(end[:, AIR_VELOCITY], end[:, BODY_RATES]), slopes
 
     def step_slopes(self, end: Matrix, by_start: Array, response: Matrix) -> Array:
         """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
@@ -240,19 +242,19 @@ class _Expansion:
         end_terms = self.model.terms(end, self.later.surfaces)
         variables = self.layout.variable_slopes(
             self.record.attitude[:-1],
-            self.start[:, RATES],
+            self.start[:, BODY_RATES],
             self.air_by_state[:-1],
             _means(self.changes),
         )
         terms = 0.5 * (terms + end_terms)
         slopes = self.layout.chained(by_start, variables, terms, _means(response))
-        slopes[:, AIR, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
+        slopes[:, AIR_VELOCITY, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
         return slopes
 
     def end_variables(self, end: Matrix) -> Array:
         """Return d variables / d states and constants of the same sample, (n - 1, 12, N + k)."""
         return self.layout.variable_slopes(
-            self.record.attitude[1:], end[:, RATES], self.air_by_state[1:], self.changes[1:]
+            self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:], self.changes[1:]
         )
 
     def end_slopes(self, end: Matrix, by_variables: Array, response: Matrix) -> Array:
@@ -271,7 +273,9 @@ class _Expansion:
         by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
         (scale,) = layout.place("airspeed_scale")
         by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
-        by_parameters[:, FORCE, layout.place(*ARM)] = self.model.arm_slopes(end, self.later)
+        by_parameters[:, FORCE_READINGS, layout.place(*ARM)] = self.model.arm_slopes(
+            end, self.later
+        )
         use = self.record.sampled
         return values[:, use], errors.scale[use, None] * slopes[:, use], direct[:, use]
 
@@ -287,9 +291,9 @@ class _Expansion:
         A = by_start[:, :, :6]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
         A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
-        B = by_start[:, :, ERRORS] @ self.model.by_surfaces
+        B = by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
         motion = _motion(A, _product(B, _means(late - late.mean(axis=0))))
-        motion[:, AIR] += self.start[:, AIR].mean(axis=0)
+        motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         return self.model.terms(motion, late)
 
     def _commanded(self) -> Matrix:
@@ -307,14 +311,14 @@ class _Expansion:
         """
         jump = np.diff(self.inputs.surfaces, axis=0)
         error = np.where(self.record.periods > 0, _means(self.record.surface_errors), jump)
-        push = by_start[:, RATES, ERRORS] @ self.model.by_surfaces * error[:, None]
+        push = by_start[:, BODY_RATES, COEFFICIENT_ERRORS] @ self.model.by_surfaces * error[:, None]
         covariance = np.zeros((len(jump), N_STATES, N_STATES))
-        covariance[:, TURN, TURN] = push @ push.mT
+        covariance[:, RATE_STATES, RATE_STATES] = push @ push.mT
         return covariance
 
     def surface_readings(self, by_end: Array) -> Matrix:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
-        by_surfaces = by_end[..., ERRORS] @ self.model.by_surfaces
+        by_surfaces = by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         return np.sum((by_surfaces * self.record.surface_errors[1:, None]) ** 2, axis=-1)
 
 
@@ -336,30 +340,29 @@ def linearized(
     response = expansion.response(by_start, settings)
     step_slopes = expansion.step_slopes(end, by_start, response)
     predicted = states[:-1] * expansion.kept
-    predicted[:, TURN] = end[:, RATES]
+    predicted[:, RATE_STATES] = end[:, BODY_RATES]
     transition = expansion.kept[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
-    transition[:, TURN] = step_slopes[:, RATES]
+    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
 
     # sensors at its end, from the past alone
-    past, by_end, past_slopes = expansion.readings(end)
-    noise_slopes = by_end @ expansion.end_variables(end)[..., :N_STATES]
-    surface_readings = expansion.surface_readings(by_end)
-    by_errors = by_end.copy()
+    past, past_by_end, past_slopes = expansion.readings(end)
+    noise_slopes = past_by_end @ expansion.end_variables(end)[..., :N_STATES]
+    by_errors = past_by_end.copy()
     by_errors[..., :6] = 0.0
-    past_slopes += by_end[..., :6] @ step_slopes
+    past_slopes += past_by_end[..., :6] @ step_slopes
     past_slopes += expansion.end_slopes(end, by_errors, response)
 
     # and at the recorded path, with the predicted gusts
     change = _product(expansion.air_by_state[1:], predicted - states[1:])
-    known_end = _variables(expansion.air[1:] + change, end[:, RATES])
-    known, by_end, known_slopes = expansion.readings(known_end)
-    known_slopes += expansion.end_slopes(known_end, by_end, response)
+    recorded_end = _variables(expansion.air[1:] + change, end[:, BODY_RATES])
+    recorded, recorded_by_end, recorded_slopes = expansion.readings(recorded_end)
+    recorded_slopes += expansion.end_slopes(recorded_end, recorded_by_end, response)
 
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
     transition, transition_slopes = _split(transition)
     innovation_states, innovation_slopes = _split(past_slopes)
-    residual_states, residual_slopes = _split(known_slopes)
+    residual_states, residual_slopes = _split(recorded_slopes)
     return Linearization(
         states=states,
         predicted=predicted,
@@ -369,12 +372,12 @@ def linearized(
         innovation_states=innovation_states,
         innovation_noise=noise_slopes,
         innovation_slopes=innovation_slopes,
-        residual=np.where(is_sampled, measured - known, 0.0),
+        residual=np.where(is_sampled, measured - recorded, 0.0),
         residual_states=residual_states,
         residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
-        surface_readings=surface_readings,
+        surface_readings=expansion.surface_readings(past_by_end),
         missing=np.where(is_sampled, 0.0, NOT_SAMPLED),
         response=_means(response),
     )

@@ -7,7 +7,6 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -37,9 +36,8 @@ from skdgp.estimation._air_covariance import (
     misfit_of_sensors,
     misfit_of_surfaces,
     mix_with_prior,
-    spread_of,
+    unfinished_covariance,
     with_model_errors,
-    without_estimate,
 )
 from skdgp.estimation._air_fit import AirFit
 from skdgp.estimation._air_linearization import Layout
@@ -58,7 +56,7 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
-from skdgp.estimation._sensors import FORCE, PATH_CHANNELS, RATE, Prior
+from skdgp.estimation._sensors import FORCE_READINGS, PATH_CHANNELS, RATE_READINGS, Prior
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 DIVERGED = (
@@ -278,10 +276,12 @@ def estimate_air_motion(
     parameters = _parameters(derivatives, known, n_flights)
     noises = _noises(records, known, n_flights, settings)
     for n_before in settings.attempts:
-        with contextlib.suppress(np.linalg.LinAlgError):
-            fit = AirFit(records, aircraft, layout, parameters, noises, settings)
+        fit = AirFit(records, aircraft, layout, parameters, noises, settings)
+        try:
             converged = fit.search(n_before)
             return _air_motion(fit, converged, surfaces, len(table))
+        except np.linalg.LinAlgError:  # the search diverged
+            continue
     raise ValueError(DIVERGED)
 
 
@@ -358,8 +358,8 @@ def _noises(
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
-    accelerometer = quietest_noise(records, FORCE, settings.least_noise)
-    gyro = quietest_noise(records, RATE, settings.least_noise)
+    accelerometer = quietest_noise(records, FORCE_READINGS, settings.least_noise)
+    gyro = quietest_noise(records, RATE_READINGS, settings.least_noise)
     medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
     shared = dict(SHARED_NOISES)
     for name, median in medians.items():
@@ -370,26 +370,24 @@ def _noises(
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
     sums, fitted = fit.run()
+    names = fit.parameters.names
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    misfit = 1.0
     covariance = estimate_covariance(fit, sums, fitted)
-    last = fit.path[-fit.settings.last_passes :]
-    if not converged and len(last) < len(fit.path):
-        covariance = inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
-    elif not converged:
-        covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
-    if not fit.is_known:
+    if not converged:
+        covariance = unfinished_covariance(fit, covariance)
+    if fit.is_known:
+        misfit = 1.0
+        air = smoothed_air(fit, fitted, covariance, n_rows)
+        std = np.sqrt(np.diag(covariance))
+    else:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
-    air = smoothed_air(fit, fitted, covariance, n_rows)
-    if not fit.is_known:
+        air = smoothed_air(fit, fitted, covariance, n_rows)
         covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
-    names = fit.parameters.names
-    std = np.sqrt(np.diag(covariance))
-    if not fit.is_known:
+        std = np.sqrt(np.diag(covariance))
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}
     estimates = pd.DataFrame(columns, index=names)

@@ -25,7 +25,7 @@ from skdgp.estimation._sensors import (
     INERTIAL_BIASES,
     LAGS,
     PATH_NOISE,
-    RATE,
+    RATE_READINGS,
     FlightSensors,
     NamedFlight,
     flights_of,
@@ -54,9 +54,16 @@ class Record(NamedTuple):
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
-        flight, *arrays, inputs, periods, _ = self
-        parts = [values[rows] for values in arrays]
-        return Record._make([flight, *parts, inputs.part(rows), periods, None])
+        return self._replace(
+            rows=self.rows[rows],
+            time=self.time[rows],
+            velocity=self.velocity[rows],
+            attitude=self.attitude[rows],
+            measured=self.measured[rows],
+            surface_errors=self.surface_errors[rows],
+            inputs=self.inputs.part(rows),
+            answers=None,
+        )
 
     def with_axial_force(self, mass: float) -> Record:
         """Return the record with the measured axial force in place of thrust and CX."""
@@ -101,7 +108,7 @@ class Record(NamedTuple):
     @property
     def rates(self) -> Matrix:
         """Measured rates (n, 3) [rad/s]."""
-        return self.measured[:, RATE]
+        return self.measured[:, RATE_READINGS]
 
     @property
     def seconds(self) -> float:

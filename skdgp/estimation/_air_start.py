@@ -20,7 +20,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import PITOT, SHARED, Parameters
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._sensors import AIRSPEED, FORCE, WIND_STD
+from skdgp.estimation._sensors import AIRSPEED, FORCE_READINGS, WIND_STD
 from skdgp.estimation._settings import AirSettings
 
 
@@ -93,7 +93,7 @@ class SteadyRegression:
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
         model = self.layout.model(self.aircraft, value)
-        force = record.measured[:, FORCE]
+        force = record.measured[:, FORCE_READINGS]
         coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)
         return model.terms(state, record.inputs.surfaces), coefficients

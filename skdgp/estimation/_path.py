@@ -33,13 +33,13 @@ from skdgp.estimation._path_equations import (
     path_equations,
 )
 from skdgp.estimation._sensors import (
-    AIR,
-    FORCE,
+    AIR_READINGS,
+    FORCE_READINGS,
     INERTIAL_BIASES,
     MEAN_WIND,
     PATH_CONSTANTS,
     PATH_NOISE,
-    RATE,
+    RATE_READINGS,
     FlightSensors,
     white_noise,
 )
@@ -139,7 +139,7 @@ class _Search:
         self.draws = _mirrored_draws(len(sensors.time), free, settings.n_draws)
         self.step = np.diff(sensors.time)
         self.correlation = np.exp(-self.step / settings.gust_time)  # of gusts over a step
-        self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR.start + 1]).any())
+        self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any())
         self.channels = list(EQUATION_NOISE)
         if not self.has_alpha:
             # without an alpha vane vertical gusts are like horizontal ones
@@ -277,7 +277,7 @@ class Contradiction(NamedTuple):
     is_smoothed: bool = False
 
 
-INERTIAL_SENSORS = {"gyro": RATE, "accelerometer": FORCE}
+INERTIAL_SENSORS = {"gyro": RATE_READINGS, "accelerometer": FORCE_READINGS}
 AIR_SENSORS = {"airspeed": slice(6, 7), "alpha": slice(7, 8), "beta": slice(8, 9)}
 
 

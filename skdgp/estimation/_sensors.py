@@ -24,9 +24,9 @@ from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
-FORCE = slice(0, 3)
-RATE = slice(3, 6)
-AIR = slice(6, 9)
+FORCE_READINGS = slice(0, 3)
+RATE_READINGS = slice(3, 6)
+AIR_READINGS = slice(6, 9)
 AIRSPEED = 6
 PATH_CHANNELS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
 """Channels that a path needs; alpha and beta are optional."""
@@ -132,7 +132,7 @@ class FlightSensors(NamedTuple):
     def without_air_data(self) -> FlightSensors:
         """Return the sensors without airspeed, alpha and beta."""
         readings = self.readings.copy()
-        readings[:, AIR] = np.nan
+        readings[:, AIR_READINGS] = np.nan
         return self._replace(readings=readings)
 
     @property

@@ -68,9 +68,7 @@ class Layout(NamedTuple):
     columns: Indices
     names: list[str]
     n_features: int
-    #: Whether slopes by the derivatives, and their instruments, are computed beside those by the
-    #: constants: the derivatives of a known aircraft are held
-    by_derivatives: bool = True
+    #: Whether slopes by the instruments of the derivatives follow the others; not where these are held
     by_instruments: bool = True
 
     @classmethod
@@ -97,19 +95,13 @@ class Layout(NamedTuple):
         return len(self.rows)
 
     @property
-    def constants(self) -> slice:
-        """Places of the constants among the slopes: after the derivatives, before their instruments."""
-        first = self.n_derivatives if self.by_derivatives else 0
-        return slice(first, first + len(self.names) - self.n_derivatives)
-
-    @property
     def n_slopes(self) -> int:
-        """Number of slopes: by derivatives, constants, and instruments of the derivatives."""
-        return self.constants.stop + self.by_instruments * self.n_derivatives
+        """Number of slopes: by all parameters, and by instruments of the derivatives."""
+        return len(self.names) + self.by_instruments * self.n_derivatives
 
     def place(self, *names: str) -> list[int]:
-        """Return places of constants among the slopes."""
-        return [place + self.constants.start for place in self._constant(*names)]
+        """Return places of parameters among the slopes."""
+        return [self.names.index(name) for name in names]
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -131,25 +123,19 @@ class Layout(NamedTuple):
         air_by_state: Array,
         coefficient_changes: Array | float = 0.0,
     ) -> Array:
-        """Return d variables of the model / d states and constants, (n, 12, N + k), k all parameters but derivatives.
+        """Return d variables of the model / d states and parameters, (n, 12, N + k), zero by derivatives.
 
         ``coefficient_changes`` (n, 6, 2) are by lag of the servos and scale of the thrust.
         """
-        n_constants = len(self.names) - self.n_derivatives
-        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + n_constants))
+        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + len(self.names)))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
-        by_constants = slopes[..., N_STATES:]
-        by_constants[:, COEFFICIENT_ERRORS, self._constant("servo_lag", "thrust_scale")] = (
-            coefficient_changes
-        )
-        by_constants[:, AIR_VELOCITY, self._constant(*WINDS)] = -attitude
-        by_constants[:, AIR_VELOCITY, self._constant(*ARM)] = -cross_matrix(rates)
+        by_parameters = slopes[..., N_STATES:]
+        lag_and_thrust = self.place("servo_lag", "thrust_scale")
+        by_parameters[:, COEFFICIENT_ERRORS, lag_and_thrust] = coefficient_changes
+        by_parameters[:, AIR_VELOCITY, self.place(*WINDS)] = -attitude
+        by_parameters[:, AIR_VELOCITY, self.place(*ARM)] = -cross_matrix(rates)
         return slopes
-
-    def _constant(self, *names: str) -> list[int]:
-        """Return places among the constants."""
-        return [self.names.index(name) - self.n_derivatives for name in names]
 
     def chained(self, by_variables: Array, slopes: Array, terms: Matrix, response: Matrix) -> Array:
         """Return d values / d z (n, m, N + p), from d values / d variables (n, m, 12).
@@ -157,28 +143,22 @@ class Layout(NamedTuple):
         By the `variable_slopes`, the terms (n, f) of the derivatives, and their values ``response``
         in the motion that surfaces cause, of the instruments.
         """
-        n, m = by_variables.shape[:2]
-        by_constants = by_variables @ slopes
         by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
-        out = np.empty((n, m, N_STATES + self.n_slopes))
-        constants = self.constants
-        out[..., :N_STATES] = by_constants[..., :N_STATES]
-        by_parameters = out[..., N_STATES:]
-        by_parameters[..., constants] = by_constants[..., N_STATES:]
-        if self.by_derivatives:
-            by_derivatives = by_coefficients * terms[:, None, self.columns]
-            by_parameters[..., : constants.start] = by_derivatives
-        if self.by_instruments:
-            by_instruments = by_coefficients * response[:, None, self.columns]
-            by_parameters[..., constants.stop :] = by_instruments
-        return out
+        chained = by_variables @ slopes
+        by_derivatives = chained[..., N_STATES : N_STATES + self.n_derivatives]
+        by_derivatives[:] = by_coefficients * terms[:, None, self.columns]
+        if not self.by_instruments:
+            return chained
+        by_instruments = by_coefficients * response[:, None, self.columns]
+        return np.concatenate([chained, by_instruments], axis=-1)
 
-    def model(self, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
-        """Return the aircraft's equations of motion at parameters by name."""
-        derivatives = np.zeros((6, self.n_features))
-        names = self.names[: self.n_derivatives]
-        derivatives[self.rows, self.columns] = [value[name] for name in names]
-        return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
+
+def motion_model(layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
+    """Return the aircraft's equations of motion at parameters by name."""
+    derivatives = np.zeros((6, layout.n_features))
+    names = layout.names[: layout.n_derivatives]
+    derivatives[layout.rows, layout.columns] = [value[name] for name in names]
+    return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -212,7 +192,7 @@ class _Expansion:
         self.layout = layout
         self.value = value
         self.states = states
-        self.model = layout.model(aircraft, value)
+        self.model = motion_model(layout, aircraft, value)
         logged = record.inputs
         surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
         thrust = logged.thrust * (1 + value["thrust_scale"])
@@ -252,7 +232,7 @@ class _Expansion:
         return slopes
 
     def end_variables(self, end: Matrix) -> Array:
-        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + k)."""
+        """Return d variables / d states and parameters of the same sample, (n - 1, 12, N + k)."""
         return self.layout.variable_slopes(
             self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:], self.changes[1:]
         )

@@ -25,7 +25,10 @@ from skdgp.estimation._settings import AirSettings
 
 
 class NoiseSearch:
-    """Logarithms of the noises ``psi`` (p,), and their steps."""
+    """Logarithms of the noises ``psi`` (p,), and their steps.
+
+    ``noises`` have the prior medians, and the standard deviations of the logarithms.
+    """
 
     def __init__(self, noises: Parameters, settings: AirSettings) -> None:
         self.prior = noises._replace(mean=np.log(noises.mean))

@@ -83,7 +83,7 @@ PATH_ERRORS = ("path_y", "path_z")
 
 
 class Parameters(NamedTuple):
-    """Parameters of the flights: shared ones, and local ones for each flight."""
+    """Parameters of the flights with their priors: shared ones, and local ones for each flight."""
 
     names: list[str]
     mean: Vector  # (p,)
@@ -122,10 +122,10 @@ class Parameters(NamedTuple):
 class Sums:
     """Score and information of parameters x, and the covariance of the score: of the prior, and of what is added."""
 
-    def __init__(self, x: Vector, prior: Parameters) -> None:
-        precision = prior.std**-2.0
-        self.free = slice(prior.n_held, None)
-        self.score = (x - prior.mean) * precision
+    def __init__(self, x: Vector, parameters: Parameters) -> None:
+        precision = parameters.std**-2.0
+        self.free = slice(parameters.n_held, None)
+        self.score = (x - parameters.mean) * precision
         self.information = np.diag(precision)
         self.scatter = np.diag(precision)
 

@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp.dynamics import Aircraft
-from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
+from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
 from skdgp.estimation._air_parameters import PITOT, SHARED, Parameters
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, FORCE_READINGS, WIND_STD
@@ -92,7 +92,7 @@ class SteadyRegression:
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
-        model = self.layout.model(self.aircraft, value)
+        model = motion_model(self.layout, self.aircraft, value)
         force = record.measured[:, FORCE_READINGS]
         coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)

@@ -48,12 +48,12 @@ PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 class Lag(NamedTuple):
     """A lag [s], positive if late, and its standard deviation [s]; NaN if the lag is unknown."""
 
-    lag: float
+    value: float
     std: float
 
     def is_significant(self, settings: LagSettings) -> bool:
         """Return whether the lag exceeds ``settings.significance`` standard deviations."""
-        return abs(self.lag) > settings.significance * self.std
+        return abs(self.value) > settings.significance * self.std
 
 
 UNKNOWN = Lag(0.0, np.nan)
@@ -61,8 +61,8 @@ UNKNOWN = Lag(0.0, np.nan)
 
 def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
     """Return the lag to remove [s], zero where it is not significant or too small to change a model."""
-    is_large = abs(lag.lag) >= settings.least_lag
-    return lag.lag if lag.is_significant(settings) and is_large else 0.0
+    is_large = abs(lag.value) >= settings.least_lag
+    return lag.value if lag.is_significant(settings) and is_large else 0.0
 
 
 def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:

@@ -28,6 +28,13 @@ FORCE_READINGS = slice(0, 3)
 RATE_READINGS = slice(3, 6)
 AIR_READINGS = slice(6, 9)
 AIRSPEED = 6
+"""Places of specific force, rates, air data and airspeed among the sensors."""
+READINGS_OF = {
+    "gyro": RATE_READINGS,
+    "accelerometer": FORCE_READINGS,
+    **{name: slice(AIRSPEED + k, AIRSPEED + k + 1) for k, name in enumerate(AIR_DATA)},
+}
+"""Readings of each sensor."""
 PATH_CHANNELS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
 """Channels that a path needs; alpha and beta are optional."""
 

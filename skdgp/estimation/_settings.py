@@ -28,6 +28,8 @@ class PathSettings:
     delay_steps: int = 6
     # Gauss-Newton steps at most; trials
     max_steps: int = 40
+    # steps that change the noise in full; later ones ever less, so that the search does not oscillate; trials
+    full_steps: float = 10.0
     # fraction of a step that the next one takes back, above which steps are halved; trials
     overshoot: float = 0.5
     # largest change of the logarithm of a noise, and of a state in standard deviations, at the end
@@ -138,8 +140,9 @@ class AirSettings:
     last_passes: int = 15
     # factor of the standard deviations of such a search; trials on flights with vibration
     unfinished: float = 2.0
-    # damping of the first step, over the information (Levenberg 1944); a quarter in each next one
+    # damping of the first step, over the information (Levenberg 1944), and its factor from step to step
     first_damping: float = 0.3
+    less_damping: float = 0.25
     # factor of the fraction of a step that is taken, where steps turn back; least fraction; else
     shorter: float = 0.5
     least_fraction: float = 0.25

@@ -56,7 +56,6 @@ PATH_ERROR_Y = 6
 PATH_ERROR_Z = 7
 RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
-NOT_SAMPLED = 1e12  # variance of a sensor without a sample [SI], whatever its noise
 BIASES = {name: BIASED[name] for name in [*SHARED, *OWN] if name in BIASED}
 """Places of the biased among the sensors."""
 
@@ -340,6 +339,7 @@ def linearized(
 
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
+    not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
     transition, transition_slopes = _split(transition)
     innovation_states, innovation_slopes = _split(past_slopes)
     residual_states, residual_slopes = _split(recorded_slopes)
@@ -358,7 +358,7 @@ def linearized(
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
         surface_readings=expansion.surface_readings(past_by_end),
-        missing=np.where(is_sampled, 0.0, NOT_SAMPLED),
+        missing=np.where(is_sampled, 0.0, not_sampled),
         response=_means(response),
     )
 

@@ -31,7 +31,6 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation._air_parameters import STATE_TERMS
 
-DIFFERENCE = 1e-6  # of the numerical derivatives; velocities [m/s] move by V times as much
 N_VARIABLES = 12
 AIR_VELOCITY = slice(0, 3)
 BODY_RATES = slice(3, 6)
@@ -171,9 +170,9 @@ class AirMotionModel:
 
 def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:
     """Return a function (..., n, 12) -> (..., n, k) at states (n, 12), and its derivatives (n, k, 12)."""
-    airspeed = np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)
-    moves = np.full(N_VARIABLES, DIFFERENCE)
-    moves[AIR_VELOCITY] *= airspeed
+    moves = np.full(N_VARIABLES, 1e-6)
+    # velocities move by the airspeed times as much
+    moves[AIR_VELOCITY] *= np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)
     moved = state + np.concatenate([np.zeros((1, N_VARIABLES)), np.diag(moves)])[:, None]
     values = function(moved)
     slopes = (values[1:] - values[0]) / moves[:, None, None]

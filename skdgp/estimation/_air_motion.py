@@ -24,6 +24,7 @@ from skdgp._flight.channels import (
     SURFACES,
     THRUST_COLUMNS,
     VANES,
+    by_elevons,
 )
 from skdgp._flight.holds import with_own_clocks
 from skdgp._flight.tables import FlightTable, has_values
@@ -63,8 +64,6 @@ DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
     "with inputs of every surface, and look at the signs and units of their sensors."
 )
-# Prior of its scale, where a measured force takes the place of thrust
-MEASURED_THRUST = (0.0, 1e-6)
 
 
 @dataclass(frozen=True)
@@ -312,8 +311,7 @@ def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
     """Return the table with elevator and aileron of its elevons, where it has no others."""
     if not {*ELEVONS} <= {*table} or {*MIXED} & {*table}:
         return table
-    left, right = (table[name] for name in ELEVONS)
-    return table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)
+    return table.assign(**by_elevons(table))
 
 
 def _moves(table: pd.DataFrame, surface: str) -> bool:
@@ -347,7 +345,8 @@ def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> 
         shared = dict(_as_prior(known.constants.loc[list(SHARED)]))
         n_held = len(derivatives) + len(shared)
     if not _has_drag(derivatives):
-        shared["thrust_scale"] = MEASURED_THRUST
+        # a measured force takes the place of thrust
+        shared["thrust_scale"] = (0.0, 1e-6)
     return Parameters.of(dict(derivatives) | shared, OWN, n_flights, n_held)
 
 

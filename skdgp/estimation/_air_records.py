@@ -31,11 +31,9 @@ from skdgp.estimation._sensors import (
     flights_of,
     third_differences,
 )
-from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._settings import SERVOS, AirSettings
 
 TINY = 1e-300  # avoids a division by zero
-LEAST_LAG = 1e-4  # s, of a servo
-LAG_DIFFERENCE = 1e-4  # s, of slopes by the lag
 
 
 class Record(NamedTuple):
@@ -236,7 +234,7 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
 
 def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
     """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
-    r = max(lag, LEAST_LAG) / step
+    r = max(lag, SERVOS.least_lag) / step
     a = np.exp(-1 / r)
     numerator = [1 - (1 - a) * r, (1 - a) * r - a]
     denominator = [1, -a]
@@ -245,10 +243,10 @@ def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
 
 def servo_slopes(surfaces: Matrix, lag: float, step: float) -> tuple[Matrix, Matrix]:
     """Return the outputs (n, k) of servos, and their derivatives by the lag."""
-    lag = max(lag, LEAST_LAG)
+    lag = max(lag, SERVOS.least_lag)
     output = servo_output(surfaces, lag, step)
-    later = servo_output(surfaces, lag + LAG_DIFFERENCE, step)
-    return output, (later - output) / LAG_DIFFERENCE
+    later = servo_output(surfaces, lag + SERVOS.lag_difference, step)
+    return output, (later - output) / SERVOS.lag_difference
 
 
 def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Matrix:

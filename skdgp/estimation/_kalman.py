@@ -27,8 +27,6 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 
-CHUNK = 256  # steps whose matrices at all noises are in memory at a time
-
 
 class Linearization(NamedTuple):
     """A record of n samples of m sensors, linear in N states and p parameters, about states X."""
@@ -142,8 +140,9 @@ def innovations(linear: Linearization, noise: Noise) -> Innovations:
     values = []
     covariance = []
     x, P = _start(noise)
-    for first in range(0, len(linear.step), CHUNK):
-        steps = _filtered_steps(linear.part(first, first + CHUNK), noise, x, P)
+    n = 256  # steps whose matrices at all noises are in memory at a time
+    for first in range(0, len(linear.step), n):
+        steps = _filtered_steps(linear.part(first, first + n), noise, x, P)
         values.append(steps.innovations.values)
         covariance.append(steps.innovations.covariance)
         x, P = steps.x[-1], steps.P[-1]

@@ -39,8 +39,8 @@ from skdgp.estimation._sensors import (
 PLACE = {name: place for place, name in enumerate(PATH_CONSTANTS)}
 FORCE_BIAS_CONSTANTS = slice(0, 3)
 RATE_BIAS_CONSTANTS = slice(3, 6)
-VELOCITY_LAG = 6
-ATTITUDE_LAG = 7
+VELOCITY_LAG = PLACE["velocity_lag"]
+ATTITUDE_LAG = PLACE["attitude_lag"]
 WIND_CONSTANTS = slice(8, 10)
 """Places among the constants, in the order of `PATH_CONSTANTS`."""
 N_STATES = 9
@@ -76,7 +76,7 @@ EQUATION_NOISE = (
 """Noise of each equation."""
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """NED; the local excess of gravity is part of the accelerometers' biases."""
-MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+MIRROR = (1, -1, 1) * 3
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
 """Signs of a state's errors in a mirror at the x-z plane, and constants that change theirs."""
 

@@ -27,7 +27,7 @@ SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
 FORCE_READINGS = slice(0, 3)
 RATE_READINGS = slice(3, 6)
 AIR_READINGS = slice(6, 9)
-AIRSPEED = 6
+AIRSPEED = SENSORS.index("airspeed")
 """Places of specific force, rates, air data and airspeed among the sensors."""
 READINGS_OF = {
     "gyro": RATE_READINGS,

@@ -1,4 +1,4 @@
-"""Settings of the three algorithms of state estimation, each number with its unit and source."""
+"""Settings of the algorithms of state estimation, each number with its unit and source."""
 
 from __future__ import annotations
 
@@ -181,6 +181,17 @@ class AirSettings:
     surface_error: float = 0.001
 
 
+@dataclass(frozen=True)
+class ServoSettings:
+    """Settings of the first-order lag of servos."""
+
+    # least lag [s], so that none divides by zero
+    least_lag: float = 1e-4
+    # difference of the lag in slopes by it [s]
+    lag_difference: float = 1e-4
+
+
 PATH_SETTINGS = PathSettings()
 LAG_SETTINGS = LagSettings()
 AIR_SETTINGS = AirSettings()
+SERVOS = ServoSettings()

@@ -76,7 +76,7 @@ EQUATION_NOISE = (
 """Noise of each equation."""
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """NED; the local excess of gravity is part of the accelerometers' biases."""
-MIRROR = (1, -1, 1) * 3
+MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
 """Signs of a state's errors in a mirror at the x-z plane, and constants that change theirs."""
 

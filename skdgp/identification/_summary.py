@@ -124,7 +124,7 @@ def facts_of_fit(
     aircraft: Aircraft,
     pipeline: Pipeline,
     fit: FitRecord,
-    settings: Mapping[str, Any],
+    options: Mapping[str, Any],
     train: Mapping[str, pd.DataFrame],
     tested: Mapping[str, pd.DataFrame],
 ) -> dict[str, str]:
@@ -145,12 +145,12 @@ def facts_of_fit(
     if fit.training is not None:
         facts["Samples"] = f"{fit.training.samples:,} of {fit.training.samples_available:,}"
         facts["Time of the fit"] = f"{fit.training.seconds:.1f} s"
-    sources = thrust_sources(settings["thrust"], [*train.values(), *tested.values()])
+    sources = thrust_sources(options["thrust"], [*train.values(), *tested.values()])
     facts["Thrust"] = " or ".join([THRUSTS[name] for name in sources])
     if fit.reconstruction is not None:
         facts["Flight paths"] = text_of(fit.reconstruction)
     facts["Lags"] = _lags(fit)
-    facts["Other loads"] = ", ".join(settings["external_forces"])
+    facts["Other loads"] = ", ".join(options["external_forces"])
     if fit.interrupted:
         facts["Fit"] = "interrupted; this is the best model until then"
     facts["Versions"] = ", ".join(f"{name} {n}" for name, n in software_versions().items())

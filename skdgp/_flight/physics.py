@@ -108,7 +108,7 @@ class Slope(NamedTuple):
     def t(self, least: float, most: float) -> float:
         """Return how far the slope is outside of an interval, in standard deviations, 0 inside."""
         outside = self.value - np.clip(self.value, least, most)
-        return float(outside) / max(self.std, 1e-9 * abs(self.value))
+        return outside / max(self.std, 1e-9 * abs(self.value))
 
 
 @dataclass(frozen=True)
@@ -163,6 +163,12 @@ class Signals:
         integral[is_missing | (n_missing > 0)] = np.nan
         return integral
 
+    def integrated(self, angle: Vector, rate: Vector, *others: Vector) -> Regression:
+        """Return the terms of d angle / dt = rate + others: the change, and the integrals of the rates."""
+        y = self.change(angle)
+        x = self.integral(rate)
+        return Regression.with_intercept(y, x, *map(self.integral, others))
+
     def ahead(self, values: Vector, seconds: float) -> Vector:
         """Return the value of each row ``seconds`` later, NaN beyond its segment."""
         rows = np.arange(len(values))
@@ -196,18 +202,13 @@ def roll(flight: Signals) -> Regression:
     phi = flight["phi"]
     by_pitch = flight["q"] * np.sin(phi)
     by_yaw = flight["r"] * np.cos(phi)
-    coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
-    x = flight.integral(flight["p"])
-    return Regression.with_intercept(flight.change(phi), x, flight.integral(coupling))
+    return flight.integrated(phi, flight["p"], (by_pitch + by_yaw) * np.tan(flight["theta"]))
 
 
 def pitch(flight: Signals) -> Regression:
     """Return the terms of theta_dot = q cos phi - r sin phi."""
     phi = flight["phi"]
-    coupling = flight["r"] * np.sin(phi)
-    y = flight.change(flight["theta"])
-    x = flight.integral(flight["q"] * np.cos(phi))
-    return Regression.with_intercept(y, x, flight.integral(coupling))
+    return flight.integrated(flight["theta"], flight["q"] * np.cos(phi), flight["r"] * np.sin(phi))
 
 
 def yaw(flight: Signals) -> Regression:
@@ -216,17 +217,13 @@ def yaw(flight: Signals) -> Regression:
     cosine = np.cos(flight["theta"])
     coupling = flight["q"] * np.sin(phi) / cosine
     turn = flight["r"] * np.cos(phi) / cosine
-    y = flight.change(flight["psi"])
-    x = flight.integral(turn)
-    return Regression.with_intercept(y, x, flight.integral(coupling))
+    return flight.integrated(flight["psi"], turn, coupling)
 
 
 def position(flight: Signals, name: str, velocity: str) -> Regression:
     """Return the change of a coordinate and the integral of its velocity."""
     sign = -1.0 if name == "altitude" else 1.0
-    y = sign * flight.change(flight[name])
-    x = flight.integral(flight[velocity])
-    return Regression.with_intercept(y, x)
+    return flight.integrated(sign * flight[name], flight[velocity])
 
 
 def relative_velocity(flight: Signals, axis: int) -> Regression:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 
-from skdgp._compute.linalg import covariance_root
+from skdgp._compute.linalg import covariance_root, matrix_vector
 from skdgp._compute.typing import Array
 
 
@@ -161,7 +161,7 @@ def _driven(
     states = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, n, 9)))
     # in place: the states of a thousand paths fill hundreds of megabytes
     for k, shock in enumerate(states):
-        following = (transition @ x[..., None])[..., 0] + shock
+        following = matrix_vector(transition, x) + shock
         states[k] = x
         x = following
     return states

@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.differences import central_difference
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
@@ -71,10 +72,10 @@ class LinearModel:
     Rows and columns of the tables A, B, C, D carry the names of states, inputs, outputs.
     """
 
-    A: pd.DataFrame
-    B: pd.DataFrame
-    C: pd.DataFrame
-    D: pd.DataFrame
+    A: Any
+    B: Any
+    C: Any
+    D: Any
     #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
     paths: Matrices | None = None
     airspeed: float = np.nan  #: Of the flight [m/s]
@@ -412,7 +413,7 @@ def _state_of(x: Array) -> Array:
 def _rates_of(x: Array, now: Instant) -> Array:
     """Return the rates of change of `STATES` (..., 12): the rates of the angles for those of the quaternion."""
     phi, theta, _ = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
-    angles_dot = (euler_per_rotation(phi, theta) @ x[..., 9:, None])[..., 0]
+    angles_dot = matrix_vector(euler_per_rotation(phi, theta), x[..., 9:])
     derivative = now.derivative
     return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
 

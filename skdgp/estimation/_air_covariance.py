@@ -114,8 +114,8 @@ def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
         if np.any(item.record.periods > 0):
             by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
             fractions = np.linalg.solve(item.run.innovations.covariance, by_errors)
-            squared_length += float(np.einsum("nii->", fractions))
-    return float(np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length))
+            squared_length += np.einsum("nii->", fractions)
+    return np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length)
 
 
 def misfit_of_sensors(fit: AirFit) -> float:

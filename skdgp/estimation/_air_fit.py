@@ -12,14 +12,15 @@ variables: Soderstrom & Stoica 1989, chapter 8). Noises move by Fisher scoring (
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import RATE_STATES, Layout, linearized
-from skdgp.estimation._air_noise import NoiseSearch, whitened
+from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._air_start import (
@@ -122,7 +123,7 @@ class AirFit:
         No derivative moves by more than some standard deviations of its prior. Raise LinAlgError if
         the step is not finite.
         """
-        step = np.asarray(-np.linalg.solve(information, score), dtype=float)
+        step: Any = -np.linalg.solve(information, score)
         lag = self.parameters.names.index("servo_lag")
         place = lag - self.parameters.n_held
         if place >= 0 and self.x[lag] + step[place] < 0:
@@ -169,7 +170,7 @@ class AirFit:
     ) -> FittedRecord:
         """Add the scores of a pass over a record; with instruments, return it with its surfaces' answers to gusts."""
         L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
-        e = whitened(L_inverse, run.innovations.values)
+        e = matrix_vector(L_inverse, run.innovations.values)
         slopes = L_inverse @ innovation_slopes(linear, run)
         places = self.parameters.places[record.flight]
         is_free = places >= self.parameters.n_held

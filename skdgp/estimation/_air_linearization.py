@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, cross_matrix
@@ -169,7 +170,7 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
     by_state[:, 2, PATH_ERROR_Z] = -1.0
     by_state[:, :, RATE_STATES] = cross_matrix(stacked(value, *ARM))
     steady = record.velocity - record.attitude @ stacked(value, *WINDS)
-    return steady + _product(by_state, states), by_state
+    return steady + matrix_vector(by_state, states), by_state
 
 
 class _Expansion:
@@ -206,7 +207,7 @@ class _Expansion:
 
     def step(self) -> tuple[Matrix, Array]:
         """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
-        drift = _product(self.drift_by_state, self.states[:-1])
+        drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
         steps = self.record.step
         end, slopes = differentiated(
@@ -271,7 +272,7 @@ class _Expansion:
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
         A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
         B = by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
-        motion = _motion(A, _product(B, _means(late - late.mean(axis=0))))
+        motion = _motion(A, matrix_vector(B, _means(late - late.mean(axis=0))))
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         return self.model.terms(motion, late)
 
@@ -332,7 +333,7 @@ def linearized(
     past_slopes += expansion.end_slopes(end, by_errors, response)
 
     # and at the recorded path, with the predicted gusts
-    change = _product(expansion.air_by_state[1:], predicted - states[1:])
+    change = matrix_vector(expansion.air_by_state[1:], predicted - states[1:])
     recorded_end = _variables(expansion.air[1:] + change, end[:, BODY_RATES])
     recorded, recorded_by_end, recorded_slopes = expansion.readings(recorded_end)
     recorded_slopes += expansion.end_slopes(recorded_end, recorded_by_end, response)
@@ -384,8 +385,3 @@ def _variables(air: Matrix, rates: Matrix) -> Matrix:
 def _means(values: Array) -> Array:
     """Return the means of neighbours along the first axis."""
     return 0.5 * (values[1:] + values[:-1])
-
-
-def _product(matrices: Array, vectors: Matrix) -> Matrix:
-    """Return the product of the matrix (k, m) and the vector (m,) of each sample, (n, k)."""
-    return (matrices @ vectors[..., None])[..., 0]

@@ -8,12 +8,13 @@ gusts.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
 from skdgp._flight.holds import error_between_samples, interpolated_rows
@@ -95,8 +96,7 @@ class Record(NamedTuple):
 
     def earth_velocity(self) -> Matrix:
         """Return the velocity over the ground north, east, down (n, 3)."""
-        to_earth = self.attitude.mT
-        return (to_earth @ self.velocity[..., None])[..., 0]
+        return matrix_vector(self.attitude.mT, self.velocity)
 
     @property
     def step(self) -> Vector:
@@ -111,12 +111,12 @@ class Record(NamedTuple):
     @property
     def seconds(self) -> float:
         """Length [s]."""
-        return float(self.step.sum())
+        return self.step.sum()
 
     @property
     def median_step(self) -> float:
         """Usual step [s]."""
-        return float(np.median(self.step))
+        return np.median(self.step)
 
     @property
     def sampled(self) -> Mask:
@@ -146,7 +146,8 @@ def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSe
 
 def _least_squares(X: Matrix, y: Vector) -> Vector:
     """Return the least-squares coefficients of y by X, of many rows, by the normal equations."""
-    return np.asarray(np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0], dtype=float)
+    coefficients: Any = np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0]
+    return coefficients
 
 
 def records_of(
@@ -229,7 +230,7 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
     """
     noises = [third_differences(record.measured[:, sensors]) for record in records]
     variances = np.mean(np.concatenate(noises) ** 2, axis=0)
-    return float(max(np.sqrt(np.nanmin(variances)), least))
+    return max(np.sqrt(np.nanmin(variances)), least)
 
 
 def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
@@ -260,6 +261,6 @@ def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Ma
     for rows in sensors.segments():
         step = 1.0
         if len(rows) > 1:
-            step = float(np.median(np.diff(sensors.time[rows])))
+            step = np.median(np.diff(sensors.time[rows]))
         out[rows] = servo_output(surfaces[rows], lag, step)
     return out

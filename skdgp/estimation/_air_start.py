@@ -71,7 +71,7 @@ def _sample_variance(error: Vector, records: list[Record], settings: AirSettings
     seconds = sum(record.seconds for record in records)
     width = max(1, int(len(error) * min(settings.gust_window / seconds, 0.25)))
     means = uniform_filter1d(error, width, mode="nearest")
-    return max(width * float(means.var()), float(error.var()), least)
+    return max(width * means.var(), error.var(), least)
 
 
 class SteadyRegression:

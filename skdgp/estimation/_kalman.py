@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 
 
@@ -209,7 +210,7 @@ def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
     L = linear.innovation_noise
     of_readings = linear.surface_readings[..., None] * np.eye(L.shape[1])
-    return np.asarray(noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings))
+    return noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings)
 
 
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
@@ -244,7 +245,7 @@ def state_slopes(linear: Linearization, run: Pass) -> Array:
 def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     """Return the states given all samples (n, N), and their covariances (Rauch, Tung & Striebel 1965)."""
     change = run.states - linear.states
-    predicted = linear.predicted + (linear.transition @ change[:-1, :, None])[..., 0]
+    predicted = linear.predicted + matrix_vector(linear.transition, change[:-1])
     P_predicted = run.predicted_covariance
     PhiP = linear.transition @ run.covariance[:-1]
     C = np.linalg.solve(P_predicted, PhiP).mT  # gain of the smoother

@@ -16,7 +16,7 @@ from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.clock import n_rows
 from skdgp._flight.frames import wrapped
 from skdgp._flight.smoothing import noise_level
-from skdgp._flight.tables import FlightTable, unwrapped
+from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -206,7 +206,7 @@ def _at(elapsed: Vector, part: pd.DataFrame) -> Array:
 
 def _by_state(flown: pd.DataFrame, n_runs: int) -> Array:
     """Return simulated states (n_runs, n_states, n_times)."""
-    values = flown[list(STATES)].to_numpy()
+    values = numeric(flown, STATES)
     return values.reshape(n_runs, -1, len(STATES)).swapaxes(1, 2)
 
 
@@ -287,7 +287,7 @@ def _parts_of(
     last = time[-1] - settings.least_part * horizon
     for begin in np.arange(time[0] + half_start, last, horizon):
         flown = segment[(time >= begin) & (time <= begin + horizon)]
-        if len(flown) < 3 or not np.isfinite(flown[[*STATES]].to_numpy(float)).all():
+        if len(flown) < 3 or not np.isfinite(numeric(flown, STATES)).all():
             continue
         names = [*STATES, "psi"] if _knows_wind(segment) else [*STATES]
         first = flown["time"].iloc[0]

@@ -64,7 +64,7 @@ def flight_mechanics(
     state, controls = _median_state(flown)
     results: dict[str, Any] = {}
     notes = []
-    steady = None
+    steady: Any = None
     try:
         climb = None if thrust is None else 0.0
         steady = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)

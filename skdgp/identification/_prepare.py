@@ -30,7 +30,7 @@ from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import find_contradictions
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, numeric
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -266,10 +266,9 @@ def _complete_rows(
 ) -> pd.DataFrame:
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
     columns = regressor_columns([table], regressors)
-    missing = table[columns].apply(lambda column: ~np.isfinite(column.to_numpy(float)))
+    missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), table.index, columns)
     complete = table[~missing.any(axis=1)]
-    counts = missing.sum()
-    counts = counts[counts > 0].to_dict()
+    counts = {name: n for name, n in missing.sum().to_dict().items() if n}
     if complete.empty:
         raise ValueError(
             f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "

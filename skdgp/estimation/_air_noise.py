@@ -77,9 +77,10 @@ class NoiseSearch:
     def _limited(self, step: Vector) -> Vector:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
         free = slice(self.prior.n_held, None)
+        settings = self.settings
         turns_back = step * self.last[free] < 0
-        limits = self.limits[free] * np.where(turns_back, 0.5, 1.3)
-        limits = np.minimum(limits, self.settings.largest_noise_step)
+        factor = np.where(turns_back, settings.shorter_noise_step, settings.longer_noise_step)
+        limits = np.minimum(self.limits[free] * factor, settings.largest_noise_step)
         step = np.clip(step, -limits, limits)
         self.limits[free] = limits
         self.last[free] = step

@@ -43,7 +43,7 @@ def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
 
 
 def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
-    """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton, five steps).
+    """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton).
 
     Gusts correlate over seconds, so the variance of a sample is the variance of means over
     ``settings.gust_window`` times the number of samples in a mean.
@@ -51,7 +51,7 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
     _, scale_std = SHARED["airspeed_scale"]
     prior = np.diag(settings.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
     pitot = np.zeros(3)
-    for _ in range(5):
+    for _ in range(settings.wind_steps):
         slopes = [prior]
         residuals = [prior @ pitot]
         for record in records:

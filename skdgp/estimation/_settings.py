@@ -113,6 +113,8 @@ class AirSettings:
     rate_window: float = 0.05
     # least error of a sample of the airspeed [m/s]
     least_pitot_std: float = 0.1
+    # Gauss-Newton steps for the steady wind
+    wind_steps: int = 5
     # least noise of accelerometers and gyros [SI]
     least_noise: float = 1e-4
 
@@ -155,8 +157,10 @@ class AirSettings:
     noise_difference: float = 1e-3
     # damping of steps of the noises, over the information
     noise_damping: float = 0.02
-    # largest step of the logarithm of a noise
+    # largest step of the logarithm of a noise; factors of this limit where steps turn back, and else
     largest_noise_step: float = 0.7
+    shorter_noise_step: float = 0.5
+    longer_noise_step: float = 1.3
     # farthest that the logarithm of a noise moves from its prior mean, in standard deviations: noise of
     # slow sensors resembles fast gusts
     noise_reach: float = 2.0

@@ -33,7 +33,7 @@ def group_means(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(means).T
 
 
-def extent_of(table: pd.DataFrame) -> dict[str, float]:
+def sampling_of(table: pd.DataFrame) -> dict[str, float]:
     """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
     time = table["time"].to_numpy(float)
     step = np.median(np.diff(time)) if len(time) > 1 else np.nan
@@ -176,8 +176,8 @@ def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
     """Return flights with their durations and rates."""
     parts = []
     for name, table in flights.items():
-        extent = extent_of(table)
-        parts.append(f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)")
+        sampling = sampling_of(table)
+        parts.append(f"{name} ({sampling['duration']:.4g} s at {sampling['sample_rate']:.3g} Hz)")
     return ", ".join(parts)
 
 

@@ -9,7 +9,6 @@ from skdgp._flight.channels import VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import BIASES
 from skdgp.estimation._air_parameters import SENSOR_CONSTANTS, STATE_TERMS, Sums
-from skdgp.estimation._air_records import TINY
 from skdgp.estimation._kalman import surface_covariance
 
 
@@ -150,7 +149,7 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
         motion.append(response - response.mean(axis=0))
     variance = np.concatenate(motion).var(axis=0)
     error = _term_errors(fit, fitted, len(variance))
-    fraction = error**2 / np.maximum(error**2 + variance, TINY)
+    fraction = error**2 / np.maximum(error**2 + variance, np.finfo(float).tiny)
     fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
     of_parameters = np.zeros(len(fit.x))
     of_parameters[: fit.layout.n_derivatives] = fraction[fit.layout.columns]

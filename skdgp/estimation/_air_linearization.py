@@ -173,6 +173,14 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
     return steady + matrix_vector(by_state, states), by_state
 
 
+class _Readings(NamedTuple):
+    """Readings of the m sensors that are sampled, after each step."""
+
+    values: Matrix  # (n - 1, m)
+    by_variables: Array  # (n - 1, m, 12)
+    slopes: Array  # (n - 1, m, N + p) by z
+
+
 class _Expansion:
     """Model, inputs and motion of a record at filtered states (n, N) and parameters by name.
 
@@ -242,14 +250,31 @@ class _Expansion:
         terms = self.model.terms(end, self.later.surfaces)
         return self.layout.chained(by_variables, self.end_variables(end), terms, response[1:])
 
-    def readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
-        """Return readings (n - 1, m), d readings / d variables, and d readings / d z at given variables."""
+    def past(self, end: Matrix, step_slopes: Array, response: Matrix) -> _Readings:
+        """Return the readings at the end of the step, from its start alone."""
+        readings = self._readings(end)
+        readings.slopes[:] += readings.by_variables[..., :6] @ step_slopes
+        by_errors = readings.by_variables.copy()
+        by_errors[..., :6] = 0.0
+        readings.slopes[:] += self.end_slopes(end, by_errors, response)
+        return readings
+
+    def recorded(self, end: Matrix, predicted: Matrix, response: Matrix) -> _Readings:
+        """Return the readings at the recorded path, with the predicted gusts and rates."""
+        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
+        variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
+        readings = self._readings(variables)
+        readings.slopes[:] += self.end_slopes(variables, readings.by_variables, response)
+        return readings
+
+    def _readings(self, end: Matrix) -> _Readings:
+        """Return readings at variables (n - 1, 12), with their slopes by z at given variables."""
         errors = SensorErrors.of(self.value)
-        truth, slopes = differentiated(lambda s: self.model.sensors(s, self.later), end)
+        truth, by_variables = differentiated(lambda s: self.model.sensors(s, self.later), end)
         values = errors.readings(truth)
         layout = self.layout
-        direct = np.zeros((*values.shape, N_STATES + layout.n_slopes))
-        by_parameters = direct[..., N_STATES:]
+        slopes = np.zeros((*values.shape, N_STATES + layout.n_slopes))
+        by_parameters = slopes[..., N_STATES:]
         by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
         (scale,) = layout.place("airspeed_scale")
         by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
@@ -257,7 +282,9 @@ class _Expansion:
             end, self.later
         )
         use = self.record.sampled
-        return values[:, use], errors.scale[use, None] * slopes[:, use], direct[:, use]
+        return _Readings(
+            values[:, use], errors.scale[use, None] * by_variables[:, use], slopes[:, use]
+        )
 
     def response(self, by_start: Array, settings: AirSettings) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
@@ -324,41 +351,30 @@ def linearized(
     transition = expansion.kept[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
     transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
 
-    # sensors at its end, from the past alone
-    past, past_by_end, past_slopes = expansion.readings(end)
-    noise_slopes = past_by_end @ expansion.end_variables(end)[..., :N_STATES]
-    by_errors = past_by_end.copy()
-    by_errors[..., :6] = 0.0
-    past_slopes += past_by_end[..., :6] @ step_slopes
-    past_slopes += expansion.end_slopes(end, by_errors, response)
-
-    # and at the recorded path, with the predicted gusts
-    change = matrix_vector(expansion.air_by_state[1:], predicted - states[1:])
-    recorded_end = _variables(expansion.air[1:] + change, end[:, BODY_RATES])
-    recorded, recorded_by_end, recorded_slopes = expansion.readings(recorded_end)
-    recorded_slopes += expansion.end_slopes(recorded_end, recorded_by_end, response)
-
+    past = expansion.past(end, step_slopes, response)
+    recorded = expansion.recorded(end, predicted, response)
+    noise_slopes = past.by_variables @ expansion.end_variables(end)[..., :N_STATES]
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
     not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
     transition, transition_slopes = _split(transition)
-    innovation_states, innovation_slopes = _split(past_slopes)
-    residual_states, residual_slopes = _split(recorded_slopes)
+    innovation_states, innovation_slopes = _split(past.slopes)
+    residual_states, residual_slopes = _split(recorded.slopes)
     return Linearization(
         states=states,
         predicted=predicted,
         transition=transition,
         transition_slopes=transition_slopes,
-        innovation=np.where(is_sampled, measured - past, 0.0),
+        innovation=np.where(is_sampled, measured - past.values, 0.0),
         innovation_states=innovation_states,
         innovation_noise=noise_slopes,
         innovation_slopes=innovation_slopes,
-        residual=np.where(is_sampled, measured - recorded, 0.0),
+        residual=np.where(is_sampled, measured - recorded.values, 0.0),
         residual_states=residual_states,
         residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
-        surface_readings=expansion.surface_readings(past_by_end),
+        surface_readings=expansion.surface_readings(past.by_variables),
         missing=np.where(is_sampled, 0.0, not_sampled),
         response=_means(response),
     )

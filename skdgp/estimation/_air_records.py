@@ -34,8 +34,6 @@ from skdgp.estimation._sensors import (
 )
 from skdgp.estimation._settings import SERVOS, AirSettings
 
-TINY = 1e-300  # avoids a division by zero
-
 
 class Record(NamedTuple):
     """n samples of a flight without a gap, and its path over the ground."""
@@ -88,7 +86,7 @@ class Record(NamedTuple):
         for k, surface in enumerate(surfaces.T):
             X = sums[self.periods[k]]
             residual = surface - X @ _least_squares(X, surface)
-            rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, TINY)
+            rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, np.finfo(float).tiny)
             X_rest = X[1:] - rho * X[:-1]
             whitened = surface[1:] - rho * surface[:-1]
             answers[:, k] = X @ _least_squares(X_rest, whitened)

@@ -76,9 +76,11 @@ EQUATION_NOISE = (
 """Noise of each equation."""
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """NED; the local excess of gravity is part of the accelerometers' biases."""
-MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+POLAR = np.array([1.0, -1.0, 1.0])
+MIRROR = np.concatenate([POLAR, -POLAR, POLAR])
+"""Signs of a state's errors in a mirror at the x-z plane; a rotation is an axial vector."""
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
-"""Signs of a state's errors in a mirror at the x-z plane, and constants that change theirs."""
+"""Constants that change their sign in it."""
 
 
 class FlightPath(NamedTuple):

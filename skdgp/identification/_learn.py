@@ -106,16 +106,16 @@ def learn(
     # a list of regressors is the user's choice
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
     X = pipeline.fit_and_transform(table, targets, choose_engine=choose_engine)
-    seconds = round(time.monotonic() - began, 3)
+    is_target = targets.notna()
     training = TrainingRecord(
-        samples=int(targets.notna().any(axis=1).sum()),
+        samples=int(is_target.any(axis=1).sum()),
         samples_available=int(Y.notna().any(axis=1).sum()),
-        values=int(targets.notna().to_numpy().sum()),
-        seconds=seconds,
+        values=int(is_target.to_numpy().sum()),
+        seconds=round(time.monotonic() - began, 3),
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
-        conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
+        conditions=table.median(numeric_only=True).to_dict(),
         flown=flown,
     )
     fit = fit_record(pipeline, training)

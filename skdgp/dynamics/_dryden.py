@@ -118,9 +118,8 @@ def dryden_gusts(
         np.tile(root, repeats),
         rng,
     )
-    outputs = np.split(np.tile(C, repeats), 3, axis=1)
-    velocity, acceleration, rates = (np.einsum("fij,kfj->kfi", C, states) for C in outputs)
-    return Gusts(velocity, acceleration, rates)
+    outputs = np.einsum("fij,kfj->kfi", np.tile(C, repeats), states)
+    return Gusts(*np.split(outputs, 3, axis=-1))
 
 
 def gust_stream(

@@ -115,7 +115,7 @@ def learn(
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
-        conditions=table.median(numeric_only=True).to_dict(),
+        conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
         flown=flown,
     )
     fit = fit_record(pipeline, training)

@@ -243,22 +243,24 @@ def relative_velocity(flight: Signals, axis: int) -> Regression:
     return Regression(airspeed * angle, ground, [north, east, airspeed])
 
 
-def level_force(flight: Signals, axis: int) -> Regression:
-    """Return the terms of v_dot = R f + g along axes forward, right and down: changes and impulses.
+def level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vector]:
+    """Return the change of velocity and the impulse of a force (n, 3), body axes, along forward, right or down.
 
     Forward and right are level, by the heading at the middle of the window.
     """
     change = flight.change(flight.vector(EARTH_VELOCITY))
-    force = np.einsum("nij,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
-    impulse = flight.integral(force)
+    impulse = flight.integral(np.einsum("nij,nj->ni", flight.rotation, force))
     if axis == 2:
-        return Regression.with_intercept(change[:, 2], impulse[:, 2])
+        return change[:, 2], impulse[:, 2]
     middle = flight.settings.kinematic_window / 2
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
-    y = np.sum(direction * change[:, :2], axis=1)
-    x = np.sum(direction * impulse[:, :2], axis=1)
-    return Regression.with_intercept(y, x)
+    return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
+
+
+def level_force(flight: Signals, axis: int) -> Regression:
+    """Return the terms of v_dot = R f + g along axes forward, right and down: changes and impulses."""
+    return Regression.with_intercept(*level_terms(flight, axis, flight.vector(SPECIFIC_FORCE)))
 
 
 def own_force(flight: Signals, axis: int) -> Regression:
@@ -266,11 +268,11 @@ def own_force(flight: Signals, axis: int) -> Regression:
 
     Its impulse is x, and y the change of velocity less the impulse of the others.
     """
-    names = SPECIFIC_FORCE[:axis] + SPECIFIC_FORCE[axis + 1 :]
-    still = {name: np.zeros(len(flight.segment)) for name in names}
-    moving = {SPECIFIC_FORCE[axis]: np.zeros(len(flight.segment))}
-    change, x, _ = level_force(flight.with_channels(still), axis)
-    _, others, _ = level_force(flight.with_channels(moving), axis)
+    force = flight.vector(SPECIFIC_FORCE)
+    own = np.zeros_like(force)
+    own[:, axis] = force[:, axis]
+    change, x = level_terms(flight, axis, own)
+    _, others = level_terms(flight, axis, force - own)
     return Regression.with_intercept(change - others, x)
 
 
@@ -279,7 +281,7 @@ def gravity(flight: Signals) -> Regression:
 
     The force is the response: without gravity in it, it hardly varies with x.
     """
-    change, impulse, _ = level_force(flight, axis=2)
+    change, impulse = level_terms(flight, 2, flight.vector(SPECIFIC_FORCE))
     window = flight.step * flight.window_rows()
     return Regression(impulse, change - STANDARD_GRAVITY * window, [])
 

@@ -317,8 +317,7 @@ def _control(
     coverages = table["interval_coverage"]
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
-        numbers = {"coverages": narrow.to_dict()}
-        return Use(purpose, "no", (Finding(Code.BANDS_TOO_NARROW, numbers=numbers),))
+        return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
     known = {"width": widths.max(), "widest": widths.idxmax()}
     controls_known = Finding(Code.CONTROLS_KNOWN, numbers=known)
     beyond = list(mechanics.trim.beyond)

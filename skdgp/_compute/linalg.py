@@ -240,6 +240,11 @@ def cluster_centres(
     return means.cluster_centers_ * scale
 
 
+def matrix_vector(matrices: Array, vectors: Array) -> Array:
+    """Return the products (..., k) of matrices (..., k, m) and vectors (..., m)."""
+    return (matrices @ vectors[..., None])[..., 0]
+
+
 def consecutive(parts: Sequence[Sized]) -> list[slice]:
     """Return the places of parts that stand one after another."""
     edges = np.cumsum([0, *map(len, parts)]).tolist()

@@ -6,7 +6,7 @@ everywhere.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -162,6 +162,12 @@ REGRESSOR_SETS = {
 LEAST_GUST = 1e-3
 # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
 SENSOR_GUST = 0.1
+
+
+def by_elevons(channels: Any) -> dict[str, Any]:
+    """Return elevator and aileron of the two elevons of a table."""
+    left, right = (channels[name] for name in ELEVONS)
+    return {"elevator": (left + right) / 2, "aileron": (left - right) / 2}
 
 
 def rate_factor(name: str, length: float, airspeed: np.ndarray) -> np.ndarray:

@@ -12,20 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-# of dry air [J/(kg K)]
-GAS_CONSTANT = 287.05287
 # [m/s^2]
 STANDARD_GRAVITY = 9.80665
 # altitudes of the standard atmosphere here [m]
 LOWEST = -5000.0
 HIGHEST = 20000.0
-# [kg/m^3], [Pa], [K]
+# [kg/m^3], [Pa]
 SEA_LEVEL_DENSITY = 1.225
 SEA_LEVEL_PRESSURE = 101325.0
-SEA_LEVEL_TEMPERATURE = 288.15
-# [K/m] up to the tropopause [m], zero above
-LAPSE = 0.0065
-TROPOPAUSE = 11000.0
 
 
 def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndarray:
@@ -273,10 +267,14 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
             f"{HIGHEST:g} m, where the standard atmosphere is given: use metres above the sea, "
             f"upward, or density from elsewhere."
         )
-    temperature = SEA_LEVEL_TEMPERATURE - LAPSE * np.minimum(altitude, TROPOPAUSE)
-    exponent = STANDARD_GRAVITY / (GAS_CONSTANT * LAPSE)
-    below = SEA_LEVEL_PRESSURE * (temperature / SEA_LEVEL_TEMPERATURE) ** exponent
-    height = np.maximum(altitude - TROPOPAUSE, 0.0)
-    scale = GAS_CONSTANT * temperature
+    sea_level_temperature = 288.15  # [K]
+    tropopause = 11000.0  # [m]
+    lapse = 0.0065  # [K/m] up to the tropopause, zero above
+    gas_constant = 287.05287  # of dry air [J/(kg K)]
+    temperature = sea_level_temperature - lapse * np.minimum(altitude, tropopause)
+    exponent = STANDARD_GRAVITY / (gas_constant * lapse)
+    below = SEA_LEVEL_PRESSURE * (temperature / sea_level_temperature) ** exponent
+    height = np.maximum(altitude - tropopause, 0.0)
+    scale = gas_constant * temperature
     pressure = below * np.exp(-STANDARD_GRAVITY * height / scale)
     return pressure / scale

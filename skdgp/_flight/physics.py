@@ -37,6 +37,7 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
     VANES,
+    by_elevons,
 )
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_matrix
@@ -71,8 +72,11 @@ class PhysicsSettings:
     least_correlation: float = 0.3
     # a longer lag [s] is a contradiction: LagCorrector corrects 0.3 s, holds of slow GPS add to it
     usual_lag: float = 0.5
-    # spacing of the lags that are tried [s]
+    # lags that are tried [s], > 0 where y is late against x, and their spacing
+    kinematic_lags: tuple[float, ...] = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
     lag_spacing: float = 0.2
+    # the same of surfaces, whose servos are late
+    surface_lags: tuple[float, ...] = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
     # the same where the angle that a surface turns the aircraft to was not measured
@@ -104,7 +108,7 @@ class Slope(NamedTuple):
     def t(self, least: float, most: float) -> float:
         """Return how far the slope is outside of an interval, in standard deviations, 0 inside."""
         outside = self.value - np.clip(self.value, least, most)
-        return float(outside) / max(self.std, 1e-9 * abs(self.value))
+        return outside / max(self.std, 1e-9 * abs(self.value))
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,12 @@ class Signals:
         integral[is_missing | (n_missing > 0)] = np.nan
         return integral
 
+    def integrated(self, angle: Vector, rate: Vector, *others: Vector) -> Regression:
+        """Return the terms of d angle / dt = rate + others: the change, and the integrals of the rates."""
+        y = self.change(angle)
+        x = self.integral(rate)
+        return Regression.with_intercept(y, x, *map(self.integral, others))
+
     def ahead(self, values: Vector, seconds: float) -> Vector:
         """Return the value of each row ``seconds`` later, NaN beyond its segment."""
         rows = np.arange(len(values))
@@ -192,18 +202,13 @@ def roll(flight: Signals) -> Regression:
     phi = flight["phi"]
     by_pitch = flight["q"] * np.sin(phi)
     by_yaw = flight["r"] * np.cos(phi)
-    coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
-    x = flight.integral(flight["p"])
-    return Regression.with_intercept(flight.change(phi), x, flight.integral(coupling))
+    return flight.integrated(phi, flight["p"], (by_pitch + by_yaw) * np.tan(flight["theta"]))
 
 
 def pitch(flight: Signals) -> Regression:
     """Return the terms of theta_dot = q cos phi - r sin phi."""
     phi = flight["phi"]
-    coupling = flight["r"] * np.sin(phi)
-    y = flight.change(flight["theta"])
-    x = flight.integral(flight["q"] * np.cos(phi))
-    return Regression.with_intercept(y, x, flight.integral(coupling))
+    return flight.integrated(flight["theta"], flight["q"] * np.cos(phi), flight["r"] * np.sin(phi))
 
 
 def yaw(flight: Signals) -> Regression:
@@ -212,17 +217,13 @@ def yaw(flight: Signals) -> Regression:
     cosine = np.cos(flight["theta"])
     coupling = flight["q"] * np.sin(phi) / cosine
     turn = flight["r"] * np.cos(phi) / cosine
-    y = flight.change(flight["psi"])
-    x = flight.integral(turn)
-    return Regression.with_intercept(y, x, flight.integral(coupling))
+    return flight.integrated(flight["psi"], turn, coupling)
 
 
 def position(flight: Signals, name: str, velocity: str) -> Regression:
     """Return the change of a coordinate and the integral of its velocity."""
     sign = -1.0 if name == "altitude" else 1.0
-    y = sign * flight.change(flight[name])
-    x = flight.integral(flight[velocity])
-    return Regression.with_intercept(y, x)
+    return flight.integrated(sign * flight[name], flight[velocity])
 
 
 def relative_velocity(flight: Signals, axis: int) -> Regression:
@@ -242,22 +243,24 @@ def relative_velocity(flight: Signals, axis: int) -> Regression:
     return Regression(airspeed * angle, ground, [north, east, airspeed])
 
 
-def level_force(flight: Signals, axis: int) -> Regression:
-    """Return the terms of v_dot = R f + g along axes forward, right and down: changes and impulses.
+def level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vector]:
+    """Return the change of velocity and the impulse of a force (n, 3), body axes, along forward, right or down.
 
     Forward and right are level, by the heading at the middle of the window.
     """
     change = flight.change(flight.vector(EARTH_VELOCITY))
-    force = np.einsum("nij,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
-    impulse = flight.integral(force)
+    impulse = flight.integral(np.einsum("nij,nj->ni", flight.rotation, force))
     if axis == 2:
-        return Regression.with_intercept(change[:, 2], impulse[:, 2])
+        return change[:, 2], impulse[:, 2]
     middle = flight.settings.kinematic_window / 2
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
-    y = np.sum(direction * change[:, :2], axis=1)
-    x = np.sum(direction * impulse[:, :2], axis=1)
-    return Regression.with_intercept(y, x)
+    return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
+
+
+def level_force(flight: Signals, axis: int) -> Regression:
+    """Return the terms of v_dot = R f + g along axes forward, right and down: changes and impulses."""
+    return Regression.with_intercept(*level_terms(flight, axis, flight.vector(SPECIFIC_FORCE)))
 
 
 def own_force(flight: Signals, axis: int) -> Regression:
@@ -265,11 +268,11 @@ def own_force(flight: Signals, axis: int) -> Regression:
 
     Its impulse is x, and y the change of velocity less the impulse of the others.
     """
-    names = SPECIFIC_FORCE[:axis] + SPECIFIC_FORCE[axis + 1 :]
-    still = {name: np.zeros(len(flight.segment)) for name in names}
-    moving = {SPECIFIC_FORCE[axis]: np.zeros(len(flight.segment))}
-    change, x, _ = level_force(flight.with_channels(still), axis)
-    _, others, _ = level_force(flight.with_channels(moving), axis)
+    force = flight.vector(SPECIFIC_FORCE)
+    own = np.zeros_like(force)
+    own[:, axis] = force[:, axis]
+    change, x = level_terms(flight, axis, own)
+    _, others = level_terms(flight, axis, force - own)
     return Regression.with_intercept(change - others, x)
 
 
@@ -278,7 +281,7 @@ def gravity(flight: Signals) -> Regression:
 
     The force is the response: without gravity in it, it hardly varies with x.
     """
-    change, impulse, _ = level_force(flight, axis=2)
+    change, impulse = level_terms(flight, 2, flight.vector(SPECIFIC_FORCE))
     window = flight.step * flight.window_rows()
     return Regression(impulse, change - STANDARD_GRAVITY * window, [])
 
@@ -337,10 +340,6 @@ EXPECTED = {
     POSITIVE: "a positive one",
     NEGATIVE: "a negative one",
 }
-# lags that are tried [s], > 0 where y is late against x
-NO_LAG = (0.0,)
-KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
-SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
 
 
 @dataclass(frozen=True)
@@ -356,9 +355,11 @@ class Check:
     uses: tuple[str, ...]
     # error of x [unit of x]: a signal of no larger root mean square decides nothing
     noise: float = 0.0
-    lags: tuple[float, ...] = NO_LAG
-    # a check that must fail too: accelerometers ahead of the centre of gravity feel the yawing by
-    # beta, so the sign of ay alone tells nothing
+    # lags that are tried [s]
+    lags: tuple[float, ...] = (0.0,)
+    # of a sign, a check that must fail too: accelerometers ahead of the centre of gravity feel the
+    # yawing by beta, so the sign of ay alone tells nothing; of an exchange, the response by its own
+    # channel, which must explain less
     witness: Check | None = None
     # x is of accelerometers, whose noise has no bound: engines shake them
     vibrates: bool = False
@@ -376,7 +377,7 @@ def _integral(
 ) -> Check:
     y = f"the change of {name}"
     x = f"the integral of {rate}"
-    return Check((name, rate), y, x, regression, EQUAL, uses, noise, KINEMATIC_LAGS)
+    return Check((name, rate), y, x, regression, EQUAL, uses, noise, DEFAULT.kinematic_lags)
 
 
 def _position(name: str, velocity: str) -> Check:
@@ -393,9 +394,17 @@ def _gust(name: str, y: str, x: str, axis: int) -> Check:
 def _force(channels: tuple[str, ...], axis: int) -> Check:
     y = "the change of velocity"
     x = "the integral of specific force and gravity"
-    regression = partial(level_force, axis=axis)
-    check = Check(channels, y, x, regression, EQUAL, FORCE_CHANNELS, 0.5, KINEMATIC_LAGS)
-    return replace(check, vibrates=True)
+    return Check(
+        channels=channels,
+        y=y,
+        x=x,
+        regression=partial(level_force, axis=axis),
+        slopes=EQUAL,
+        uses=FORCE_CHANNELS,
+        noise=0.5,
+        lags=DEFAULT.kinematic_lags,
+        vibrates=True,
+    )
 
 
 def _effect(
@@ -407,7 +416,7 @@ def _effect(
     y = f"the change of {name}" if name in RATES else name
     x = effects[0]
     regression = partial(response, name=name, effects=effects)
-    lags = SURFACE_LAGS if x in ALL_SURFACES else NO_LAG
+    lags = DEFAULT.surface_lags if x in ALL_SURFACES else (0.0,)
     uses = ("airspeed",)
     angle = next((effect for effect in effects if effect in VANES), None)
     check = Check((x, name), y, x, regression, slopes, uses, lags=lags, angle=angle)
@@ -422,7 +431,8 @@ def _own_force(name: str, axis: int) -> Check:
     y = "the change of velocity less the other forces"
     x = f"the integral of {name}"
     regression = partial(own_force, axis=axis)
-    return Check((name,), y, x, regression, POSITIVE, FORCE_CHANNELS, 0.05, KINEMATIC_LAGS)
+    lags = DEFAULT.kinematic_lags
+    return Check((name,), y, x, regression, POSITIVE, FORCE_CHANNELS, 0.05, lags)
 
 
 LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
@@ -448,7 +458,7 @@ CHECKS = (
         slopes=EQUAL,
         uses=(*EULER, *EARTH_VELOCITY),
         noise=3.0,
-        lags=KINEMATIC_LAGS,
+        lags=DEFAULT.kinematic_lags,
     ),
     _gust("beta", "V beta", "the lateral ground velocity less a wind", axis=1),
     _gust("alpha", "V alpha", "the normal ground velocity less a wind", axis=2),
@@ -529,17 +539,29 @@ USED = sorted({*COMMANDED}.union(*(check.needs for check in CHECKS)))
 
 
 class Judgement(NamedTuple):
-    """A check of flights, and its numbers. ``flight`` is None for all flights together."""
+    """A check of flights that is decided, and its numbers. ``flight`` is None for all flights together."""
 
     check: Check
     # channels that may be wrong
     channels: tuple[str, ...]
-    # "slope", or "lag" [s], which is the value of ``slope``
+    # "slope", or "lag" [s], with its standard deviation
     quantity: str
-    slope: Slope
+    value: float
+    std: float
     # distance from the admissible values, in standard deviations; 0 where the signals are equal
     t: float
+    slope: Slope
     flight: object = None
+
+    @classmethod
+    def of_slope(cls, check: Check, slope: Slope, t: float) -> Judgement:
+        """Return the judgement of a slope."""
+        return cls(check, check.channels, "slope", slope.value, slope.std, t, slope)
+
+    @property
+    def is_contradiction(self) -> bool:
+        """Whether the value is not admissible; otherwise the check confirms its channels."""
+        return self.t != 0.0
 
     @property
     def finding(self) -> Finding:
@@ -549,8 +571,8 @@ class Judgement(NamedTuple):
             "y": self.check.y,
             "x": self.check.x,
             "expected": EXPECTED[self.check.slopes],
-            self.quantity: self.slope.value,
-            "std": self.slope.std,
+            self.quantity: self.value,
+            "std": self.std,
             "t": self.t,
             "correlation": self.slope.correlation,
             "effective_samples": self.slope.n_effective,
@@ -586,7 +608,7 @@ def _contradictions_of(flights: FlightTable, settings: PhysicsSettings) -> list[
         judgement = _judged(check, signals)
         if judgement is None:
             continue
-        if judgement.t:
+        if judgement.is_contradiction:
             contradictions.append(judgement)
         else:
             confirmed.update(check.channels)
@@ -651,7 +673,7 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
     if check.slopes == EQUAL:
         margin = min(best.value - least, most - best.value)
         if margin > settings.least_t * best.std:
-            return _judged_lag(check, slopes, settings)
+            return _judged_equal(check, slopes, settings)
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
         least *= 1 - (check.noise / best.size) ** 2
         slope = slopes[0.0]
@@ -667,7 +689,7 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
         return None
     if check.witness is not None and _judged(check.witness, signals) is None:
         return None
-    return Judgement(check, check.channels, "slope", slope, t)
+    return Judgement.of_slope(check, slope, t)
 
 
 def _is_reverse_admissible(check: Check, signals: Signals) -> bool:
@@ -698,8 +720,8 @@ def _slope_of_response(check: Check, slopes: dict[float, Slope], signals: Signal
     return min(possible, key=lambda slope: abs(slope.t(*check.slopes)))
 
 
-def _judged_lag(check: Check, slopes: dict[float, Slope], settings: PhysicsSettings) -> Judgement:
-    """Return the judgement of equal signals: contradicted if the best lag is longer than usual."""
+def _judged_equal(check: Check, slopes: dict[float, Slope], settings: PhysicsSettings) -> Judgement:
+    """Return the judgement of equal signals: contradicted if the best lag is longer than usual, else confirmed."""
     lag, best = max(slopes.items(), key=lambda item: item[1].explained)
     usual = 0.0
     for late, slope in slopes.items():
@@ -712,7 +734,7 @@ def _judged_lag(check: Check, slopes: dict[float, Slope], settings: PhysicsSetti
         t = 0.0
     # a uniform distribution between the lags that are tried
     std = settings.lag_spacing / np.sqrt(12)
-    return Judgement(check, check.channels, "lag", best._replace(value=lag, std=std), t)
+    return Judgement(check, check.channels, "lag", lag, std, t, best)
 
 
 def _exchanges(signals: Signals) -> list[Judgement]:
@@ -742,7 +764,7 @@ def _judged_exchange(check: Check, signals: Signals) -> Judgement | None:
     is_weak = abs(best.correlation) < settings.least_correlation or abs(t) < settings.least_t
     if is_weak or best.explained <= explained:
         return None
-    return Judgement(check, check.channels, "slope", best, t)
+    return Judgement.of_slope(check, best, t)
 
 
 def slopes_by_lag(check: Check, signals: Signals) -> dict[float, Slope]:
@@ -814,8 +836,7 @@ def _mixed(channels: dict[str, Vector]) -> dict[str, Vector]:
     """Return the channels with elevator and aileron of the elevons."""
     if not {*ELEVONS} <= channels.keys():
         return channels
-    left, right = (channels[name] for name in ELEVONS)
-    return channels | {"elevator": (left + right) / 2, "aileron": (left - right) / 2}
+    return channels | by_elevons(channels)
 
 
 def _in_flight(channels: dict[str, Vector], settings: PhysicsSettings) -> dict[str, Vector]:

@@ -85,26 +85,21 @@ def smooth(
     if cutoff is not None and cutoff != "auto":
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
-    is_short = has_no_rate = False
+    lengths = []  # of the segments of each flight [rows]
     for rows, channels in _same_rows(columns):
         place = np.ix_(rows, channels)
         sampled = columns[place]
         smoothed = np.empty_like(sampled)
         part = clock.part(rows)
         for runs in part.segments_by_flight:
-            low_pass: LowPass | None = None
-            if isinstance(cutoff, str):
-                low_pass = _wiener(sampled, part.time, runs, joint)
-                is_short |= low_pass is None
-            elif cutoff is not None:
-                low_pass = partial(_butterworth, cutoff=cutoff)
+            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint)
             for run in runs:
                 smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
-                has_no_rate |= derivative and n_rows(run) == 1
+            lengths.append(sorted(map(n_rows, runs)))
         out[place] = smoothed
-    if has_no_rate:
+    if derivative and any(shortest == 1 for shortest, *_ in lengths):
         warn(NO_RATE, stacklevel=2)
-    if is_short:
+    if cutoff == "auto" and any(longest < SMOOTHING.least_samples for *_, longest in lengths):
         warn(TOO_SHORT, stacklevel=2)
     return out.reshape(np.shape(values))
 
@@ -196,8 +191,14 @@ def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
     return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
 
 
-def _wiener(columns: Matrix, time: Vector, runs: list[slice], joint: bool) -> LowPass | None:
-    """Return the smoother of a flight's channels by their spectrum; None where no run is long enough."""
+def _low_pass(
+    columns: Matrix, time: Vector, runs: list[slice], cutoff: float | str | None, joint: bool
+) -> LowPass | None:
+    """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
+    if cutoff is None:
+        return None
+    if not isinstance(cutoff, str):
+        return partial(_butterworth, cutoff=cutoff)
     spectrum = _flight_spectrum(columns, time, runs)
     if spectrum is None:
         return None

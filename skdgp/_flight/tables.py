@@ -66,10 +66,6 @@ class FlightTable:
         table = self.table.reset_index(drop=True).assign(flight=name)
         return FlightTable(table, Clock.of(self.time, table["flight"]))
 
-    def has(self, *names: str) -> bool:
-        """Return whether the table has all these columns, each with a finite value."""
-        return has_values(self.table, *names)
-
     def column(self, name: str) -> Vector:
         """Return a column as floats, NaN where it is absent."""
         if name not in self.table:

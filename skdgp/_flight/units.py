@@ -20,7 +20,7 @@ from skdgp._flight.channels import (
     WRAPPED,
 )
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density, wrapped
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, has_values
 
 # largest angles [rad], and rates [rad/s], eight turns a second; noise may carry an angle beyond
 ANGLE_NOISE = 0.05
@@ -125,7 +125,7 @@ def is_unwrapped(table: pd.DataFrame, name: str, settings: UnitSettings = UNITS)
     if np.isfinite(change).sum() < settings.enough or jumps_by_degrees:
         return False
     fastest = _quantile(change, 0.9)
-    if flights.has(*GYROS[name]) and fastest > 0:
+    if has_values(table, *GYROS[name]) and fastest > 0:
         turns = [_turn_in_a_second(flights, rate) for rate in GYROS[name]]
         turned = _quantile(np.linalg.norm(turns, axis=0), 0.9)
         most = max(settings.clearly_faster * turned, settings.no_turn)

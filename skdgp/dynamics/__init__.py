@@ -49,9 +49,7 @@ from skdgp.dynamics._integrate import (
     fly_record as fly_record,
 )
 from skdgp.dynamics._inverse import aerodynamic_coefficients
-from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine
@@ -94,6 +92,8 @@ from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import ScaleFactor
 from skdgp.dynamics._starts import UncertainStart
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
+from skdgp.dynamics._transfer import UNUSED as UNUSED
+from skdgp.dynamics._transfer import transfer as transfer
 from skdgp.dynamics._trim import Trim, trim
 from skdgp.dynamics._turbulence import Turbulence, dryden_wind
 

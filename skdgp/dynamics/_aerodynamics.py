@@ -217,6 +217,20 @@ class Aerodynamics:
         slopes, sampler = self.averaged(self.perturbation)
         return replace(self, slopes=slopes, sampler=sampler)
 
+    def with_function(self, function: Callable, slopes: Callable) -> Aerodynamics:
+        """Return the model of another function of the same regressors, which is certain."""
+        return replace(
+            self,
+            function=function,
+            slopes=slopes,
+            sampler=None,
+            drift=None,
+            function_errors=None,
+            expected_errors=None,
+            perturbation=None,
+            averaged=None,
+        )
+
     def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 

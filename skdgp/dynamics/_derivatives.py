@@ -128,6 +128,7 @@ def stability_derivatives(
     >>> table.loc[["CL", "CL_alpha", "CD", "Cm_q", "Cm_elevator"], "value"].round(3).to_dict()
     {'CL': 0.3, 'CL_alpha': 4.46, 'CD': 0.04, 'Cm_q': -9.6, 'Cm_elevator': -1.0}
     """
+    check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     if added is not None:
         added = _check_added(added, motion.aerodynamics)
@@ -143,7 +144,7 @@ def stability_derivatives(
     columns: dict[str, np.ndarray] = {}
     if frame.perturbation is not None:
         columns["perturbation"] = np.broadcast_to(frame.perturbation[:, None], values.shape)
-    if check_paths(n_paths) and motion.aerodynamics.is_uncertain:
+    if n_paths and motion.aerodynamics.is_uncertain:
         columns |= _deviations(motion, now, frame, n_paths, random_state, added)
     if aircraft.deviations:
         columns |= _errors_of_aircraft(motion, now, frame)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 
-from skdgp._compute.linalg import covariance_root
+from skdgp._compute.linalg import covariance_root, matrix_vector
 from skdgp._compute.typing import Array
 
 
@@ -118,9 +118,8 @@ def dryden_gusts(
         np.tile(root, repeats),
         rng,
     )
-    outputs = np.split(np.tile(C, repeats), 3, axis=1)
-    velocity, acceleration, rates = (np.einsum("fij,kfj->kfi", C, states) for C in outputs)
-    return Gusts(velocity, acceleration, rates)
+    outputs = np.einsum("fij,kfj->kfi", np.tile(C, repeats), states)
+    return Gusts(*np.split(outputs, 3, axis=-1))
 
 
 def gust_stream(
@@ -161,7 +160,7 @@ def _driven(
     states = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, n, 9)))
     # in place: the states of a thousand paths fill hundreds of megabytes
     for k, shock in enumerate(states):
-        following = (transition @ x[..., None])[..., 0] + shock
+        following = matrix_vector(transition, x) + shock
         states[k] = x
         x = following
     return states

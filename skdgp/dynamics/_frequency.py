@@ -26,7 +26,8 @@ from scipy.signal.windows import hann
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Indices, Matrix
 from skdgp._flight.tables import FlightTable, unwrapped
-from skdgp.dynamics._linearize import LinearModel, transfer
+from skdgp.dynamics._linearize import LinearModel
+from skdgp.dynamics._transfer import transfer
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ class Ground:
         self.damping = np.array([point.damping for point in points])
         self.along = np.array([point.along for point in points])
         self.across = np.array([point.across for point in points])
-        self.reach = float(np.linalg.norm(self.positions, axis=1).max())
+        self.reach = np.linalg.norm(self.positions, axis=1).max()
         self.rest = altitude + settings.height * aircraft.span - settings.wheel_sink
 
     def loads(self, state: Vector) -> tuple[Array, Array] | None:

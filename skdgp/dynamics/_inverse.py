@@ -103,9 +103,9 @@ def aerodynamic_coefficients(
     measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
-    rates = measured[list(RATES)].to_numpy(float)
+    rates = numeric(measured, RATES)
     mass = _mass(flight, aircraft)
-    total_force = mass[:, None] * measured[list(SPECIFIC_FORCE)].to_numpy(float)
+    total_force = mass[:, None] * numeric(measured, SPECIFIC_FORCE)
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
     # Equations 3 to 8: force, moment, coefficients.
     F_A = total_force - thrust_force - other_force
@@ -153,8 +153,8 @@ def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.Data
     is_measured = all(name in flight for name in RATE_DERIVATIVES)
     if is_measured:
         names += RATE_DERIVATIVES
-    raw = flight[names].to_numpy(float)
-    measured = flight.assign(**dict(zip(names, smooth(raw, **clock).T, strict=True)))
+    smoothed = smooth(numeric(flight, names), **clock)
+    measured = flight.assign(**dict(zip(names, smoothed.T, strict=True)))
     if is_measured:
-        return measured, measured[RATE_DERIVATIVES].to_numpy(float)
-    return measured, differentiate(flight[list(RATES)].to_numpy(float), **clock)
+        return measured, numeric(measured, RATE_DERIVATIVES)
+    return measured, differentiate(numeric(flight, RATES), **clock)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.differences import central_difference
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
@@ -35,11 +36,11 @@ from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
 
-# States of the rigid body
+# States of a linear model, with Euler angles in place of the quaternion of `STATE_NAMES`
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 OUTPUTS = (*AIR_DATA, *SPECIFIC_FORCE)
-ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
-ANGLES_OF_STATE = slice(6, 9)  # Places of phi, theta, psi in `STATES`
+AIR_ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
+EULER_ANGLES = slice(6, 9)  # Places of phi, theta, psi in `STATES`
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,15 @@ class DifferenceSteps:
 STEPS = DifferenceSteps()
 
 
+class Matrices(NamedTuple):
+    """A, B, C and D of linear models, arrays (..., :, :)."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+
 @dataclass(frozen=True, eq=False)
 class LinearModel:
     r"""Linear model of small deviations from a flight condition: :math:`\dot x = A x + B u,\; y = C x + D u`.
@@ -67,7 +77,7 @@ class LinearModel:
     C: Any
     D: Any
     #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
-    paths: LinearModel | None = None
+    paths: Matrices | None = None
     airspeed: float = np.nan  #: Of the flight [m/s]
     density: float = np.nan  #: Of its air [kg/m^3]
     delay: float = 0.0  #: Of the commands [s]; not in A, B, C, D
@@ -109,26 +119,6 @@ class LinearModel:
             of the paths: the upper one is infinite where some do not decay.
         """
         return mode_table(self.A, None if self.paths is None else self.paths.A)
-
-
-# States that neither loads nor outputs of interest depend on: their modes are at zero
-UNUSED = ("north", "east", "down", "psi")
-
-
-def transfer(A: Any, B: Any, C: Any, D: Any, states: Any, s: Array) -> Array:
-    """Return C (s I - A)^-1 B + D at s (n,), (..., n, n_outputs, n_inputs), without position and heading.
-
-    A, B, C, D are tables or arrays (..., :, :); ``states`` are the names of the rows of A.
-    """
-    kept = [k for k, name in enumerate(states) if name not in UNUSED]
-    A, B, C, D = (np.asarray(matrix) for matrix in (A, B, C, D))
-    A = A[..., kept, :][..., kept]
-    B = B[..., kept, :]
-    C = C[..., kept]
-    resolvent = s[:, None, None] * np.eye(len(kept)) - A[..., None, :, :]
-    shape = (*resolvent.shape[:-1], B.shape[-1])
-    response = np.linalg.solve(resolvent, np.broadcast_to(B[..., None, :, :], shape))
-    return C[..., None, :, :] @ response + D[..., None, :, :]
 
 
 def linearize(
@@ -208,6 +198,7 @@ def linearize(
         raise ValueError(
             f"Got delay={delay!r}, but expected a finite number of seconds, at least 0."
         )
+    check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
     now = motion.at(state, controls)
@@ -217,7 +208,7 @@ def linearize(
         inputs.append(engine)
     mean = _matrices(motion, state, controls, inputs)
     paths = None
-    if check_paths(n_paths):
+    if n_paths:
         drawn, unsteady = _drawn(motion, state, controls, n_paths, random_state)
         points = np.tile(state, (n_paths, 1))
         paths = _matrices(drawn, points, controls, inputs, unsteady)
@@ -236,13 +227,12 @@ def linearize(
     )
 
 
-def check_paths(n_paths: int) -> int:
-    """Return the number of paths, none or enough to have a spread."""
+def check_paths(n_paths: int) -> None:
+    """Raise ValueError at a number of paths that have no spread."""
     if n_paths < 0 or n_paths == 1:
         raise ValueError(
             f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread."
         )
-    return n_paths
 
 
 def flight_point(
@@ -297,8 +287,8 @@ def _matrices(
     controls: Mapping,
     inputs: Sequence[str],
     unsteady: UnsteadyTerms | None = None,
-) -> LinearModel:
-    """Return A, B, C, D as arrays (..., :, :) at states (..., 13)."""
+) -> Matrices:
+    """Return A, B, C, D at states (..., 13)."""
     state_dot_z, output_z, instant = jacobian(motion, state, controls, inputs, unsteady)
     check_settled(instant)
     if not np.isfinite(state_dot_z).all():
@@ -310,8 +300,8 @@ def _matrices(
 
 def _with_servos(
     state_dot_z: Array, output_z: Array, inputs: Sequence[str], servos: Servos
-) -> LinearModel:
-    r"""Return the linear model of commands, of slopes (..., m, 12 + k) by rigid body and controls.
+) -> Matrices:
+    r"""Return the matrices of the motion by commands, from slopes (..., m, 12 + k) by rigid body and controls.
 
     The surfaces have the deflections :math:`\delta` and the commands :math:`E u`. The states are
     :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
@@ -336,7 +326,7 @@ def _with_servos(
     outputs[..., n_states:, :] = output_z @ to_aircraft
     A, B = np.split(rates, [n_states], axis=-1)
     C, D = np.split(outputs, [n_states], axis=-1)
-    return LinearModel(A, B, C, D)
+    return Matrices(A, B, C, D)
 
 
 def jacobian(
@@ -369,7 +359,7 @@ def jacobian(
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
-        angle_rates = H_z[..., ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
+        angle_rates = H_z[..., AIR_ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
         C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
     state_dot_z = F_z + F_C @ C_z
     output_z = H_z + H_C @ C_z
@@ -416,14 +406,14 @@ def _mechanics(
 
 def _state_of(x: Array) -> Array:
     """Return the state (..., 13) of `STATES` (..., 12): a quaternion for the angles."""
-    angles = np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0)
+    angles = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
     return np.concatenate([x[..., :6], euler_to_quaternion(*angles), x[..., 9:]], axis=-1)
 
 
 def _rates_of(x: Array, now: Instant) -> Array:
     """Return the rates of change of `STATES` (..., 12): the rates of the angles for those of the quaternion."""
-    phi, theta, _ = np.moveaxis(x[..., ANGLES_OF_STATE], -1, 0)
-    angles_dot = (euler_per_rotation(phi, theta) @ x[..., 9:, None])[..., 0]
+    phi, theta, _ = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
+    angles_dot = matrix_vector(euler_per_rotation(phi, theta), x[..., 9:])
     derivative = now.derivative
     return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
 

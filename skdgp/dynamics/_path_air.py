@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -73,15 +72,9 @@ def met_turbulence(
         return STILL, "Air without gusts, as asked."
     if isinstance(described.gusts, Turbulence):
         return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
-    tables = tables_of(described.wind)
-    if tables:
-        speeds = airspeeds(states, air)
-        winds = [table[["time", *WIND]] for table in tables]
-        with suppress(TooShort):
-            of_wind = Turbulence.from_wind(
-                winds, speeds if len(winds) > 1 else speeds.mean(), motion.aircraft.span
-            )
-            return of_wind, f"Gusts as those of the wind, {_sizes(of_wind)}."
+    of_wind = _turbulence_of_wind(described, airspeeds(states, air), motion.aircraft.span)
+    if of_wind is not None:
+        return of_wind, f"Gusts as those of the wind, {_sizes(of_wind)}."
     flown = motion.aerodynamics.turbulence
     if flown is None:
         return None, (
@@ -90,6 +83,17 @@ def met_turbulence(
     return flown, (
         f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air."
     )
+
+
+def _turbulence_of_wind(described: Air, speeds: Vector, span: float) -> Turbulence | None:
+    """Return the turbulence of the tables of the wind, met at airspeeds (n,); None where they show none."""
+    winds = [table[["time", *WIND]] for table in tables_of(described.wind)]
+    if not winds:
+        return None
+    try:
+        return Turbulence.from_wind(winds, speeds if len(winds) > 1 else speeds.mean(), span)
+    except TooShort:
+        return None
 
 
 def _sizes(turbulence: Turbulence) -> str:

@@ -89,10 +89,10 @@ def replay(
     for segment in flights.segments:
         for run in true_runs(has_loads[segment]):
             rows = np.arange(segment.start, segment.stop)[run]
-            windows += _windows(rows, time[rows], is_complete[rows], float(horizon))
+            windows += _windows(rows, time[rows], is_complete[rows], horizon)
     rows = _padded(windows)
-    states = _integrated(measured, loads, time, rows, aircraft, float(gravity))
-    return _table(flight, rows, states, float(horizon))
+    states = _integrated(measured, loads, time, rows, aircraft, gravity)
+    return _table(flight, rows, states, horizon)
 
 
 def _padded(windows: list[Indices]) -> Indices:

@@ -73,16 +73,15 @@ def rigid_body_derivative(
     force = np.asarray(force, dtype=float)
     moment = np.asarray(moment, dtype=float)
     u, v, w, q0, e1, e2, e3, p, q, r = components(state)[3:]
-    fx, fy, fz = components(force)
-    north, east, down = rotation_rows(q0, e1, e2, e3)
+    rows = rotation_rows(q0, e1, e2, e3)
+    down = rows[2]
+    turning = (q * w - r * v, r * u - p * w, p * v - q * u)  # omega x v
     shape = np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1])
     derivative = np.empty((*shape, len(STATE_NAMES)))
-    derivative[..., 0] = north[0] * u + north[1] * v + north[2] * w
-    derivative[..., 1] = east[0] * u + east[1] * v + east[2] * w
-    derivative[..., 2] = down[0] * u + down[1] * v + down[2] * w
-    derivative[..., 3] = fx / aircraft.mass + gravity * down[0] - q * w + r * v
-    derivative[..., 4] = fy / aircraft.mass + gravity * down[1] - r * u + p * w
-    derivative[..., 5] = fz / aircraft.mass + gravity * down[2] - p * v + q * u
+    for k, (x, y, z) in enumerate(rows):
+        derivative[..., k] = x * u + y * v + z * w
+    for k, f in enumerate(components(force)):
+        derivative[..., 3 + k] = f / aircraft.mass + gravity * down[k] - turning[k]
     derivative[..., 6] = -0.5 * (e1 * p + e2 * q + e3 * r)
     derivative[..., 7] = 0.5 * (q0 * p + e2 * r - e3 * q)
     derivative[..., 8] = 0.5 * (q0 * q + e3 * p - e1 * r)

@@ -18,7 +18,7 @@ from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_number, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, numeric
 from skdgp._flight.units import check_radians
 from skdgp.dynamics._dryden import dryden_gusts
 
@@ -302,9 +302,9 @@ def _spectra(
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
     """Return time, airspeed and wind of a flight, and the heading of its velocity through the air."""
-    attitude = euler_to_quaternion(*rows[[*EULER]].to_numpy(float).T)
-    air = body_to_ned(attitude, air_velocity(*rows[[*AIR_DATA]].to_numpy(float).T))
-    wind = pd.DataFrame(rows[[*EARTH_VELOCITY]].to_numpy(float) - air, columns=[*WIND])
+    attitude = euler_to_quaternion(*numeric(rows, EULER).T)
+    air = body_to_ned(attitude, air_velocity(*numeric(rows, AIR_DATA).T))
+    wind = pd.DataFrame(numeric(rows, EARTH_VELOCITY) - air, columns=[*WIND])
     wind["heading"] = np.unwrap(np.arctan2(air[:, 1], air[:, 0]))
     wind["time"] = rows["time"].to_numpy(float)
     wind["airspeed"] = rows["airspeed"].to_numpy(float)

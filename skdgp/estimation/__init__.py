@@ -8,12 +8,11 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations
 from skdgp.estimation._air_records import delayed_surfaces
+from skdgp.estimation._contradictions import Contradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
     CALIBRATED,
-    Contradiction,
     PathEstimate,
-    contradictions,
     estimate_path,
     overlapping_parts,
 )

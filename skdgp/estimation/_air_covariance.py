@@ -9,7 +9,6 @@ from skdgp._flight.channels import VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import BIASES
 from skdgp.estimation._air_parameters import SENSOR_CONSTANTS, STATE_TERMS, Sums
-from skdgp.estimation._air_records import TINY
 from skdgp.estimation._kalman import surface_covariance
 
 
@@ -37,12 +36,12 @@ def without_estimate(offset: Vector, prior_std: Vector) -> Matrix:
     return np.diag(prior_std**2) + np.outer(offset, offset)
 
 
-def spread_of(path: list[Vector]) -> Matrix:
+def spread_of(history: list[Vector]) -> Matrix:
     """Return the mean square distance of the last passes of a search (k, p) from its end.
 
     Errors of a search that did not converge.
     """
-    offsets = np.array(path) - path[-1]
+    offsets = np.array(history) - history[-1]
     return offsets.T @ offsets / len(offsets)
 
 
@@ -93,6 +92,14 @@ def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> 
     return widen(covariance, sandwich(sums.information, scatter))
 
 
+def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
+    """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's."""
+    last = fit.history[-fit.settings.last_passes :]
+    if len(last) == len(fit.history):
+        return without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
+    return inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
+
+
 def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
     r"""Return the factor of standard deviations by errors of surfaces between samples of slow clocks.
 
@@ -106,8 +113,8 @@ def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
         if np.any(item.record.periods > 0):
             by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
             fractions = np.linalg.solve(item.run.innovations.covariance, by_errors)
-            squared_length += float(np.einsum("nii->", fractions))
-    return float(np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length))
+            squared_length += np.einsum("nii->", fractions)
+    return np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length)
 
 
 def misfit_of_sensors(fit: AirFit) -> float:
@@ -138,11 +145,11 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
     motion = []
     for item in fitted:
         # in the motion without the answers to gusts that the last innovations show
-        response = fit.linearized(item.record, item.linear.states, fit.layout).response
+        response = fit.linearized(item.record, item.linear.states).response
         motion.append(response - response.mean(axis=0))
     variance = np.concatenate(motion).var(axis=0)
     error = _term_errors(fit, fitted, len(variance))
-    fraction = error**2 / np.maximum(error**2 + variance, TINY)
+    fraction = error**2 / np.maximum(error**2 + variance, np.finfo(float).tiny)
     fraction[STATE_TERMS.index("alpha2")] = fraction[STATE_TERMS.index("alpha")]
     of_parameters = np.zeros(len(fit.x))
     of_parameters[: fit.layout.n_derivatives] = fraction[fit.layout.columns]

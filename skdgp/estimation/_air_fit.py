@@ -12,14 +12,15 @@ variables: Soderstrom & Stoica 1989, chapter 8). Noises move by Fisher scoring (
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
-from skdgp.estimation._air_linearization import TURN, Layout, linearized
-from skdgp.estimation._air_noise import NoiseSearch, whitened
+from skdgp.estimation._air_linearization import RATE_STATES, Layout, linearized
+from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._air_start import (
@@ -65,7 +66,7 @@ class AirFit:
         self.is_known = parameters.n_held > 0
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
-        self.path: list[Vector] = []  # of x in the search
+        self.history: list[Vector] = []  # of x in the search
         self.winds = []
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
@@ -75,7 +76,7 @@ class AirFit:
         if not self.is_known:
             self.x = self.regression.derivatives(records, self.x)
         # rates as measured, without gusts
-        before = ((0, 0), (TURN.start, 0))
+        before = ((0, 0), (RATE_STATES.start, 0))
         self.states = [np.pad(record.rates, before) for record in records]
 
     def search(self, n_before: int) -> bool:
@@ -84,47 +85,45 @@ class AirFit:
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges.
         """
         settings = self.settings
-        layout = self.layout
-        if self.is_known:
-            layout = layout._replace(by_derivatives=False)
         damping = settings.first_damping
         fraction = 1.0
         last = np.zeros(len(self.x) - self.parameters.n_held)
         small = converged = False
         for number in range(settings.max_passes):
-            sums, fitted = self.run(layout, by_instruments=number >= n_before)
+            sums, fitted = self.run(by_instruments=number >= n_before)
             self.records = [item.record for item in fitted]
             self.states = [item.run.states for item in fitted]
             information, score = sums.damped(damping)
             step = self._bounded_step(information, score)
-            if not np.isfinite(step).all():
-                raise np.linalg.LinAlgError
             # two solutions could follow each other for ever
             if step @ information @ last < 0:
                 fraction = max(settings.shorter * fraction, settings.least_fraction)
             else:
                 fraction = min(settings.longer * fraction, 1.0)
             self.x[sums.free] += fraction * step
-            self.path.append(self.x.copy())
+            self.history.append(self.x.copy())
             last = step
-            noise_length = np.inf
-            if number:
-                linears = [item.linear.middle(settings.noise_samples) for item in fitted]
-                noise_length = self.noise_search.step(self.records, linears)
+            noise_length = self._move_noises(fitted) if number else np.inf
             before = small
             small = sums.squared_length(step) < settings.tolerance
             converged = before and small and noise_length < settings.noise_tolerance
             if converged and number > n_before:
                 break
-            damping /= 4
+            damping *= settings.less_damping
         return converged
+
+    def _move_noises(self, fitted: list[FittedRecord]) -> float:
+        """Move the noises by the middle of each record; return the squared length of the step."""
+        linears = [item.linear.middle(self.settings.noise_samples) for item in fitted]
+        return self.noise_search.step(self.records, linears)
 
     def _bounded_step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the free parameters, with a lag that stays at or above zero.
 
-        No derivative moves by more than some standard deviations of its prior.
+        No derivative moves by more than some standard deviations of its prior. Raise LinAlgError if
+        the step is not finite.
         """
-        step = np.asarray(-np.linalg.solve(information, score), dtype=float)
+        step: Any = -np.linalg.solve(information, score)
         lag = self.parameters.names.index("servo_lag")
         place = lag - self.parameters.n_held
         if place >= 0 and self.x[lag] + step[place] < 0:
@@ -136,24 +135,20 @@ class AirFit:
             nd = self.layout.n_derivatives
             farthest = np.max(np.abs(step[:nd]) / self.parameters.std[:nd])
             step *= min(1.0, self.settings.largest_step / farthest)
+        if not np.isfinite(step).all():
+            raise np.linalg.LinAlgError
         return step
 
-    def run(
-        self, layout: Layout | None = None, by_instruments: bool = True
-    ) -> tuple[Sums, list[FittedRecord]]:
-        """Filter all records at the parameters; return sums of the parameters, and the filtered records.
-
-        With slopes of a ``layout``, by default of all parameters.
-        """
-        layout = layout or self.layout
+    def run(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
+        """Filter all records at the parameters; return sums of the parameters, and the filtered records."""
         sums = Sums(self.x, self.parameters)
         fitted = []
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
                 self._add_steady_wind(sums, record)
-            linear = self.linearized(record, states, layout)
+            linear = self.linearized(record, states)
             run = filtered(linear, self.noise_search.noise(record))
-            fitted.append(self._add_scores(sums, record, linear, run, layout, by_instruments))
+            fitted.append(self._add_scores(sums, record, linear, run, by_instruments))
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
@@ -171,20 +166,18 @@ class AirFit:
         record: Record,
         linear: Linearization,
         run: Pass,
-        layout: Layout,
         by_instruments: bool,
     ) -> FittedRecord:
         """Add the scores of a pass over a record; with instruments, return it with its surfaces' answers to gusts."""
         L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
-        e = whitened(L_inverse, run.innovations.values)
+        e = matrix_vector(L_inverse, run.innovations.values)
         slopes = L_inverse @ innovation_slopes(linear, run)
         places = self.parameters.places[record.flight]
         is_free = places >= self.parameters.n_held
-        left_out = layout.n_derivatives - layout.constants.start
-        D = slopes[:, :, np.flatnonzero(is_free) - left_out]
+        D = slopes[:, :, np.flatnonzero(is_free)]
         Z = D
         if by_instruments and not self.is_known:
-            instruments = slopes[:, :, layout.constants.start :]
+            instruments = slopes[:, :, self.layout.n_derivatives :]
             Z = _projected(D, instruments, self.settings.least_direction)
             record = record.with_answers(e, self.settings)
         scores = (e[:, None] @ Z)[:, 0]
@@ -207,11 +200,11 @@ class AirFit:
             blocks.append(sums)
         return np.concatenate(blocks)
 
-    def linearized(self, record: Record, states: Matrix, layout: Layout) -> Linearization:
+    def linearized(self, record: Record, states: Matrix) -> Linearization:
         """Return the filter's linearization at the parameters."""
         value = self.parameters.values(self.x, record.flight)
         decay = self.noise_search.noise(record).decay[0]
-        return linearized(record, layout, self.aircraft, value, states, decay, self.settings)
+        return linearized(record, self.layout, self.aircraft, value, states, decay, self.settings)
 
 
 def _projected(slopes: Array, instruments: Array, least: float) -> Array:

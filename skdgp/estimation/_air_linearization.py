@@ -22,15 +22,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, cross_matrix
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_model import (
-    AIR,
-    ERRORS,
+    AIR_VELOCITY,
+    BODY_RATES,
+    COEFFICIENT_ERRORS,
     N_VARIABLES,
-    RATES,
     AirMotionModel,
     Inputs,
     differentiated,
@@ -46,17 +47,16 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record, servo_output, servo_slopes
 from skdgp.estimation._kalman import Linearization
-from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE, SensorErrors
+from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE_READINGS, SensorErrors
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 N_STATES = 11
-SLOW = slice(0, 3)
-FAST = slice(3, 6)
-PATH_Y = 6
-PATH_Z = 7
-TURN = slice(8, 11)
+SLOW_GUST = slice(0, 3)
+FAST_GUST = slice(3, 6)
+PATH_ERROR_Y = 6
+PATH_ERROR_Z = 7
+RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
-NOT_SAMPLED = 1e12  # variance of a sensor without a sample [SI], whatever its noise
 BIASES = {name: BIASED[name] for name in [*SHARED, *OWN] if name in BIASED}
 """Places of the biased among the sensors."""
 
@@ -68,9 +68,7 @@ class Layout(NamedTuple):
     columns: Indices
     names: list[str]
     n_features: int
-    #: Whether slopes by the derivatives, and their instruments, are computed beside those by the
-    #: constants: the derivatives of a known aircraft are held
-    by_derivatives: bool = True
+    #: Whether slopes by the instruments of the derivatives follow the others; not where these are held
     by_instruments: bool = True
 
     @classmethod
@@ -97,19 +95,13 @@ class Layout(NamedTuple):
         return len(self.rows)
 
     @property
-    def constants(self) -> slice:
-        """Places of the constants among the slopes: after the derivatives, before their instruments."""
-        first = self.n_derivatives if self.by_derivatives else 0
-        return slice(first, first + len(self.names) - self.n_derivatives)
-
-    @property
     def n_slopes(self) -> int:
-        """Number of slopes: by derivatives, constants, and instruments of the derivatives."""
-        return self.constants.stop + self.by_instruments * self.n_derivatives
+        """Number of slopes: by all parameters, and by instruments of the derivatives."""
+        return len(self.names) + self.by_instruments * self.n_derivatives
 
     def place(self, *names: str) -> list[int]:
-        """Return places of constants among the slopes."""
-        return [place + self.constants.start for place in self._constant(*names)]
+        """Return places of parameters among the slopes."""
+        return [self.names.index(name) for name in names]
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -131,23 +123,19 @@ class Layout(NamedTuple):
         air_by_state: Array,
         coefficient_changes: Array | float = 0.0,
     ) -> Array:
-        """Return d variables of the model / d states and constants, (n, 12, N + k), k all parameters but derivatives.
+        """Return d variables of the model / d states and parameters, (n, 12, N + k), zero by derivatives.
 
         ``coefficient_changes`` (n, 6, 2) are by lag of the servos and scale of the thrust.
         """
-        n_constants = len(self.names) - self.n_derivatives
-        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + n_constants))
-        slopes[:, AIR, :N_STATES] = air_by_state
-        slopes[:, RATES, TURN] = np.eye(3)
-        by_constants = slopes[..., N_STATES:]
-        by_constants[:, ERRORS, self._constant("servo_lag", "thrust_scale")] = coefficient_changes
-        by_constants[:, AIR, self._constant(*WINDS)] = -attitude
-        by_constants[:, AIR, self._constant(*ARM)] = -cross_matrix(rates)
+        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + len(self.names)))
+        slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
+        slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
+        by_parameters = slopes[..., N_STATES:]
+        lag_and_thrust = self.place("servo_lag", "thrust_scale")
+        by_parameters[:, COEFFICIENT_ERRORS, lag_and_thrust] = coefficient_changes
+        by_parameters[:, AIR_VELOCITY, self.place(*WINDS)] = -attitude
+        by_parameters[:, AIR_VELOCITY, self.place(*ARM)] = -cross_matrix(rates)
         return slopes
-
-    def _constant(self, *names: str) -> list[int]:
-        """Return places among the constants."""
-        return [self.names.index(name) - self.n_derivatives for name in names]
 
     def chained(self, by_variables: Array, slopes: Array, terms: Matrix, response: Matrix) -> Array:
         """Return d values / d z (n, m, N + p), from d values / d variables (n, m, 12).
@@ -155,40 +143,42 @@ class Layout(NamedTuple):
         By the `variable_slopes`, the terms (n, f) of the derivatives, and their values ``response``
         in the motion that surfaces cause, of the instruments.
         """
-        n, m = by_variables.shape[:2]
-        by_constants = by_variables @ slopes
-        by_coefficients = by_variables[:, :, ERRORS][:, :, self.rows]
-        out = np.empty((n, m, N_STATES + self.n_slopes))
-        constants = self.constants
-        out[..., :N_STATES] = by_constants[..., :N_STATES]
-        by_parameters = out[..., N_STATES:]
-        by_parameters[..., constants] = by_constants[..., N_STATES:]
-        if self.by_derivatives:
-            by_derivatives = by_coefficients * terms[:, None, self.columns]
-            by_parameters[..., : constants.start] = by_derivatives
-        if self.by_instruments:
-            by_instruments = by_coefficients * response[:, None, self.columns]
-            by_parameters[..., constants.stop :] = by_instruments
-        return out
+        by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
+        chained = by_variables @ slopes
+        by_derivatives = chained[..., N_STATES : N_STATES + self.n_derivatives]
+        by_derivatives[:] = by_coefficients * terms[:, None, self.columns]
+        if not self.by_instruments:
+            return chained
+        by_instruments = by_coefficients * response[:, None, self.columns]
+        return np.concatenate([chained, by_instruments], axis=-1)
 
-    def model(self, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
-        """Return the aircraft's equations of motion at parameters by name."""
-        derivatives = np.zeros((6, self.n_features))
-        names = self.names[: self.n_derivatives]
-        derivatives[self.rows, self.columns] = [value[name] for name in names]
-        return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
+
+def motion_model(layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
+    """Return the aircraft's equations of motion at parameters by name."""
+    derivatives = np.zeros((6, layout.n_features))
+    names = layout.names[: layout.n_derivatives]
+    derivatives[layout.rows, layout.columns] = [value[name] for name in names]
+    return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
     """Return the velocity relative to the air (n, 3), body axes, and its derivatives by the states (n, 3, N)."""
     by_state = np.zeros((len(states), 3, N_STATES))
-    by_state[:, :, SLOW] = -record.attitude
-    by_state[:, :, FAST] = -record.attitude
-    by_state[:, 1, PATH_Y] = -1.0
-    by_state[:, 2, PATH_Z] = -1.0
-    by_state[:, :, TURN] = cross_matrix(stacked(value, *ARM))
+    by_state[:, :, SLOW_GUST] = -record.attitude
+    by_state[:, :, FAST_GUST] = -record.attitude
+    by_state[:, 1, PATH_ERROR_Y] = -1.0
+    by_state[:, 2, PATH_ERROR_Z] = -1.0
+    by_state[:, :, RATE_STATES] = cross_matrix(stacked(value, *ARM))
     steady = record.velocity - record.attitude @ stacked(value, *WINDS)
-    return steady + _product(by_state, states), by_state
+    return steady + matrix_vector(by_state, states), by_state
+
+
+class _Readings(NamedTuple):
+    """Readings of the m sensors that are sampled, after each step."""
+
+    values: Matrix  # (n - 1, m)
+    by_variables: Array  # (n - 1, m, 12)
+    slopes: Array  # (n - 1, m, N + p) by z
 
 
 class _Expansion:
@@ -210,7 +200,7 @@ class _Expansion:
         self.layout = layout
         self.value = value
         self.states = states
-        self.model = layout.model(aircraft, value)
+        self.model = motion_model(layout, aircraft, value)
         logged = record.inputs
         surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
         thrust = logged.thrust * (1 + value["thrust_scale"])
@@ -218,20 +208,20 @@ class _Expansion:
         self.later = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
         self.changes = self.model.lag_and_thrust_slopes(self.air, logged, by_lag)
-        self.start = _variables(self.air, states[:, TURN])[:-1]
+        self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
         # gusts and errors of the path decay, and the air velocity with them
         self.kept = np.exp(-record.step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
 
     def step(self) -> tuple[Matrix, Array]:
         """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
-        drift = _product(self.drift_by_state, self.states[:-1])
+        drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
         steps = self.record.step
         end, slopes = differentiated(
             lambda start: self.model.step(start, gravity, drift, self.inputs, steps), self.start
         )
-        return _variables(end[:, AIR], end[:, RATES]), slopes
+        return _variables(end[:, AIR_VELOCITY], end[:, BODY_RATES]), slopes
 
     def step_slopes(self, end: Matrix, by_start: Array, response: Matrix) -> Array:
         """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
@@ -240,19 +230,19 @@ class _Expansion:
         end_terms = self.model.terms(end, self.later.surfaces)
         variables = self.layout.variable_slopes(
             self.record.attitude[:-1],
-            self.start[:, RATES],
+            self.start[:, BODY_RATES],
             self.air_by_state[:-1],
             _means(self.changes),
         )
         terms = 0.5 * (terms + end_terms)
         slopes = self.layout.chained(by_start, variables, terms, _means(response))
-        slopes[:, AIR, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
+        slopes[:, AIR_VELOCITY, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
         return slopes
 
     def end_variables(self, end: Matrix) -> Array:
-        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + k)."""
+        """Return d variables / d states and parameters of the same sample, (n - 1, 12, N + k)."""
         return self.layout.variable_slopes(
-            self.record.attitude[1:], end[:, RATES], self.air_by_state[1:], self.changes[1:]
+            self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:], self.changes[1:]
         )
 
     def end_slopes(self, end: Matrix, by_variables: Array, response: Matrix) -> Array:
@@ -260,20 +250,41 @@ class _Expansion:
         terms = self.model.terms(end, self.later.surfaces)
         return self.layout.chained(by_variables, self.end_variables(end), terms, response[1:])
 
-    def readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
-        """Return readings (n - 1, m), d readings / d variables, and d readings / d z at given variables."""
+    def past(self, end: Matrix, step_slopes: Array, response: Matrix) -> _Readings:
+        """Return the readings at the end of the step, from its start alone."""
+        readings = self._readings(end)
+        readings.slopes[:] += readings.by_variables[..., :6] @ step_slopes
+        by_errors = readings.by_variables.copy()
+        by_errors[..., :6] = 0.0
+        readings.slopes[:] += self.end_slopes(end, by_errors, response)
+        return readings
+
+    def recorded(self, end: Matrix, predicted: Matrix, response: Matrix) -> _Readings:
+        """Return the readings at the recorded path, with the predicted gusts and rates."""
+        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
+        variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
+        readings = self._readings(variables)
+        readings.slopes[:] += self.end_slopes(variables, readings.by_variables, response)
+        return readings
+
+    def _readings(self, end: Matrix) -> _Readings:
+        """Return readings at variables (n - 1, 12), with their slopes by z at given variables."""
         errors = SensorErrors.of(self.value)
-        truth, slopes = differentiated(lambda s: self.model.sensors(s, self.later), end)
+        truth, by_variables = differentiated(lambda s: self.model.sensors(s, self.later), end)
         values = errors.readings(truth)
         layout = self.layout
-        direct = np.zeros((*values.shape, N_STATES + layout.n_slopes))
-        by_parameters = direct[..., N_STATES:]
+        slopes = np.zeros((*values.shape, N_STATES + layout.n_slopes))
+        by_parameters = slopes[..., N_STATES:]
         by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
         (scale,) = layout.place("airspeed_scale")
         by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
-        by_parameters[:, FORCE, layout.place(*ARM)] = self.model.arm_slopes(end, self.later)
+        by_parameters[:, FORCE_READINGS, layout.place(*ARM)] = self.model.arm_slopes(
+            end, self.later
+        )
         use = self.record.sampled
-        return values[:, use], errors.scale[use, None] * slopes[:, use], direct[:, use]
+        return _Readings(
+            values[:, use], errors.scale[use, None] * by_variables[:, use], slopes[:, use]
+        )
 
     def response(self, by_start: Array, settings: AirSettings) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
@@ -287,9 +298,9 @@ class _Expansion:
         A = by_start[:, :, :6]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
         A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
-        B = by_start[:, :, ERRORS] @ self.model.by_surfaces
-        motion = _motion(A, _product(B, _means(late - late.mean(axis=0))))
-        motion[:, AIR] += self.start[:, AIR].mean(axis=0)
+        B = by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
+        motion = _motion(A, matrix_vector(B, _means(late - late.mean(axis=0))))
+        motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         return self.model.terms(motion, late)
 
     def _commanded(self) -> Matrix:
@@ -307,14 +318,14 @@ class _Expansion:
         """
         jump = np.diff(self.inputs.surfaces, axis=0)
         error = np.where(self.record.periods > 0, _means(self.record.surface_errors), jump)
-        push = by_start[:, RATES, ERRORS] @ self.model.by_surfaces * error[:, None]
+        push = by_start[:, BODY_RATES, COEFFICIENT_ERRORS] @ self.model.by_surfaces * error[:, None]
         covariance = np.zeros((len(jump), N_STATES, N_STATES))
-        covariance[:, TURN, TURN] = push @ push.mT
+        covariance[:, RATE_STATES, RATE_STATES] = push @ push.mT
         return covariance
 
     def surface_readings(self, by_end: Array) -> Matrix:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
-        by_surfaces = by_end[..., ERRORS] @ self.model.by_surfaces
+        by_surfaces = by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         return np.sum((by_surfaces * self.record.surface_errors[1:, None]) ** 2, axis=-1)
 
 
@@ -336,46 +347,35 @@ def linearized(
     response = expansion.response(by_start, settings)
     step_slopes = expansion.step_slopes(end, by_start, response)
     predicted = states[:-1] * expansion.kept
-    predicted[:, TURN] = end[:, RATES]
+    predicted[:, RATE_STATES] = end[:, BODY_RATES]
     transition = expansion.kept[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
-    transition[:, TURN] = step_slopes[:, RATES]
+    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
 
-    # sensors at its end, from the past alone
-    past, by_end, past_slopes = expansion.readings(end)
-    noise_slopes = by_end @ expansion.end_variables(end)[..., :N_STATES]
-    surface_readings = expansion.surface_readings(by_end)
-    by_errors = by_end.copy()
-    by_errors[..., :6] = 0.0
-    past_slopes += by_end[..., :6] @ step_slopes
-    past_slopes += expansion.end_slopes(end, by_errors, response)
-
-    # and at the recorded path, with the predicted gusts
-    change = _product(expansion.air_by_state[1:], predicted - states[1:])
-    known_end = _variables(expansion.air[1:] + change, end[:, RATES])
-    known, by_end, known_slopes = expansion.readings(known_end)
-    known_slopes += expansion.end_slopes(known_end, by_end, response)
-
+    past = expansion.past(end, step_slopes, response)
+    recorded = expansion.recorded(end, predicted, response)
+    noise_slopes = past.by_variables @ expansion.end_variables(end)[..., :N_STATES]
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
+    not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
     transition, transition_slopes = _split(transition)
-    innovation_states, innovation_slopes = _split(past_slopes)
-    residual_states, residual_slopes = _split(known_slopes)
+    innovation_states, innovation_slopes = _split(past.slopes)
+    residual_states, residual_slopes = _split(recorded.slopes)
     return Linearization(
         states=states,
         predicted=predicted,
         transition=transition,
         transition_slopes=transition_slopes,
-        innovation=np.where(is_sampled, measured - past, 0.0),
+        innovation=np.where(is_sampled, measured - past.values, 0.0),
         innovation_states=innovation_states,
         innovation_noise=noise_slopes,
         innovation_slopes=innovation_slopes,
-        residual=np.where(is_sampled, measured - known, 0.0),
+        residual=np.where(is_sampled, measured - recorded.values, 0.0),
         residual_states=residual_states,
         residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
-        surface_readings=surface_readings,
-        missing=np.where(is_sampled, 0.0, NOT_SAMPLED),
+        surface_readings=expansion.surface_readings(past.by_variables),
+        missing=np.where(is_sampled, 0.0, not_sampled),
         response=_means(response),
     )
 
@@ -401,8 +401,3 @@ def _variables(air: Matrix, rates: Matrix) -> Matrix:
 def _means(values: Array) -> Array:
     """Return the means of neighbours along the first axis."""
     return 0.5 * (values[1:] + values[:-1])
-
-
-def _product(matrices: Array, vectors: Matrix) -> Matrix:
-    """Return the product of the matrix (k, m) and the vector (m,) of each sample, (n, k)."""
-    return (matrices @ vectors[..., None])[..., 0]

@@ -31,11 +31,10 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation._air_parameters import STATE_TERMS
 
-DIFFERENCE = 1e-6  # of the numerical derivatives; velocities [m/s] move by V times as much
 N_VARIABLES = 12
-AIR = slice(0, 3)
-RATES = slice(3, 6)
-ERRORS = slice(6, 12)
+AIR_VELOCITY = slice(0, 3)
+BODY_RATES = slice(3, 6)
+COEFFICIENT_ERRORS = slice(6, 12)
 """Places of air velocity, rates and errors of the coefficients among the variables."""
 
 
@@ -83,22 +82,24 @@ class AirMotionModel:
 
     def terms(self, state: Array, surfaces: Array) -> Array:
         """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more)."""
-        airspeed, alpha, beta = air_data(state[..., AIR])
+        airspeed, alpha, beta = air_data(state[..., AIR_VELOCITY])
         X = np.empty((*alpha.shape, self.derivatives.shape[1]))
         X[..., 0] = 1.0
         X[..., 1] = alpha
         X[..., 2] = alpha**2
         X[..., 3] = beta
-        X[..., 4:7] = state[..., RATES] * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
+        X[..., 4:7] = (
+            state[..., BODY_RATES] * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
+        )
         X[..., 7:] = surfaces
         return X
 
     def accelerations(self, state: Array, inputs: Inputs) -> Array:
         """Return specific force and angular acceleration (..., 6) at variables (..., 12)."""
-        rates = state[..., RATES]
+        rates = state[..., BODY_RATES]
         terms = self.terms(state, inputs.surfaces)
-        coefficients = terms @ self.derivatives.T + state[..., ERRORS]
-        airspeed = np.linalg.norm(state[..., AIR], axis=-1)
+        coefficients = terms @ self.derivatives.T + state[..., COEFFICIENT_ERRORS]
+        airspeed = np.linalg.norm(state[..., AIR_VELOCITY], axis=-1)
         force, moment = aerodynamic_loads(coefficients, airspeed, inputs.density, self.aircraft)
         specific_force = (force + inputs.thrust[:, :3]) / self.aircraft.mass
         moment = moment + inputs.thrust[:, 3:] - gyroscopic_moment(rates, self.aircraft)
@@ -132,12 +133,14 @@ class AirMotionModel:
 
         def change(fraction: float, state: Array) -> Array:
             """Return the change of variables and gravity (..., n - 1, 15) in a step at its rate of change."""
-            rates = state[..., RATES]
+            rates = state[..., BODY_RATES]
             down = state[..., N_VARIABLES:]
             loads = self.accelerations(state[..., :N_VARIABLES], inputs.between(fraction))
             derivative = np.zeros_like(state)
-            derivative[..., AIR] = loads[..., :3] + down - cross(rates, state[..., AIR]) + drift
-            derivative[..., RATES] = loads[..., 3:]
+            derivative[..., AIR_VELOCITY] = (
+                loads[..., :3] + down - cross(rates, state[..., AIR_VELOCITY]) + drift
+            )
+            derivative[..., BODY_RATES] = loads[..., 3:]
             derivative[..., N_VARIABLES:] = -cross(rates, down)
             return step[:, None] * derivative
 
@@ -147,15 +150,15 @@ class AirMotionModel:
 
     def sensors(self, state: Array, inputs: Inputs) -> Array:
         """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at variables (..., n, 12)."""
-        rates = state[..., RATES]
+        rates = state[..., BODY_RATES]
         loads = self.accelerations(state, inputs)
         turning = cross(loads[..., 3:], self.arm) + cross(rates, cross(rates, self.arm))
-        air = np.stack(air_data(state[..., AIR]), axis=-1)
+        air = np.stack(air_data(state[..., AIR_VELOCITY]), axis=-1)
         return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
 
     def arm_slopes(self, state: Matrix, inputs: Inputs) -> Array:
         """Return d specific force / d arm (n, 3, 3)."""
-        turn = cross_matrix(state[:, RATES])
+        turn = cross_matrix(state[:, BODY_RATES])
         spin = self.accelerations(state, inputs)[:, 3:]
         return cross_matrix(spin) + turn @ turn
 
@@ -167,9 +170,9 @@ class AirMotionModel:
 
 def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:
     """Return a function (..., n, 12) -> (..., n, k) at states (n, 12), and its derivatives (n, k, 12)."""
-    airspeed = np.sqrt(np.mean(state[:, AIR] ** 2) * 3)
-    moves = np.full(N_VARIABLES, DIFFERENCE)
-    moves[AIR] *= airspeed
+    moves = np.full(N_VARIABLES, 1e-6)
+    # velocities move by the airspeed times as much
+    moves[AIR_VELOCITY] *= np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)
     moved = state + np.concatenate([np.zeros((1, N_VARIABLES)), np.diag(moves)])[:, None]
     values = function(moved)
     slopes = (values[1:] - values[0]) / moves[:, None, None]

@@ -7,7 +7,6 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +24,7 @@ from skdgp._flight.channels import (
     SURFACES,
     THRUST_COLUMNS,
     VANES,
+    by_elevons,
 )
 from skdgp._flight.holds import with_own_clocks
 from skdgp._flight.tables import FlightTable, has_values
@@ -37,9 +37,8 @@ from skdgp.estimation._air_covariance import (
     misfit_of_sensors,
     misfit_of_surfaces,
     mix_with_prior,
-    spread_of,
+    unfinished_covariance,
     with_model_errors,
-    without_estimate,
 )
 from skdgp.estimation._air_fit import AirFit
 from skdgp.estimation._air_linearization import Layout
@@ -58,15 +57,13 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
-from skdgp.estimation._sensors import FORCE, PATH_CHANNELS, RATE, Prior
+from skdgp.estimation._sensors import FORCE_READINGS, PATH_CHANNELS, RATE_READINGS, Prior
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
     "with inputs of every surface, and look at the signs and units of their sensors."
 )
-# Prior of its scale, where a measured force takes the place of thrust
-MEASURED_THRUST = (0.0, 1e-6)
 
 
 @dataclass(frozen=True)
@@ -278,10 +275,12 @@ def estimate_air_motion(
     parameters = _parameters(derivatives, known, n_flights)
     noises = _noises(records, known, n_flights, settings)
     for n_before in settings.attempts:
-        with contextlib.suppress(np.linalg.LinAlgError):
-            fit = AirFit(records, aircraft, layout, parameters, noises, settings)
+        fit = AirFit(records, aircraft, layout, parameters, noises, settings)
+        try:
             converged = fit.search(n_before)
             return _air_motion(fit, converged, surfaces, len(table))
+        except np.linalg.LinAlgError:  # the search diverged
+            continue
     raise ValueError(DIVERGED)
 
 
@@ -312,8 +311,7 @@ def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
     """Return the table with elevator and aileron of its elevons, where it has no others."""
     if not {*ELEVONS} <= {*table} or {*MIXED} & {*table}:
         return table
-    left, right = (table[name] for name in ELEVONS)
-    return table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2)
+    return table.assign(**by_elevons(table))
 
 
 def _moves(table: pd.DataFrame, surface: str) -> bool:
@@ -347,7 +345,8 @@ def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> 
         shared = dict(_as_prior(known.constants.loc[list(SHARED)]))
         n_held = len(derivatives) + len(shared)
     if not _has_drag(derivatives):
-        shared["thrust_scale"] = MEASURED_THRUST
+        # a measured force takes the place of thrust
+        shared["thrust_scale"] = (0.0, 1e-6)
     return Parameters.of(dict(derivatives) | shared, OWN, n_flights, n_held)
 
 
@@ -358,8 +357,8 @@ def _noises(
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
         return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
-    accelerometer = quietest_noise(records, FORCE, settings.least_noise)
-    gyro = quietest_noise(records, RATE, settings.least_noise)
+    accelerometer = quietest_noise(records, FORCE_READINGS, settings.least_noise)
+    gyro = quietest_noise(records, RATE_READINGS, settings.least_noise)
     medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
     shared = dict(SHARED_NOISES)
     for name, median in medians.items():
@@ -370,26 +369,24 @@ def _noises(
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
     sums, fitted = fit.run()
+    names = fit.parameters.names
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    misfit = 1.0
     covariance = estimate_covariance(fit, sums, fitted)
-    last = fit.path[-fit.settings.last_passes :]
-    if not converged and len(last) < len(fit.path):
-        covariance = inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
-    elif not converged:
-        covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
-    if not fit.is_known:
+    if not converged:
+        covariance = unfinished_covariance(fit, covariance)
+    if fit.is_known:
+        misfit = 1.0
+        air = smoothed_air(fit, fitted, covariance, n_rows)
+        std = np.sqrt(np.diag(covariance))
+    else:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
-    air = smoothed_air(fit, fitted, covariance, n_rows)
-    if not fit.is_known:
+        air = smoothed_air(fit, fitted, covariance, n_rows)
         covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
-    names = fit.parameters.names
-    std = np.sqrt(np.diag(covariance))
-    if not fit.is_known:
+        std = np.sqrt(np.diag(covariance))
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}
     estimates = pd.DataFrame(columns, index=names)

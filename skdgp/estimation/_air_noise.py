@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Mask, Matrix, Vector
+from skdgp._compute.linalg import matrix_vector
+from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp.estimation._air_parameters import PATH_ERRORS, Gusts, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Innovations, Linearization, Noise, innovations
@@ -25,7 +26,10 @@ from skdgp.estimation._settings import AirSettings
 
 
 class NoiseSearch:
-    """Logarithms of the noises ``psi`` (p,), and their steps."""
+    """Logarithms of the noises ``psi`` (p,), and their steps.
+
+    ``noises`` have the prior medians, and the standard deviations of the logarithms.
+    """
 
     def __init__(self, noises: Parameters, settings: AirSettings) -> None:
         self.prior = noises._replace(mean=np.log(noises.mean))
@@ -62,7 +66,8 @@ class NoiseSearch:
             sums.add(places, weight * gradient, weight * fisher)
         information, score = sums.damped(self.settings.noise_damping)
         before = self.psi[sums.free].copy()
-        step = self._limited(np.asarray(-np.linalg.solve(information, score), dtype=float))
+        full_step: Any = -np.linalg.solve(information, score)
+        step = self._limited(full_step)
         reach = self.settings.noise_reach * self.prior.std
         moved = self.psi[sums.free] + step
         low, high = self.prior.mean - reach, self.prior.mean + reach
@@ -72,9 +77,10 @@ class NoiseSearch:
     def _limited(self, step: Vector) -> Vector:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
         free = slice(self.prior.n_held, None)
+        settings = self.settings
         turns_back = step * self.last[free] < 0
-        limits = self.limits[free] * np.where(turns_back, 0.5, 1.3)
-        limits = np.minimum(limits, self.settings.largest_noise_step)
+        factor = np.where(turns_back, settings.shorter_noise_step, settings.longer_noise_step)
+        limits = np.minimum(self.limits[free] * factor, settings.largest_noise_step)
         step = np.clip(step, -limits, limits)
         self.limits[free] = limits
         self.last[free] = step
@@ -106,11 +112,11 @@ def _likelihood_slopes(run: Innovations, difference: float) -> tuple[Vector, Mat
     """Return gradient and Fisher information of -log likelihood, by differences of the sets to the first."""
     e, S = run.values[:, 0], run.covariance[:, 0]
     L_inverse = np.linalg.inv(np.linalg.cholesky(S))
-    u = whitened(L_inverse, e)
+    u = matrix_vector(L_inverse, e)
     gradient = []
     rows = []
     for moved in range(1, run.values.shape[1]):
-        d = whitened(L_inverse, (run.values[:, moved] - e) / difference)
+        d = matrix_vector(L_inverse, (run.values[:, moved] - e) / difference)
         dS = (run.covariance[:, moved] - S) / difference
         V = L_inverse @ dS @ L_inverse.mT
         trace = np.einsum("nii->", V) - np.einsum("ni,nij,nj->", u, V, u)
@@ -118,8 +124,3 @@ def _likelihood_slopes(run: Innovations, difference: float) -> tuple[Vector, Mat
         rows.append(np.concatenate([d.ravel(), np.sqrt(0.5) * V.ravel()]))
     J = np.array(rows)
     return np.array(gradient), J @ J.T
-
-
-def whitened(L_inverse: Array, vectors: Matrix) -> Matrix:
-    """Return L^-1 e of each sample, (n, m)."""
-    return (L_inverse @ vectors[..., None])[..., 0]

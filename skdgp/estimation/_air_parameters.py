@@ -36,10 +36,8 @@ DERIVATIVES: Prior = {
     "Cm_q": (-8.0, 10.0), "Cn_beta": (0.06, 0.1), "Cn_p": (-0.03, 0.2), "Cn_r": (-0.1, 0.2),
 }  # fmt: skip
 """Of small aircraft (Beard & McLain 2012, appendix E; Paw 2009), with wide standard deviations [1/rad]."""
-OTHER_DERIVATIVE = (0.0, 1.0)
 COUPLING_STD = {"CX": 0.05, "CY": 0.05, "CZ": 0.1, "Cl": 0.02, "Cm": 0.05, "Cn": 0.01}
-RATE_COUPLING = 3.0
-"""Standard deviations of couplings, of zero in the mean [1/rad], and their factor for rates; trials on one aircraft."""
+"""Standard deviations of couplings, of zero in the mean [1/rad]; trials on one aircraft."""
 WINDS = ("wind_north", "wind_east", "wind_down")
 PITOT = ("airspeed_scale", "wind_north", "wind_east")
 ARM = ("arm_x", "arm_y", "arm_z")
@@ -83,7 +81,7 @@ PATH_ERRORS = ("path_y", "path_z")
 
 
 class Parameters(NamedTuple):
-    """Parameters of the flights: shared ones, and local ones for each flight."""
+    """Parameters of the flights with their priors: shared ones, and local ones for each flight."""
 
     names: list[str]
     mean: Vector  # (p,)
@@ -122,10 +120,10 @@ class Parameters(NamedTuple):
 class Sums:
     """Score and information of parameters x, and the covariance of the score: of the prior, and of what is added."""
 
-    def __init__(self, x: Vector, prior: Parameters) -> None:
-        precision = prior.std**-2.0
-        self.free = slice(prior.n_held, None)
-        self.score = (x - prior.mean) * precision
+    def __init__(self, x: Vector, parameters: Parameters) -> None:
+        precision = parameters.std**-2.0
+        self.free = slice(parameters.n_held, None)
+        self.score = (x - parameters.mean) * precision
         self.information = np.diag(precision)
         self.scatter = np.diag(precision)
 
@@ -198,9 +196,9 @@ def _prior_of(coefficient: str, term: str) -> tuple[float, float]:
     """Return mean and standard deviation of a derivative."""
     name = f"{coefficient}_{term}"
     if is_coupling(name):
-        factor = RATE_COUPLING if term in RATES else 1.0
+        factor = 3.0 if term in RATES else 1.0  # trials on one aircraft
         return 0.0, factor * COUPLING_STD[coefficient]
-    return DERIVATIVES.get(name, OTHER_DERIVATIVE)
+    return DERIVATIVES.get(name, (0.0, 1.0))  # wide where no usual value is known
 
 
 def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> Matrix:

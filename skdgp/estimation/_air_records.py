@@ -8,12 +8,13 @@ gusts.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
 from skdgp._flight.holds import error_between_samples, interpolated_rows
@@ -25,17 +26,13 @@ from skdgp.estimation._sensors import (
     INERTIAL_BIASES,
     LAGS,
     PATH_NOISE,
-    RATE,
+    RATE_READINGS,
     FlightSensors,
     NamedFlight,
     flights_of,
     third_differences,
 )
-from skdgp.estimation._settings import AirSettings
-
-TINY = 1e-300  # avoids a division by zero
-LEAST_LAG = 1e-4  # s, of a servo
-LAG_DIFFERENCE = 1e-4  # s, of slopes by the lag
+from skdgp.estimation._settings import SERVOS, AirSettings
 
 
 class Record(NamedTuple):
@@ -54,9 +51,16 @@ class Record(NamedTuple):
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
-        flight, *arrays, inputs, periods, _ = self
-        parts = [values[rows] for values in arrays]
-        return Record._make([flight, *parts, inputs.part(rows), periods, None])
+        return self._replace(
+            rows=self.rows[rows],
+            time=self.time[rows],
+            velocity=self.velocity[rows],
+            attitude=self.attitude[rows],
+            measured=self.measured[rows],
+            surface_errors=self.surface_errors[rows],
+            inputs=self.inputs.part(rows),
+            answers=None,
+        )
 
     def with_axial_force(self, mass: float) -> Record:
         """Return the record with the measured axial force in place of thrust and CX."""
@@ -82,7 +86,7 @@ class Record(NamedTuple):
         for k, surface in enumerate(surfaces.T):
             X = sums[self.periods[k]]
             residual = surface - X @ _least_squares(X, surface)
-            rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, TINY)
+            rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, np.finfo(float).tiny)
             X_rest = X[1:] - rho * X[:-1]
             whitened = surface[1:] - rho * surface[:-1]
             answers[:, k] = X @ _least_squares(X_rest, whitened)
@@ -90,8 +94,7 @@ class Record(NamedTuple):
 
     def earth_velocity(self) -> Matrix:
         """Return the velocity over the ground north, east, down (n, 3)."""
-        to_earth = self.attitude.mT
-        return (to_earth @ self.velocity[..., None])[..., 0]
+        return matrix_vector(self.attitude.mT, self.velocity)
 
     @property
     def step(self) -> Vector:
@@ -101,17 +104,17 @@ class Record(NamedTuple):
     @property
     def rates(self) -> Matrix:
         """Measured rates (n, 3) [rad/s]."""
-        return self.measured[:, RATE]
+        return self.measured[:, RATE_READINGS]
 
     @property
     def seconds(self) -> float:
         """Length [s]."""
-        return float(self.step.sum())
+        return self.step.sum()
 
     @property
     def median_step(self) -> float:
         """Usual step [s]."""
-        return float(np.median(self.step))
+        return np.median(self.step)
 
     @property
     def sampled(self) -> Mask:
@@ -141,7 +144,8 @@ def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSe
 
 def _least_squares(X: Matrix, y: Vector) -> Vector:
     """Return the least-squares coefficients of y by X, of many rows, by the normal equations."""
-    return np.asarray(np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0], dtype=float)
+    coefficients: Any = np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0]
+    return coefficients
 
 
 def records_of(
@@ -224,12 +228,12 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
     """
     noises = [third_differences(record.measured[:, sensors]) for record in records]
     variances = np.mean(np.concatenate(noises) ** 2, axis=0)
-    return float(max(np.sqrt(np.nanmin(variances)), least))
+    return max(np.sqrt(np.nanmin(variances)), least)
 
 
 def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
     """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
-    r = max(lag, LEAST_LAG) / step
+    r = max(lag, SERVOS.least_lag) / step
     a = np.exp(-1 / r)
     numerator = [1 - (1 - a) * r, (1 - a) * r - a]
     denominator = [1, -a]
@@ -238,10 +242,10 @@ def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
 
 def servo_slopes(surfaces: Matrix, lag: float, step: float) -> tuple[Matrix, Matrix]:
     """Return the outputs (n, k) of servos, and their derivatives by the lag."""
-    lag = max(lag, LEAST_LAG)
+    lag = max(lag, SERVOS.least_lag)
     output = servo_output(surfaces, lag, step)
-    later = servo_output(surfaces, lag + LAG_DIFFERENCE, step)
-    return output, (later - output) / LAG_DIFFERENCE
+    later = servo_output(surfaces, lag + SERVOS.lag_difference, step)
+    return output, (later - output) / SERVOS.lag_difference
 
 
 def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Matrix:
@@ -255,6 +259,6 @@ def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Ma
     for rows in sensors.segments():
         step = 1.0
         if len(rows) > 1:
-            step = float(np.median(np.diff(sensors.time[rows])))
+            step = np.median(np.diff(sensors.time[rows]))
         out[rows] = servo_output(surfaces[rows], lag, step)
     return out

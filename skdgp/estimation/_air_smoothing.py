@@ -12,25 +12,31 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Matrix
-from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, SPECIFIC_FORCE, WIND
-from skdgp._flight.channels import RATES as RATE_CHANNELS
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
 from skdgp._flight.frames import air_data, air_data_slopes
 from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import FAST, N_STATES, SLOW, TURN, Layout, air_velocity
-from skdgp.estimation._air_model import AIR
+from skdgp.estimation._air_linearization import (
+    FAST_GUST,
+    N_STATES,
+    RATE_STATES,
+    SLOW_GUST,
+    Layout,
+    air_velocity,
+)
+from skdgp.estimation._air_model import AIR_VELOCITY
 from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import smoothed, state_slopes
-from skdgp.estimation._sensors import FORCE
+from skdgp.estimation._sensors import FORCE_READINGS
 
-ESTIMATED = (*AIR_DATA, *RATE_CHANNELS, *WIND)
+ESTIMATED = (*AIR_DATA, *RATES, *WIND)
 """Smoothed columns, each with its standard deviation."""
 OF_AIR_DATA = slice(0, 3)
 OF_RATES = slice(3, 6)
 OF_WIND = slice(6, 9)
-PATH = (*SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY)
+PATH_COLUMNS = (*SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY)
 """Columns of the path over the ground."""
-COLUMNS = (*ESTIMATED, *(f"{name}_std" for name in ESTIMATED), *PATH)
+COLUMNS = (*ESTIMATED, *(f"{name}_std" for name in ESTIMATED), *PATH_COLUMNS)
 
 
 def smoothed_air(
@@ -50,8 +56,8 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     states, P = smoothed(item.linear, item.run)
     value = fit.parameters.values(fit.x, record.flight)
     air, air_by_state = air_velocity(record, value, states)
-    wind = states[:, SLOW] + states[:, FAST] + stacked(value, *WINDS)
-    estimates = np.column_stack([*air_data(air), states[:, TURN], wind])
+    wind = states[:, SLOW_GUST] + states[:, FAST_GUST] + stacked(value, *WINDS)
+    estimates = np.column_stack([*air_data(air), states[:, RATE_STATES], wind])
     slopes = _slopes(fit.layout, record, air, air_by_state)
     G = slopes[..., :N_STATES]
     places = fit.parameters.places[record.flight]
@@ -64,14 +70,14 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
 def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
     """Return derivatives (n, 9, N + p) by the states, and by the parameters at given states."""
     variables = layout.variable_slopes(record.attitude, record.rates, air_by_state)
-    by_air = air_data_slopes(air) @ variables[:, AIR]
+    by_air = air_data_slopes(air) @ variables[:, AIR_VELOCITY]
     slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
     slopes[:, OF_AIR_DATA, :N_STATES] = by_air[..., :N_STATES]
-    slopes[:, OF_RATES, TURN] = np.eye(3)
-    slopes[:, OF_WIND, SLOW] = np.eye(3)
-    slopes[:, OF_WIND, FAST] = np.eye(3)
+    slopes[:, OF_RATES, RATE_STATES] = np.eye(3)
+    slopes[:, OF_WIND, SLOW_GUST] = np.eye(3)
+    slopes[:, OF_WIND, FAST_GUST] = np.eye(3)
     by_parameters = slopes[..., N_STATES:]
-    by_parameters[:, OF_AIR_DATA, layout.constants] = by_air[..., N_STATES:]
+    by_parameters[:, OF_AIR_DATA, : len(layout.names)] = by_air[..., N_STATES:]
     by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
     return slopes
 
@@ -85,7 +91,7 @@ def _path(record: Record, mass: float) -> Matrix:
     """Return specific force, attitude and ground velocity (n, 9) without biases and lags."""
     to_earth = record.attitude.mT
     angles = Rotation.from_matrix(to_earth).as_euler("ZYX")[:, ::-1]
-    force = record.measured[:, FORCE].copy()
+    force = record.measured[:, FORCE_READINGS].copy()
     if not record.sampled[0]:  # it took the place of thrust
         force[:, 0] = record.inputs.thrust[:, 0] / mass
     return np.column_stack([force, angles, record.earth_velocity()])

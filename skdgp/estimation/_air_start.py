@@ -17,10 +17,10 @@ from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp.dynamics import Aircraft
-from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
+from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
 from skdgp.estimation._air_parameters import PITOT, SHARED, Parameters
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._sensors import AIRSPEED, FORCE, WIND_STD
+from skdgp.estimation._sensors import AIRSPEED, FORCE_READINGS, WIND_STD
 from skdgp.estimation._settings import AirSettings
 
 
@@ -43,7 +43,7 @@ def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
 
 
 def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
-    """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton, five steps).
+    """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton).
 
     Gusts correlate over seconds, so the variance of a sample is the variance of means over
     ``settings.gust_window`` times the number of samples in a mean.
@@ -51,7 +51,7 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
     _, scale_std = SHARED["airspeed_scale"]
     prior = np.diag(settings.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
     pitot = np.zeros(3)
-    for _ in range(5):
+    for _ in range(settings.wind_steps):
         slopes = [prior]
         residuals = [prior @ pitot]
         for record in records:
@@ -71,7 +71,7 @@ def _sample_variance(error: Vector, records: list[Record], settings: AirSettings
     seconds = sum(record.seconds for record in records)
     width = max(1, int(len(error) * min(settings.gust_window / seconds, 0.25)))
     means = uniform_filter1d(error, width, mode="nearest")
-    return max(width * float(means.var()), float(error.var()), least)
+    return max(width * means.var(), error.var(), least)
 
 
 class SteadyRegression:
@@ -92,8 +92,8 @@ class SteadyRegression:
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
-        model = self.layout.model(self.aircraft, value)
-        force = record.measured[:, FORCE]
+        model = motion_model(self.layout, self.aircraft, value)
+        force = record.measured[:, FORCE_READINGS]
         coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)
         return model.terms(state, record.inputs.surfaces), coefficients

@@ -21,14 +21,12 @@ n samples, N states, m sensors, p parameters, s sets of noises.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
-
-CHUNK = 256  # steps whose matrices at all noises are in memory at a time
 
 
 class Linearization(NamedTuple):
@@ -53,9 +51,9 @@ class Linearization(NamedTuple):
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
-        states, *arrays = self
-        parts = [values[first:last] for values in arrays]
-        return Linearization(states[first : last + 1], *parts)
+        parts = {name: values[first:last] for name, values in self._asdict().items()}
+        parts["states"] = self.states[first : last + 1]
+        return Linearization(**parts)
 
     def middle(self, n_steps: int) -> Linearization:
         """Return the linearization of at most ``n_steps`` steps in the middle."""
@@ -113,11 +111,10 @@ class _StepModel(NamedTuple):
         return x, 0.5 * (P + P.mT), P_predicted, K
 
 
-class _Chunk(NamedTuple):
+class _Steps(NamedTuple):
     """Filtered steps k of a pass at s sets of noises."""
 
-    innovation: Array  # (k, s, m) of the past alone
-    innovation_covariance: Array  # (k, s, m, m)
+    innovations: Innovations  # of the past alone
     x: Array  # (k, s, N, 1) deviations from the expansion point
     P: Array  # (k, s, N, N)
     P_predicted: Array  # (k, s, N, N)
@@ -126,16 +123,16 @@ class _Chunk(NamedTuple):
 
 def filtered(linear: Linearization, noise: Noise) -> Pass:
     """Return the filter's pass at one set of noises."""
-    chunks = zip(*_chunks(linear, noise), strict=True)
-    run = _Chunk(*(np.concatenate(parts)[:, 0] for parts in chunks))
+    steps = _filtered_steps(linear, noise, *_start(noise))
     states = linear.states.copy()
-    states[1:] += run.x[..., 0]
+    states[1:] += steps.x[:, 0, :, 0]
+    e, S = steps.innovations
     return Pass(
-        innovations=Innovations(run.innovation, run.innovation_covariance),
+        innovations=Innovations(e[:, 0], S[:, 0]),
         states=states,
-        covariance=np.concatenate([[np.diag(noise.start[0])], run.P]),
-        predicted_covariance=run.P_predicted,
-        gain=run.gain,
+        covariance=np.concatenate([[np.diag(noise.start[0])], steps.P[:, 0]]),
+        predicted_covariance=steps.P_predicted[:, 0],
+        gain=steps.gain[:, 0],
     )
 
 
@@ -143,23 +140,23 @@ def innovations(linear: Linearization, noise: Noise) -> Innovations:
     """Return the innovations at all sets of noises."""
     values = []
     covariance = []
-    for chunk in _chunks(linear, noise):
-        values.append(chunk.innovation)
-        covariance.append(chunk.innovation_covariance)
+    x, P = _start(noise)
+    n = 256  # steps whose matrices at all noises are in memory at a time
+    for first in range(0, len(linear.step), n):
+        steps = _filtered_steps(linear.part(first, first + n), noise, x, P)
+        values.append(steps.innovations.values)
+        covariance.append(steps.innovations.covariance)
+        x, P = steps.x[-1], steps.P[-1]
     return Innovations(np.concatenate(values), np.concatenate(covariance))
 
 
-def _chunks(linear: Linearization, noise: Noise) -> Iterator[_Chunk]:
-    """Filter the record, and yield its chunks."""
+def _start(noise: Noise) -> tuple[Array, Array]:
+    """Return deviation and covariance of the first sample."""
     x = np.zeros((*noise.start.shape, 1))
-    P = noise.start[:, :, None] * np.eye(noise.start.shape[1])
-    for first in range(0, len(linear.step), CHUNK):
-        chunk = _filtered_chunk(linear.part(first, first + CHUNK), noise, x, P)
-        yield chunk
-        x, P = chunk.x[-1], chunk.P[-1]
+    return x, noise.start[:, :, None] * np.eye(x.shape[1])
 
 
-def _filtered_chunk(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Chunk:
+def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Steps:
     """Return some steps of the filter, from deviation and covariance of the sample before."""
     model = _step_model(linear, noise)
     n, m, N = model.H.shape
@@ -171,7 +168,7 @@ def _filtered_chunk(linear: Linearization, noise: Noise, x: Array, P: Array) -> 
     for k in range(n):
         xs[k + 1], Ps[k + 1], P_predicted[k], gain[k] = model.step(xs[k], Ps[k], k)
     past = _innovations(linear, noise, model.R, xs[:-1], Ps[:-1])
-    return _Chunk(*past, xs[1:], Ps[1:], P_predicted, gain)
+    return _Steps(past, xs[1:], Ps[1:], P_predicted, gain)
 
 
 def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
@@ -213,7 +210,7 @@ def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
     L = linear.innovation_noise
     of_readings = linear.surface_readings[..., None] * np.eye(L.shape[1])
-    return np.asarray(noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings))
+    return noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings)
 
 
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
@@ -248,7 +245,7 @@ def state_slopes(linear: Linearization, run: Pass) -> Array:
 def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
     """Return the states given all samples (n, N), and their covariances (Rauch, Tung & Striebel 1965)."""
     change = run.states - linear.states
-    predicted = linear.predicted + (linear.transition @ change[:-1, :, None])[..., 0]
+    predicted = linear.predicted + matrix_vector(linear.transition, change[:-1])
     P_predicted = run.predicted_covariance
     PhiP = linear.transition @ run.covariance[:-1]
     C = np.linalg.solve(P_predicted, PhiP).mT  # gain of the smoother

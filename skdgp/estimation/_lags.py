@@ -48,12 +48,12 @@ PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 class Lag(NamedTuple):
     """A lag [s], positive if late, and its standard deviation [s]; NaN if the lag is unknown."""
 
-    lag: float
+    value: float
     std: float
 
     def is_significant(self, settings: LagSettings) -> bool:
         """Return whether the lag exceeds ``settings.significance`` standard deviations."""
-        return abs(self.lag) > settings.significance * self.std
+        return abs(self.value) > settings.significance * self.std
 
 
 UNKNOWN = Lag(0.0, np.nan)
@@ -61,8 +61,8 @@ UNKNOWN = Lag(0.0, np.nan)
 
 def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
     """Return the lag to remove [s], zero where it is not significant or too small to change a model."""
-    is_large = abs(lag.lag) >= settings.least_lag
-    return lag.lag if lag.is_significant(settings) and is_large else 0.0
+    is_large = abs(lag.value) >= settings.least_lag
+    return lag.value if lag.is_significant(settings) and is_large else 0.0
 
 
 def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:
@@ -164,7 +164,7 @@ class _Segment:
     @property
     def seconds(self) -> float:
         """Length of the segment without its ends [s]."""
-        return float(np.ptp(self.time))
+        return np.ptp(self.time)
 
     def present(self, names: Sequence[str]) -> list[str]:
         """Return the names that this segment has; elevons in place of elevator and aileron."""
@@ -191,7 +191,7 @@ def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vec
 
 def _rate_of(clock: Vector) -> float:
     """Return the rate of a uniform clock [Hz]."""
-    return float((len(clock) - 1) / (clock[-1] - clock[0]))
+    return (len(clock) - 1) / (clock[-1] - clock[0])
 
 
 def _band_at(rate_hz: float, settings: LagSettings) -> tuple[float, float]:
@@ -253,7 +253,7 @@ def _most_likely_lag(
     probability = normal.sf(settings.significance)
     quantile = student.isf(probability, len(pieces) - 1) / settings.significance
     std = np.hypot(quantile * sem(pieces), lag - np.mean(pieces))
-    return Lag(lag, float(std))
+    return Lag(float(lag), float(std))
 
 
 def _profile(
@@ -282,16 +282,15 @@ def _log_rss(response: Matrix, predictors: Matrix, settings: LagSettings) -> flo
     Q = Q[:, np.abs(np.diag(R)) > settings.rank_tolerance]
     residuals = response - Q @ (Q.T @ response)
     rss = np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
-    return len(response) * float(np.log(rss).sum())
+    return len(response) * np.log(rss).sum()
 
 
 def _minimum(steps: Vector, values: Vector) -> float:
     """Return the place of the least of the values, by a parabola through its neighbours unless at either end."""
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
-        return float(steps[place])
-    neighbours = values[place - 1 : place + 2]
-    return float(steps[place] + _vertex(neighbours, float(steps[1] - steps[0])))
+        return steps[place]
+    return steps[place] + _vertex(values[place - 1 : place + 2], steps[1] - steps[0])
 
 
 def _vertex(values: Sequence[float] | Vector, step: float) -> float:
@@ -300,4 +299,4 @@ def _vertex(values: Sequence[float] | Vector, step: float) -> float:
     curvature = before - 2 * centre + after
     if not curvature > 0:
         return 0.0
-    return float(np.clip(step * (before - after) / (2 * curvature), -step, step))
+    return np.clip(step * (before - after) / (2 * curvature), -step, step)

@@ -33,15 +33,12 @@ from skdgp.estimation._path_equations import (
     path_equations,
 )
 from skdgp.estimation._sensors import (
-    AIR,
-    FORCE,
+    AIR_READINGS,
     INERTIAL_BIASES,
     MEAN_WIND,
     PATH_CONSTANTS,
     PATH_NOISE,
-    RATE,
     FlightSensors,
-    white_noise,
 )
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
@@ -101,26 +98,24 @@ def estimate_path(
     path = FlightPath.initial(sensors)
     delays = np.zeros(2, dtype=int)
     stride = 1.0
-    last = np.zeros(len(free))
+    last_step = np.zeros(len(free))
     for number in range(settings.max_steps):
         if number <= settings.delay_steps:
             delays = search.delays(path)
         equations = search.equations(path, noise, delays)
         posterior = solve(equations, search.prior(path, noise), search.free, search.draws)
         # the full step of the constants, in standard deviations
-        move = posterior.constants[search.free] / np.sqrt(np.diag(posterior.covariance))
-        if move @ last < -settings.overshoot * last @ last:
+        step = posterior.constants[search.free] / np.sqrt(np.diag(posterior.covariance))
+        if step @ last_step < -settings.overshoot * last_step @ last_step:
             stride /= 2
-        last = move
+        last_step = step
         path = path.moved(stride * posterior.states, stride * posterior.constants)
         before = noise
-        noise = dict(before)
-        pace = min(1.0, 10 / (number + 1))
-        for name, sums in search.residual_sums(equations, posterior).items():
-            if name in learn:
-                noise[name] = _variance_component(name, noise[name], sums, pace, settings)
-        changes = [abs(np.log(noise[name] / before[name])) for name in learn]
-        is_steady = all(change < settings.tolerance for change in changes)
+        pace = min(1.0, settings.full_steps / (number + 1))
+        sums = search.residual_sums(equations, posterior)
+        noise = before | _variance_components(before, sums, learn, pace, settings)
+        largest_change = max((abs(np.log(noise[name] / before[name])) for name in learn), default=0)
+        is_steady = largest_change < settings.tolerance
         converged = number > 0 and is_steady and _is_small(posterior, settings.tolerance)
         if converged:
             break
@@ -139,7 +134,7 @@ class _Search:
         self.draws = _mirrored_draws(len(sensors.time), free, settings.n_draws)
         self.step = np.diff(sensors.time)
         self.correlation = np.exp(-self.step / settings.gust_time)  # of gusts over a step
-        self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR.start + 1]).any())
+        self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any())
         self.channels = list(EQUATION_NOISE)
         if not self.has_alpha:
             # without an alpha vane vertical gusts are like horizontal ones
@@ -221,6 +216,21 @@ def _is_small(posterior: Posterior, tolerance: float) -> bool:
     return bool(np.all(moved < tolerance**2 * variance))
 
 
+def _variance_components(
+    noise: Mapping[str, float],
+    residual_sums: Mapping[str, ResidualSums],
+    learn: Collection[str],
+    pace: float,
+    settings: PathSettings,
+) -> dict[str, float]:
+    """Return the new standard deviations of the channels in ``learn`` that were sampled."""
+    stds = {}
+    for name, sums in residual_sums.items():
+        if name in learn:
+            stds[name] = _variance_component(name, noise[name], sums, pace, settings)
+    return stds
+
+
 def _variance_component(
     name: str, std: float, sums: ResidualSums, pace: float, settings: PathSettings
 ) -> float:
@@ -265,40 +275,3 @@ def overlapping_parts(
         inner = slice(first - start, last - start)
         parts.append((part, inner))
     return parts
-
-
-class Contradiction(NamedTuple):
-    """A sensor whose residuals along the path exceed its white noise, standard deviations [SI]."""
-
-    sensor: str
-    residual: float
-    noise: float
-    # whether the readings show less noise than any sensor, so that the residual tells nothing of it
-    is_smoothed: bool = False
-
-
-INERTIAL_SENSORS = {"gyro": RATE, "accelerometer": FORCE}
-AIR_SENSORS = {"airspeed": slice(6, 7), "alpha": slice(7, 8), "beta": slice(8, 9)}
-
-
-def contradictions(
-    flights: Sequence[FlightSensors],
-    residuals: Mapping[str, float],
-    settings: PathSettings = PATH_SETTINGS,
-) -> list[Contradiction]:
-    """Return the sensors whose residuals along the path exceed their white noise by a ratio.
-
-    The ratio is ``air_ratio`` or ``inertial_ratio`` of the settings. ``residuals`` are the noises
-    of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
-    A sensor that shows hardly any was smoothed, so its noise is not known.
-    """
-    contradicted = []
-    for sensor, columns in (INERTIAL_SENSORS | AIR_SENSORS).items():
-        is_inertial = sensor in INERTIAL_SENSORS
-        largest = settings.inertial_ratio if is_inertial else settings.air_ratio
-        residual = residuals[sensor]
-        noise = white_noise(flights, columns)
-        is_smoothed = noise < settings.least_noise * PATH_NOISE[sensor]
-        if residual > largest * noise:
-            contradicted.append(Contradiction(sensor, residual, noise, is_smoothed))
-    return contradicted

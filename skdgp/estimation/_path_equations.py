@@ -12,7 +12,8 @@ apart, three process equations have the residuals
 Airspeed, alpha, beta, GPS velocity and attitude of a sample are measurement equations (Jategaonkar
 2006, chapter 10). The second residual contains the coning of two samples (Bortz 1971).
 
-The nine process equations and the nine measurement equations of a sample are the rows of `Equations`.
+The nine process equations and the nine measurement equations of a sample are the rows of `Equations`. The
+row of a sensor that was not sampled, or of a step over a gap, is zero: it says nothing.
 """
 
 from __future__ import annotations
@@ -27,30 +28,30 @@ from skdgp._flight.frames import STANDARD_GRAVITY, air_data, air_data_slopes, cr
 from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._least_squares import Equations
 from skdgp.estimation._sensors import (
-    AIR,
-    FORCE,
+    AIR_READINGS,
+    FORCE_READINGS,
     PATH_CONSTANTS,
-    RATE,
+    RATE_READINGS,
     FlightSensors,
     SensorErrors,
 )
 
 PLACE = {name: place for place, name in enumerate(PATH_CONSTANTS)}
-FORCE_BIASES = slice(0, 3)
-RATE_BIASES = slice(3, 6)
-VELOCITY_LAG = 6
-ATTITUDE_LAG = 7
-WIND = slice(8, 10)
+FORCE_BIAS_CONSTANTS = slice(0, 3)
+RATE_BIAS_CONSTANTS = slice(3, 6)
+VELOCITY_LAG = PLACE["velocity_lag"]
+ATTITUDE_LAG = PLACE["attitude_lag"]
+WIND_CONSTANTS = slice(8, 10)
 """Places among the constants, in the order of `PATH_CONSTANTS`."""
 N_STATES = 9
 VELOCITY = slice(0, 3)
 ATTITUDE = slice(3, 6)
 GUST = slice(6, 9)
 """Places in a state's errors: NED velocity, rotation vector in body axes, NED gust."""
-PROCESS = slice(0, 9)
-AIR_DATA = slice(9, 12)
-GPS = slice(12, 15)
-ANGLES = slice(15, 18)
+PROCESS_ROWS = slice(0, 9)
+AIR_DATA_ROWS = slice(9, 12)
+GPS_ROWS = slice(12, 15)
+ATTITUDE_ROWS = slice(15, 18)
 """Places among the equations; the first nine have the order of the states."""
 EQUATION_NOISE = (
     "accelerometer",
@@ -75,9 +76,11 @@ EQUATION_NOISE = (
 """Noise of each equation."""
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])
 """NED; the local excess of gravity is part of the accelerometers' biases."""
-MIRROR = (1, -1, 1, -1, 1, -1, 1, -1, 1)
+POLAR = np.array([1.0, -1.0, 1.0])
+MIRROR = np.concatenate([POLAR, -POLAR, POLAR])
+"""Signs of a state's errors in a mirror at the x-z plane; a rotation is an axial vector."""
 ODD = frozenset(("ay_bias", "p_bias", "r_bias", "wind_east"))
-"""Signs of a state's errors in a mirror at the x-z plane, and constants that change theirs."""
+"""Constants that change their sign in it."""
 
 
 class FlightPath(NamedTuple):
@@ -115,7 +118,7 @@ class FlightPath(NamedTuple):
 
     def wind(self) -> Matrix:
         """Return the air's velocity (n, 3), NED [m/s]."""
-        return self.gust + np.append(self.constants[WIND], 0.0)
+        return self.gust + np.append(self.constants[WIND_CONSTANTS], 0.0)
 
     def air_velocity(self) -> Matrix:
         """Return the velocity relative to the air (n, 3), body axes [m/s]."""
@@ -125,7 +128,7 @@ class FlightPath(NamedTuple):
         """Return specific force and angular rate (n, 3), body axes, without the sensors' biases."""
         errors = SensorErrors.of(dict(zip(PATH_CONSTANTS, self.constants, strict=True)))
         truth = errors.truth(sensors.readings)
-        return truth[:, FORCE], truth[:, RATE]
+        return truth[:, FORCE_READINGS], truth[:, RATE_READINGS]
 
 
 def path_equations(
@@ -159,11 +162,12 @@ def path_equations(
     _fill_force(between, path, force, turn, step)
     _fill_rate(between, rate, turn, step)
     _fill_gust(between, path.gust, correlation)
-    between.residual[~sensors.joined, PROCESS] = np.nan
+    between.residual[~sensors.joined, PROCESS_ROWS] = np.nan
     # of a sample
-    _fill_air_data(equations, path, sensors.readings[:, AIR], least_airspeed)
+    _fill_air_data(equations, path, sensors.readings[:, AIR_READINGS], least_airspeed)
     _fill_velocity(equations, path, sensors, force, delays[0])
     _fill_attitude(equations, path, sensors, rate, delays[1])
+    # what was not sampled, or lies beyond a gap, is no equation
     columns[np.isnan(equations.residual)] = 0.0
     return equations
 
@@ -183,7 +187,7 @@ def _fill_force(
     equations.d_state[:, VELOCITY, VELOCITY] = -by_velocity
     equations.d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
     equations.d_state[:, VELOCITY, ATTITUDE] = cross_matrix(residual + force[:-1] / 2)
-    equations.d_constants[:, VELOCITY, FORCE_BIASES] = (np.eye(3) + turned) / 2
+    equations.d_constants[:, VELOCITY, FORCE_BIAS_CONSTANTS] = (np.eye(3) + turned) / 2
 
 
 def _fill_rate(equations: Equations, rate: Matrix, turn: Rotation, step: Matrix) -> None:
@@ -195,7 +199,7 @@ def _fill_rate(equations: Equations, rate: Matrix, turn: Rotation, step: Matrix)
     equations.residual[:, ATTITUDE] = angle / step - mean_rate - coning
     equations.d_next[:, ATTITUDE, ATTITUDE] = gradient
     equations.d_state[:, ATTITUDE, ATTITUDE] = -gradient @ turn.inv().as_matrix()
-    equations.d_constants[:, ATTITUDE, RATE_BIASES] = np.eye(3)
+    equations.d_constants[:, ATTITUDE, RATE_BIAS_CONSTANTS] = np.eye(3)
 
 
 def _fill_gust(equations: Equations, gust: Matrix, correlation: Vector) -> None:
@@ -214,11 +218,11 @@ def _fill_air_data(
     predicted[predicted[:, 0] < least_airspeed, 1:] = np.nan
     slopes = air_data_slopes(velocity, least_airspeed)
     by_ned = slopes @ path.attitude.as_matrix().mT
-    equations.residual[:, AIR_DATA] = predicted - measured
-    equations.d_state[:, AIR_DATA, VELOCITY] = by_ned
-    equations.d_state[:, AIR_DATA, ATTITUDE] = slopes @ cross_matrix(velocity)
-    equations.d_state[:, AIR_DATA, GUST] = -by_ned
-    equations.d_constants[:, AIR_DATA, WIND] = -by_ned[:, :, :2]
+    equations.residual[:, AIR_DATA_ROWS] = predicted - measured
+    equations.d_state[:, AIR_DATA_ROWS, VELOCITY] = by_ned
+    equations.d_state[:, AIR_DATA_ROWS, ATTITUDE] = slopes @ cross_matrix(velocity)
+    equations.d_state[:, AIR_DATA_ROWS, GUST] = -by_ned
+    equations.d_constants[:, AIR_DATA_ROWS, WIND_CONSTANTS] = -by_ned[:, :, :2]
 
 
 def _fill_velocity(
@@ -227,9 +231,9 @@ def _fill_velocity(
     """Set velocity at the end of its lag, less the one that GPS shows then."""
     rows, offset = _lagged_rows(sensors, path.constants[VELOCITY_LAG], delay)
     acceleration = path.attitude.apply(force) + GRAVITY
-    equations.residual[:, GPS] = path.velocity - sensors.velocity[rows] + offset * acceleration
-    equations.d_state[:, GPS, VELOCITY] = np.eye(3)
-    equations.d_constants[:, GPS, VELOCITY_LAG] = -acceleration
+    equations.residual[:, GPS_ROWS] = path.velocity - sensors.velocity[rows] + offset * acceleration
+    equations.d_state[:, GPS_ROWS, VELOCITY] = np.eye(3)
+    equations.d_constants[:, GPS_ROWS, VELOCITY_LAG] = -acceleration
 
 
 def _fill_attitude(
@@ -240,9 +244,11 @@ def _fill_attitude(
     angle = (path.attitude * sensors.attitude[rows].inv()).as_rotvec()
     angle[~sensors.attitude_sampled[rows]] = np.nan
     rate_ned = path.attitude.apply(rate)
-    equations.residual[:, ANGLES] = angle + offset * rate_ned
-    equations.d_state[:, ANGLES, ATTITUDE] = _log_gradient(-angle) @ path.attitude.as_matrix()
-    equations.d_constants[:, ANGLES, ATTITUDE_LAG] = -rate_ned
+    equations.residual[:, ATTITUDE_ROWS] = angle + offset * rate_ned
+    equations.d_state[:, ATTITUDE_ROWS, ATTITUDE] = (
+        _log_gradient(-angle) @ path.attitude.as_matrix()
+    )
+    equations.d_constants[:, ATTITUDE_ROWS, ATTITUDE_LAG] = -rate_ned
 
 
 def _lagged_rows(sensors: FlightSensors, lag: float, delay: int) -> tuple[Indices, Matrix]:

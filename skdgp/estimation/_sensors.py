@@ -24,10 +24,17 @@ from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
-FORCE = slice(0, 3)
-RATE = slice(3, 6)
-AIR = slice(6, 9)
-AIRSPEED = 6
+FORCE_READINGS = slice(0, 3)
+RATE_READINGS = slice(3, 6)
+AIR_READINGS = slice(6, 9)
+AIRSPEED = SENSORS.index("airspeed")
+"""Places of specific force, rates, air data and airspeed among the sensors."""
+READINGS_OF = {
+    "gyro": RATE_READINGS,
+    "accelerometer": FORCE_READINGS,
+    **{name: slice(AIRSPEED + k, AIRSPEED + k + 1) for k, name in enumerate(AIR_DATA)},
+}
+"""Readings of each sensor."""
 PATH_CHANNELS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, "airspeed")
 """Channels that a path needs; alpha and beta are optional."""
 
@@ -132,7 +139,7 @@ class FlightSensors(NamedTuple):
     def without_air_data(self) -> FlightSensors:
         """Return the sensors without airspeed, alpha and beta."""
         readings = self.readings.copy()
-        readings[:, AIR] = np.nan
+        readings[:, AIR_READINGS] = np.nan
         return self._replace(readings=readings)
 
     @property

@@ -1,4 +1,4 @@
-"""Settings of the three algorithms of state estimation, each number with its unit and source."""
+"""Settings of the algorithms of state estimation, each number with its unit and source."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ class PathSettings:
     delay_steps: int = 6
     # Gauss-Newton steps at most; trials
     max_steps: int = 40
+    # steps that change the noise in full; later ones ever less, so that the search does not oscillate; trials
+    full_steps: float = 10.0
     # fraction of a step that the next one takes back, above which steps are halved; trials
     overshoot: float = 0.5
     # largest change of the logarithm of a noise, and of a state in standard deviations, at the end
@@ -111,6 +113,8 @@ class AirSettings:
     rate_window: float = 0.05
     # least error of a sample of the airspeed [m/s]
     least_pitot_std: float = 0.1
+    # Gauss-Newton steps for the steady wind
+    wind_steps: int = 5
     # least noise of accelerometers and gyros [SI]
     least_noise: float = 1e-4
 
@@ -138,8 +142,9 @@ class AirSettings:
     last_passes: int = 15
     # factor of the standard deviations of such a search; trials on flights with vibration
     unfinished: float = 2.0
-    # damping of the first step, over the information (Levenberg 1944); a quarter in each next one
+    # damping of the first step, over the information (Levenberg 1944), and its factor from step to step
     first_damping: float = 0.3
+    less_damping: float = 0.25
     # factor of the fraction of a step that is taken, where steps turn back; least fraction; else
     shorter: float = 0.5
     least_fraction: float = 0.25
@@ -152,8 +157,10 @@ class AirSettings:
     noise_difference: float = 1e-3
     # damping of steps of the noises, over the information
     noise_damping: float = 0.02
-    # largest step of the logarithm of a noise
+    # largest step of the logarithm of a noise; factors of this limit where steps turn back, and else
     largest_noise_step: float = 0.7
+    shorter_noise_step: float = 0.5
+    longer_noise_step: float = 1.3
     # farthest that the logarithm of a noise moves from its prior mean, in standard deviations: noise of
     # slow sensors resembles fast gusts
     noise_reach: float = 2.0
@@ -178,6 +185,17 @@ class AirSettings:
     surface_error: float = 0.001
 
 
+@dataclass(frozen=True)
+class ServoSettings:
+    """Settings of the first-order lag of servos."""
+
+    # least lag [s], so that none divides by zero
+    least_lag: float = 1e-4
+    # difference of the lag in slopes by it [s]
+    lag_difference: float = 1e-4
+
+
 PATH_SETTINGS = PathSettings()
 LAG_SETTINGS = LagSettings()
 AIR_SETTINGS = AirSettings()
+SERVOS = ServoSettings()

@@ -10,8 +10,6 @@ from scipy.interpolate import CubicSpline
 from skdgp._compute.typing import Vector
 from skdgp._flight.clock import Clock, uniform_grid
 
-PADDING = 64  # continuation of a channel beyond both ends [samples]
-
 
 def without_lag(
     time: Vector, values: Vector, lag: float, flight: Any = None, *, noisy: bool, repeats: bool
@@ -64,7 +62,7 @@ def _advanced(values: Vector, steps: float) -> Vector:
     They are continued oddly beyond both ends, and the line between these is shifted by itself, so
     that the periodic signal is continuous (Oppenheim & Schafer 2010, section 4.5).
     """
-    margin = min(len(values) - 1, PADDING + int(np.ceil(abs(steps))))
+    margin = min(len(values) - 1, 64 + int(np.ceil(abs(steps))))
     padded = np.pad(values, margin, mode="reflect", reflect_type="odd")
     n = len(padded)
     slope = (padded[-1] - padded[0]) / (n - 1)

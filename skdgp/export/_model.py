@@ -97,7 +97,7 @@ class Regressor:
                 f"{list(self.columns)}: add them, or a column {self.name}."
             )
         columns = [np.asarray(table[name], dtype=float) for name in self.sources]
-        mixed = np.asarray(np.tensordot(self.factors, columns, 1))
+        mixed = np.tensordot(self.factors, columns, 1)
         if not self.power:
             return mixed
         airspeed = np.asarray(table["airspeed"], dtype=float)
@@ -257,7 +257,7 @@ class Part:
         squares[:, squares.shape[1] - n_functions :] += g**2 @ self.readout.root[self.used] ** 2
         explained = 2 * np.sqrt(_row_sum(half**2 * squares))
         epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + n_functions)
-        return np.asarray(epsilon * np.hypot(self.prior(p), explained))
+        return epsilon * np.hypot(self.prior(p), explained)
 
 
 def _batches(Z: Matrix, rows: int = 512) -> Iterator[slice]:

@@ -295,7 +295,7 @@ def _trend_prior(tau: Vector) -> Matrix:
 def _square_root(root: Matrix) -> Matrix:
     """Return a root R (k, k) with the same R R^T as a root of at least k columns."""
     triangle: Any = rq(root, mode="r")
-    return np.asarray(triangle)[:, -len(root) :]
+    return triangle[:, -len(root) :]
 
 
 def _exact(
@@ -344,7 +344,7 @@ def _sparse(posterior: SparsePosterior, tau: Matrix, variance: Vector) -> list[P
         n = len(of_trend)
         order = [*of_trend, *of_terms]
         w = posterior.weights[posterior.features.columns(i)][order]
-        root = np.array(rq(posterior.roots[i][order], mode="r"))
+        root = rq(posterior.roots[i][order], mode="r")
         trend_weights = np.zeros(tau.shape[1])
         trend_root = np.zeros((tau.shape[1], len(order)))
         if n:  # weights of the trend are in units of its prior

@@ -193,10 +193,11 @@ class _PartReduction:
         """Return the functions that the trend and the earlier ones do not represent, largest remainder first."""
         Q, _ = qr(trend, mode="economic")
         residual = functions - Q @ (Q.T @ functions)
-        _, R, order = qr(residual, mode="economic", pivoting=True)
+        factors: Any = qr(residual, mode="economic", pivoting=True)
+        _, R, order = factors
         remainder = np.abs(np.diag(R))
         n = int(np.sum(remainder > negligible * remainder.max(initial=0.0)))
-        return np.asarray(order[:n])
+        return order[:n]
 
     def _chosen(self, places: Indices) -> Iterator[tuple[Indices, Term]]:
         """Yield the rows of ``places`` (k, 2) in each term, and the term of these functions alone."""
@@ -243,7 +244,7 @@ class _PartReduction:
         root: Any = np.zeros((len(solved), size))
         root[:e, size - part.trend_root.shape[1] :] = part.trend_root
         root[:, size - explained.shape[1] :] += explained
-        root = np.asarray(rq(root, mode="r"))[:, -len(solved) :]
+        root = rq(root, mode="r")[:, -len(solved) :]
         terms = []
         for rows, term in self._chosen(places[order]):
             terms.append(replace(term, first=int(rows[0])))

@@ -20,6 +20,7 @@ from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
+from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import flight_regressors, regressor_names
 
 WHOLE = "whole"
@@ -135,9 +136,10 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     -------
     Changes
     """
-    loads = {"thrust": "auto", "external_forces": []} | model.get("options", {})
-    loads = {name: loads[name] for name in ("thrust", "external_forces")}
-    tables = usable_flights_of_model(model.pipeline, named_flights(flights))
+    options = options_of(model)
+    loads = {name: options[name] for name in ("thrust", "external_forces")}
+    named = named_flights(flights, servos=options.get("servos"))
+    tables = usable_flights_of_model(model.pipeline, named)
     samples = {}
     for name, table in tables.items():
         measured = aerodynamic_coefficients(table, model.aircraft, **loads).to_numpy()

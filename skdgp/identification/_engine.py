@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -13,17 +14,28 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp._compute.messages import without_warnings
-from skdgp._compute.typing import Indices, Matrix
+from skdgp._compute.typing import Matrix
 from skdgp.preprocessing import RegressorSelector
 
 # Regressors of a thrust that nothing gives
 ENGINE_REGRESSORS = ("throttle", "airspeed")
-# Least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
-LEAST_GAIN = 0.02
-# Fraction of the blocks, at least, in which it lowers the error; a guess
-MOST_BLOCKS = 0.6
-# Smaller errors of a linear model, over the spread, are equal
-LEAST_ERROR = 0.01
+
+
+@dataclass(frozen=True)
+class EngineSettings:
+    """Settings of the choice of regressors of an unknown thrust."""
+
+    # blocks of consecutive rows, which are held out in turn
+    n_blocks: int = 5
+    # least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
+    least_gain: float = 0.02
+    # fraction of the blocks, at least, in which it lowers the error; a guess
+    most_blocks: float = 0.6
+    # smaller errors of a linear model, over the spread, are equal
+    least_error: float = 0.01
+
+
+ENGINE = EngineSettings()
 
 
 class EngineRegressors(NamedTuple):
@@ -41,7 +53,10 @@ class EngineRegressors(NamedTuple):
 
 
 def engine_regressors(
-    selector: RegressorSelector, table: pd.DataFrame, targets: Any, n_blocks: int = 5
+    selector: RegressorSelector,
+    table: pd.DataFrame,
+    targets: Any,
+    settings: EngineSettings = ENGINE,
 ) -> EngineRegressors:
     """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
 
@@ -58,53 +73,56 @@ def engine_regressors(
         Flights before the selection.
     targets : array-like (n, P)
         Coefficients, NaN where not to be learned from.
-    n_blocks : int
+    settings : EngineSettings
     """
     everything = clone(selector).set_params(extra=[*selector.extra, "airspeed"])
     with without_warnings():
         names = list(everything.fit(table).regressors_)
     Y = np.asarray(targets, dtype=float)
-    everything_known = np.column_stack([table[names].to_numpy(float), Y])
-    is_learned = np.isfinite(everything_known).all(axis=1)
+    is_learned = np.isfinite(np.column_stack([table[names], Y])).all(axis=1)
     Y = Y[is_learned]
-    if len(Y) < n_blocks * len(names):  # too few to judge
+    if len(Y) < settings.n_blocks * len(names):  # too few to judge
         return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
     fixed = [name for name in names if name not in ENGINE_REGRESSORS]
     engine = [name for name in ENGINE_REGRESSORS if name in names]
-    blocks = np.arange(len(Y)) * n_blocks // len(Y)
-    choices = [choice for k in range(len(engine) + 1) for choice in combinations(engine, k)]
+    choices: list[tuple[str, ...]] = []
+    for size in range(len(engine) + 1):
+        choices += combinations(engine, size)
     errors = []
     for choice in choices:
         X = table.loc[is_learned, [*fixed, *choice]].to_numpy(float)
-        errors.append(_held_out_errors(X, Y, blocks))
-    needed = [choices[_best_choice(of_choices)] for of_choices in np.transpose(errors, (2, 0, 1))]
-    chosen = [name for name in names if name in fixed or any(name in each for each in needed)]
+        errors.append(_held_out_errors(X, Y, settings))
+    needed = []
+    for of_output in np.transpose(errors, (2, 0, 1)):
+        needed.append(choices[_best_choice(of_output, settings)])
+    unneeded = {*engine}.difference(*needed)
+    chosen = [name for name in names if name not in unneeded]
     without_effect = np.zeros((len(needed), len(chosen)), bool)
-    for output, each in enumerate(needed):
-        for place, name in enumerate(chosen):
-            without_effect[output, place] = name in engine and name not in each
+    for useless, choice in zip(without_effect, needed, strict=True):
+        useless[:] = np.isin(chosen, [name for name in engine if name not in choice])
     return EngineRegressors(chosen, without_effect)
 
 
-def _best_choice(errors: Matrix) -> int:
+def _best_choice(errors: Matrix, settings: EngineSettings) -> int:
     """Return the place of the best choice by errors (choices, blocks), which grow in size."""
     best = 0
     for place in range(1, len(errors)):
         gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
-        is_mostly_better = np.mean(errors[place] < errors[best]) >= MOST_BLOCKS
-        if gain > LEAST_GAIN and is_mostly_better:
+        is_mostly_better = np.mean(errors[place] < errors[best]) >= settings.most_blocks
+        if gain > settings.least_gain and is_mostly_better:
             best = place
     return best
 
 
-def _held_out_errors(X: Matrix, Y: Matrix, blocks: Indices) -> Matrix:
+def _held_out_errors(X: Matrix, Y: Matrix, settings: EngineSettings) -> Matrix:
     """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
     spread = np.std(Y, axis=0)
+    unit = np.where(spread > 0, spread, 1.0)
+    blocks = np.arange(len(Y)) * settings.n_blocks // len(Y)
     errors = []
-    for block in np.unique(blocks):
+    for block in range(settings.n_blocks):
         held_out = blocks == block
         model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
         residuals = model.predict(X[held_out]) - Y[held_out]
-        relative = np.sqrt(np.mean(residuals**2, axis=0)) / np.where(spread > 0, spread, 1.0)
-        errors.append(np.maximum(relative, LEAST_ERROR))
-    return np.array(errors)
+        errors.append(np.sqrt(np.mean(residuals**2, axis=0)) / unit)
+    return np.maximum(errors, settings.least_error)

@@ -12,7 +12,8 @@ from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, TRUTH_SU
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights
-from skdgp.identification._learn import LearnedModel, linear_terms, named_regressors
+from skdgp.identification._learn import LearnedModel
+from skdgp.identification._least_squares import linear_terms, named_regressors
 from skdgp.identification._pipeline import FlightPipeline, flight_regressors
 from skdgp.identification._prepare import Tables, regressor_columns, usable_flights
 from skdgp.report import Evaluation
@@ -24,7 +25,7 @@ STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
     notify(f"evaluating {name}")
-    loads = {key: model.settings[key] for key in ("thrust", "external_forces")}
+    loads = {key: model.options[key] for key in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, model.aircraft, **loads)
     regressors, noise_ratio = flight_regressors(model.pipeline, table)
     regressor = model.pipeline[-1]
@@ -33,7 +34,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     std = _interpolated_std(regressor, regressors, noise_ratio, rows)
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*table.columns}:  # from which the integration starts
-        horizon = min(model.settings["horizons"])
+        horizon = min(model.options["horizons"])
         replayed = replay(table, model.aircraft, mean, horizon=horizon, **loads)
     return Evaluation(
         name=name,
@@ -89,8 +90,8 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Tables:
     """
     check_identified(pipeline)
     regressors = pipeline["regressorselector"].regressors
-    learned = pd.DataFrame(columns=pipeline[0].feature_names_in_)
-    return usable_flights(flights, regressors, regressor_columns([learned], regressors))
+    of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
+    return usable_flights(flights, regressors, regressor_columns([of_fit], regressors))
 
 
 def check_identified(pipeline: Pipeline) -> None:

@@ -54,7 +54,7 @@ def named_flights(
         elif isinstance(item, str | os.PathLike):
             place = item
             table = read_flight(item, rename=rename)
-        parts = flights_of(table, f"{default} {number}", needed, what=what)
+        parts = split_flights(table, f"{default} {number}", needed, what=what)
         if key and len(parts) != 1:
             raise ValueError(
                 f"Got {len(parts)} flights in the table {key!r}, but expected one for each name."
@@ -79,7 +79,7 @@ def items_of(flights: Any) -> list:
     return list(flights) if isinstance(flights, list | tuple) else [flights]
 
 
-def flights_of(
+def split_flights(
     table: Any, default: str = "flight", needed: Sequence[str] = (), *, what: str = "flight"
 ) -> Flights:
     """Return each flight of a table, in their order; raise ValueError at a table that is none of flights."""

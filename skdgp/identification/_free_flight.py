@@ -16,7 +16,7 @@ from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.clock import n_rows
 from skdgp._flight.frames import wrapped
 from skdgp._flight.smoothing import noise_level
-from skdgp._flight.tables import FlightTable, unwrapped
+from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -63,38 +63,23 @@ class Part:
     flown: pd.DataFrame
 
 
-def simulation_errors(
-    pipeline: Pipeline | Aerodynamics,
-    aircraft: Aircraft,
-    tables: Sequence[pd.DataFrame],
-    settings: Mapping[str, Any],
-    constants: FreeFlightSettings = SETTINGS,
-) -> pd.DataFrame:
-    """Return how long a simulation with the recorded controls follows flights from their measured states, by state.
-
-    It flies in the estimated wind and gusts, else in still air, and is started again every longest
-    horizon. Columns: ``spread``, the standard deviation in the flights; ``limit``,
-    `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that is
-    more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error passes
-    the limit, at most ``horizon``; ``lasts_without_gusts``, the same for the part of the error that
-    ``gusts`` [m/s], where they are not estimated, do not explain. Raises ValueError if it cannot be
-    simulated.
-    """
-    return FreeFlight(pipeline, aircraft, tables, settings, constants).errors()
-
-
 class FreeFlight:
-    """Simulations of parts of test flights, spread over the flights; arguments as of `simulation_errors`."""
+    """Simulations of parts of test flights with the recorded controls, from their measured states.
+
+    They fly in the estimated wind and gusts, else in still air, and start again every longest
+    horizon. ``options`` are of `identify`: thrust, external_forces and horizons. Raises ValueError
+    if the flights cannot be simulated.
+    """
 
     def __init__(
         self,
         pipeline: Pipeline | Aerodynamics,
         aircraft: Aircraft,
         tables: Sequence[pd.DataFrame],
-        settings: Mapping[str, Any],
-        constants: FreeFlightSettings = SETTINGS,
+        options: Mapping[str, Any],
+        settings: FreeFlightSettings = SETTINGS,
     ) -> None:
-        loads = settings["external_forces"]
+        loads = options["external_forces"]
         if loads:
             raise ValueError(f"the flights have loads that a simulation lacks: {', '.join(loads)}")
         common = set.intersection(*map(set, tables))
@@ -106,12 +91,19 @@ class FreeFlight:
         self.model = as_aerodynamics(pipeline)
         self.aircraft = aircraft
         self.tables = tables
-        self.thrust = settings["thrust"]
-        self.constants = constants
-        self.parts = _parts(tables, max(settings["horizons"]), constants)
+        self.thrust = options["thrust"]
+        self.settings = settings
+        self.parts = _parts(tables, max(options["horizons"]), settings)
 
     def errors(self) -> pd.DataFrame:
-        """Return the errors of each state, see `simulation_errors`."""
+        """Return how long the simulations follow the flights, by state.
+
+        Columns: ``spread``, the standard deviation in the flights; ``limit``,
+        `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that
+        is more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error
+        passes the limit, at most ``horizon``; ``lasts_without_gusts``, the same for the part of the
+        error that ``gusts`` [m/s], where they are not estimated, do not explain.
+        """
         flown = self._simulated(self.model, self.parts)
         simulated = _by_state(flown, len(self.parts))
         elapsed = flown["time"].to_numpy()[: simulated.shape[-1]]
@@ -124,7 +116,8 @@ class FreeFlight:
         if turbulence is not None:
             by_gusts = self._squares_by(turbulence, simulated)
             gusts = float(np.sqrt(np.mean(np.square(turbulence.intensity))))
-        edges = np.unique(np.arange(self.constants.parts) * len(elapsed) // self.constants.parts)
+        n_parts = self.settings.parts
+        edges = np.unique(np.arange(n_parts) * len(elapsed) // n_parts)
         total = _means_between(squares, edges)
         explained = _means_between(by_gusts, edges)
         ends = np.append(elapsed[edges], elapsed[-1])
@@ -145,7 +138,7 @@ class FreeFlight:
         mean = self._simulated(self.model, [middle])
         paths = mean
         if self.model.is_uncertain:
-            n_paths = self.constants.shown_paths
+            n_paths = self.settings.shown_paths
             paths = self._simulated(self.model, [middle], n_paths=n_paths)
         columns = [name for name in SHOWN_STATES if name in middle.flown]
         return TimeHistoryDisplay.from_trajectories(
@@ -172,7 +165,7 @@ class FreeFlight:
 
     def _squares_by(self, turbulence: Turbulence, simulated: Array) -> Array:
         """Return the mean squares (n_states, n_times) by which drawn gusts move the simulations."""
-        n_paths = max(1, self.constants.most_starts // len(self.parts))
+        n_paths = max(1, self.settings.most_starts // len(self.parts))
         model = _mean_alone(self.model)
         drawn = self._simulated(model, self.parts, turbulence, n_paths=n_paths)
         paths = _by_state(drawn, n_paths * len(self.parts)).reshape(n_paths, *simulated.shape)
@@ -198,7 +191,7 @@ class FreeFlight:
                 self.aircraft,
                 starts,
                 inputs,
-                dt=self.constants.step,
+                dt=self.settings.step,
                 duration=min(float(table["time"].iloc[-1]) for table in inputs),
                 thrust=self.thrust,
                 air=air,
@@ -213,7 +206,7 @@ def _at(elapsed: Vector, part: pd.DataFrame) -> Array:
 
 def _by_state(flown: pd.DataFrame, n_runs: int) -> Array:
     """Return simulated states (n_runs, n_states, n_times)."""
-    values = flown[list(STATES)].to_numpy()
+    values = numeric(flown, STATES)
     return values.reshape(n_runs, -1, len(STATES)).swapaxes(1, 2)
 
 
@@ -244,14 +237,8 @@ def _first_beyond(squares: Array, limit: Vector, ends: Vector) -> Vector:
 
 def _mean_alone(model: Aerodynamics) -> Aerodynamics:
     """Return the model without its uncertainty: its paths differ by the gusts alone."""
-    certain: dict[str, Any] = dict.fromkeys(("drift", "expected_errors", "function_errors"))
-    return replace(
-        model,
-        function=model,
-        slopes=model.gradient,
-        sampler=lambda n_paths, random_state: (model, model.gradient),
-        **certain,
-    )
+    mean = model.with_function(model, model.gradient)
+    return replace(mean, sampler=lambda n_paths, random_state: (model, model.gradient))
 
 
 def _knows_wind(table: pd.DataFrame) -> bool:
@@ -260,7 +247,7 @@ def _knows_wind(table: pd.DataFrame) -> bool:
 
 
 def _parts(
-    tables: Sequence[pd.DataFrame], horizon: float, constants: FreeFlightSettings
+    tables: Sequence[pd.DataFrame], horizon: float, settings: FreeFlightSettings
 ) -> list[Part]:
     """Return parts of flights without gaps, of nearly equal length, spread over the flights."""
     segments: list[pd.DataFrame] = []
@@ -268,16 +255,16 @@ def _parts(
         segments += _segments(table)
     lengths = [np.ptp(segment["time"]) for segment in segments]
     if segments:
-        horizon = min(horizon, float(np.median(lengths)) - constants.start / 2)
+        horizon = min(horizon, float(np.median(lengths)) - settings.start / 2)
     parts: list[Part] = []
-    if horizon > 2 * constants.step:
+    if horizon > 2 * settings.step:
         for segment in segments:
-            parts += _parts_of(segment, horizon, constants)
+            parts += _parts_of(segment, horizon, settings)
     if not parts:
         raise ValueError(
             f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
         )
-    n = min(constants.most_starts, len(parts))
+    n = min(settings.most_starts, len(parts))
     chosen = np.linspace(0, len(parts) - 1, n).round().astype(int)
     return [parts[k] for k in np.unique(chosen)]
 
@@ -292,15 +279,15 @@ def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
 
 
 def _parts_of(
-    segment: pd.DataFrame, horizon: float, constants: FreeFlightSettings
+    segment: pd.DataFrame, horizon: float, settings: FreeFlightSettings
 ) -> Iterator[Part]:
     """Yield the parts of a segment whose states are known; the start is the mean state around the first row."""
-    half_start = constants.start / 2
+    half_start = settings.start / 2
     time = segment["time"].to_numpy(float)
-    last = time[-1] - constants.least_part * horizon
+    last = time[-1] - settings.least_part * horizon
     for begin in np.arange(time[0] + half_start, last, horizon):
         flown = segment[(time >= begin) & (time <= begin + horizon)]
-        if len(flown) < 3 or not np.isfinite(flown[[*STATES]].to_numpy(float)).all():
+        if len(flown) < 3 or not np.isfinite(numeric(flown, STATES)).all():
             continue
         names = [*STATES, "psi"] if _knows_wind(segment) else [*STATES]
         first = flown["time"].iloc[0]

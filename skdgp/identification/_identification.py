@@ -30,10 +30,10 @@ from skdgp.identification._model_file import save_model
 from skdgp.identification._summary import (
     air_of,
     assumption_lines,
-    extent_of,
     facts_of_fit,
     fit_lines,
     group_means,
+    sampling_of,
     score_lines,
     verdict_lines,
 )
@@ -132,8 +132,8 @@ class Identification:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
         tests = {}
         for flight in self.evaluations:
-            extent = extent_of(flight.table) | {"samples_with_std": len(flight.rows)}
-            tests[flight.name] = extent | _score_metrics(flight.scores)
+            sampling = sampling_of(flight.table) | {"samples_with_std": len(flight.rows)}
+            tests[flight.name] = sampling | _score_metrics(flight.scores)
         metrics = {
             "format": FORMAT,
             "created": self.created,
@@ -143,7 +143,7 @@ class Identification:
             "options": self.settings,
             "held_out": self.held_out,
             "fit": self.fit.to_dict(),
-            "train": {name: extent_of(table) for name, table in self.train.items()},
+            "train": {name: sampling_of(table) for name, table in self.train.items()},
             "test": tests,
             "test_together": _score_metrics(scores(self.evaluations)),
             "verdict": self.verdict.to_dict(),

@@ -16,6 +16,7 @@ from skdgp.identification._evaluate import evaluate, usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._learn import LearnedModel, checked_regressor, fit_record, learn
+from skdgp.identification._model_file import options_of
 from skdgp.identification._prepare import as_aircraft, assumptions, prepare
 from skdgp.report import TrainingRecord
 
@@ -111,7 +112,7 @@ def identify(
         prepared = prepare(
             flights, test, aircraft, regressors=regressors, reading=reading or {}, **loads
         )
-        record.ignore(*prepared.repeated)
+        record.ignore(*prepared.ignored)
         model = learn(
             prepared,
             regressors=regressors,
@@ -125,7 +126,7 @@ def identify(
         title=f"{model.aircraft.name}: aerodynamic coefficients",
         aircraft=model.aircraft,
         pipeline=model.pipeline,
-        settings=model.settings,
+        settings=model.options,
         fit=model.fit,
         train=prepared.train,
         evaluations=evaluations,
@@ -164,10 +165,10 @@ def validate(
     Identification
         Without training flights.
     """
-    settings = {"thrust": "auto", "external_forces": []} | model.get("options", {}) | loads
-    settings["horizons"] = list(horizons)
+    options = options_of(model) | loads
+    options["horizons"] = list(horizons)
     reading = dict(reading or {})
-    reading["servos"] = reading.get("servos") or settings.get("servos")
+    reading["servos"] = reading.get("servos") or options.get("servos")
     with recorded_warnings() as record:
         notify("reading")
         tables = usable_flights_of_model(model.pipeline, named_flights(flights, **reading))
@@ -176,19 +177,19 @@ def validate(
         for name in tables.keys() & set(model.get("flights", [])):
             report(Finding(Code.ALREADY_LEARNED, flight=name), stacklevel=2)
         training = TrainingRecord.from_dict(model.get("fit", {}))
-        learned = LearnedModel(
+        judged = LearnedModel(
             pipeline=model.pipeline,
             aircraft=as_aircraft(model.aircraft if aircraft is None else aircraft),
             fit=fit_record(model.pipeline, training),
-            settings=settings,
+            options=options,
         )
-        evaluations = [evaluate(name, table, learned) for name, table in tables.items()]
+        evaluations = [evaluate(name, table, judged) for name, table in tables.items()]
     return Identification(
-        title=f"{learned.aircraft.name}: a model on other flights",
-        aircraft=learned.aircraft,
-        pipeline=learned.pipeline,
-        settings=settings,
-        fit=learned.fit,
+        title=f"{judged.aircraft.name}: a model on other flights",
+        aircraft=judged.aircraft,
+        pipeline=judged.pipeline,
+        settings=options,
+        fit=judged.fit,
         train={},
         evaluations=evaluations,
         findings=tuple(record.findings),

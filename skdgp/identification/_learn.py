@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     COEFFICIENTS,
@@ -26,6 +25,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification._least_squares import fit_least_squares, named_regressors
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
@@ -38,6 +38,21 @@ from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 from skdgp.report import Extent, FitRecord, TrainingRecord
 
 
+@dataclass(frozen=True)
+class RowSettings:
+    """How many rows of the flights a model is learned from by default."""
+
+    #: Of exact inference, which takes a minute
+    exact: int = 755
+    #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
+    rate: float = 10.0
+    #: Most rows, of long flights
+    most: int = 5000
+
+
+ROWS = RowSettings()
+
+
 @dataclass(frozen=True, kw_only=True)
 class LearnedModel:
     """A fitted model of an aircraft.
@@ -47,14 +62,14 @@ class LearnedModel:
     pipeline, aircraft : Pipeline, Aircraft
         The aircraft with the deviations that the flights leave it.
     fit : FitRecord
-    settings : dict
+    options : dict
         Options of the identification, given or chosen, and ``horizons`` of the evaluation.
     """
 
     pipeline: FlightPipeline
     aircraft: Aircraft
     fit: FitRecord
-    settings: dict[str, Any]
+    options: dict[str, Any]
 
 
 def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
@@ -90,13 +105,13 @@ def learn(
     began = time.monotonic()
     # a list of regressors is the user's choice
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
-    X = pipeline.fit_regressors(table, targets, choose_engine=choose_engine)
-    seconds = round(time.monotonic() - began, 3)
+    X = pipeline.fit_and_transform(table, targets, choose_engine=choose_engine)
+    is_target = targets.notna()
     training = TrainingRecord(
-        samples=int(targets.notna().any(axis=1).sum()),
+        samples=int(is_target.any(axis=1).sum()),
         samples_available=int(Y.notna().any(axis=1).sum()),
-        values=int(targets.notna().to_numpy().sum()),
-        seconds=seconds,
+        values=int(is_target.to_numpy().sum()),
+        seconds=round(time.monotonic() - began, 3),
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
@@ -114,23 +129,8 @@ def learn(
         pipeline=pipeline,
         aircraft=aircraft,
         fit=fit,
-        settings=_settings(flights, pipeline, training.samples, horizons),
+        options=_options(flights, pipeline, training.samples, horizons),
     )
-
-
-@dataclass(frozen=True)
-class RowSettings:
-    """How many rows of the flights a model is learned from by default."""
-
-    #: Of exact inference, which takes a minute
-    exact: int = 755
-    #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
-    rate: float = 10.0
-    #: Most rows, of long flights
-    most: int = 5000
-
-
-ROWS = RowSettings()
 
 
 def _n_rows(
@@ -173,13 +173,13 @@ def _pipeline_for(
     return pipeline
 
 
-def _settings(
+def _options(
     flights: PreparedFlights, pipeline: Pipeline, samples: int, horizons: Sequence[float]
 ) -> dict[str, Any]:
     """Return the options of an identification, given or chosen."""
     regressor = pipeline[-1]
     reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
-    settings = {
+    chosen = {
         "samples": samples,
         **flights.loads,
         "inference": regressor.inference,
@@ -196,8 +196,8 @@ def _settings(
         "lags": pipeline["lagcorrector"].lags,
     }
     if flights.has_full_throws:
-        settings["servos"] = flights.servos
-    return settings
+        chosen["servos"] = flights.servos
+    return chosen
 
 
 def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
@@ -255,33 +255,3 @@ def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[s
 
 def _by_coefficient(values: Vector) -> dict[str, float]:
     return dict(zip(COEFFICIENTS, np.asarray(values, float).tolist(), strict=True))
-
-
-def fit_least_squares(
-    pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame
-) -> dict[str, dict[str, float]]:
-    """Return intercept and slopes of each coefficient (n, 6) by least squares, where it is observed.
-
-    ``regressors`` (n, d) are inputs of the last step; the slopes are in the units before the scaler
-    of the pipeline.
-    """
-    table = named_regressors(pipeline, regressors)
-    fitted: dict[str, dict[str, float]] = {}
-    for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
-        is_observed = np.isfinite(y)
-        linear = LinearRegression().fit(table[is_observed], y[is_observed])
-        slopes = dict(zip(map(str, table), linear.coef_.tolist(), strict=True))
-        fitted[coefficient] = {"intercept": float(linear.intercept_), **slopes}
-    return fitted
-
-
-def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Matrix]:
-    """Return intercepts (6,) and slopes (d, 6) of `fit_least_squares`."""
-    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
-    return table.loc["intercept"].to_numpy(), table.drop("intercept").to_numpy()
-
-
-def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
-    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    columns = pipeline["standardscaler"].inverse_transform(regressors)
-    return pd.DataFrame(columns, columns=regressor_names(pipeline))

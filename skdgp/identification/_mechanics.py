@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -14,19 +13,22 @@ from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import without_warnings
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, RATES
 from skdgp.dynamics import (
+    ATTITUDE,
+    VELOCITY,
     Aerodynamics,
     Air,
     Aircraft,
     LinearModel,
-    Trim,
+    air_velocity,
     as_aerodynamics,
+    euler_to_quaternion,
     frequency_response,
     linearize,
     stability_derivatives,
     trim,
 )
 from skdgp.identification._free_flight import FreeFlight
-from skdgp.identification._learn import linear_terms
+from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._pipeline import reconstruction_of
 from skdgp.plotting import FrequencyDisplay
 from skdgp.preprocessing import ElevonSplitter
@@ -41,7 +43,7 @@ def flight_mechanics(
     aircraft: Aircraft,
     train: Sequence[pd.DataFrame],
     test: Sequence[pd.DataFrame],
-    settings: dict,
+    options: Mapping[str, Any],
     training: TrainingRecord | None = None,
 ) -> FlightMechanics:
     """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
@@ -57,37 +59,40 @@ def flight_mechanics(
         flown = pd.concat(train or test).median(numeric_only=True)
     least_squares = None if training is None else training.least_squares
     airspeed = float(flown["airspeed"])
-    thrust = settings["thrust"]
+    thrust = options["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
+    state, controls = _median_state(flown)
     results: dict[str, Any] = {}
     notes = []
-    state_and_inputs: tuple = _median_state(flown)
+    steady: Any = None
     try:
         climb = None if thrust is None else 0.0
-        results["trim"] = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
-        state_and_inputs = (results["trim"],)
+        steady = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
+        state, controls = steady.state, steady.controls
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
     try:
-        results |= _derivatives(
-            pipeline, aircraft, state_and_inputs, conditions, least_squares, test
-        )
+        point = aircraft, state, controls
+        results = _derivatives(pipeline, point, conditions, least_squares)
+        if steady is not None:
+            results |= _small_motion(pipeline, point, conditions, test)
     except ValueError as error:
+        results = {}
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
-    results |= _simulations(pipeline, aircraft, test, settings)
-    return FlightMechanics(notes=tuple(notes), **results)
+    results |= _simulations(pipeline, aircraft, test, options)
+    return FlightMechanics(trim=steady, notes=tuple(notes), **results)
 
 
 def _simulations(
     pipeline: Pipeline | Aerodynamics,
     aircraft: Aircraft,
     test: Sequence[pd.DataFrame],
-    settings: dict,
+    options: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return errors of simulations of test flights and one of these, or why there is none."""
     try:
         flown_states = [reconstructed(pipeline, table) for table in test]
-        free = FreeFlight(pipeline, aircraft, flown_states, settings)
+        free = FreeFlight(pipeline, aircraft, flown_states, options)
         return {"simulation": free.errors(), "simulated": free.example()}
     except ValueError as error:
         finding = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
@@ -98,33 +103,40 @@ def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
     """Return the median state with level wings, and the median inputs."""
     alpha = float(flown.get("alpha", 0.0))
     state = np.zeros(13)
-    state[3] = flown["airspeed"] * np.cos(alpha)
-    state[5] = flown["airspeed"] * np.sin(alpha)
-    state[6] = 1.0
+    state[VELOCITY] = air_velocity(flown["airspeed"], alpha, 0.0)
+    state[ATTITUDE] = euler_to_quaternion(0.0, 0.0, 0.0)
     return state, {str(name): float(value) for name, value in flown.items()}
+
+
+# Aircraft, state and controls
+Point: TypeAlias = tuple[Aircraft, np.ndarray, Mapping[str, float]]
 
 
 def _derivatives(
     pipeline: Pipeline | Aerodynamics,
-    aircraft: Aircraft,
-    state_and_inputs: tuple,
-    conditions: dict[str, Any],
+    point: Point,
+    conditions: Mapping[str, Any],
     least_squares: Mapping[str, Mapping[str, float]] | None,
-    test: Sequence[pd.DataFrame],
 ) -> dict[str, Any]:
-    """Return derivatives of the model and of least squares; at a trim also modes and frequency responses."""
-    point = aircraft, *state_and_inputs
+    """Return derivatives of the model, and of least squares where they are known."""
     results: dict[str, Any] = {"derivatives": stability_derivatives(pipeline, *point, **conditions)}
     if least_squares is not None:
         linear = stability_derivatives(_linear(pipeline, least_squares), *point, **conditions)
         results["least_squares"] = linear[["value"]]
-    if isinstance(state_and_inputs[0], Trim):
-        # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
-        n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
-        small_motion = linearize(pipeline, *point, n_paths=n_paths, **conditions)
-        results["modes"] = small_motion.modes()
-        results |= _frequency_responses(small_motion, test)
     return results
+
+
+def _small_motion(
+    pipeline: Pipeline | Aerodynamics,
+    trimmed: Point,
+    conditions: Mapping[str, Any],
+    test: Sequence[pd.DataFrame],
+) -> dict[str, Any]:
+    """Return modes and frequency responses about a trim."""
+    # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
+    n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
+    linear = linearize(pipeline, *trimmed, n_paths=n_paths, **conditions)
+    return {"modes": linear.modes(), **_frequency_responses(linear, test)}
 
 
 def _frequency_responses(linear: LinearModel, test: Sequence[pd.DataFrame]) -> dict[str, Any]:
@@ -154,16 +166,10 @@ def _linear(
     pipeline: Pipeline | Aerodynamics, fitted: Mapping[str, Mapping[str, float]]
 ) -> Aerodynamics:
     """Return the linear model of the same rows."""
-    model = as_aerodynamics(pipeline)
     intercepts, slopes = linear_terms(fitted)
-    unknown: dict[str, Any] = dict.fromkeys(
-        ("sampler", "drift", "expected_errors", "function_errors", "perturbation", "averaged")
-    )
-    return replace(
-        model,
-        function=lambda X: intercepts + X @ slopes,
-        slopes=lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
-        **unknown,
+    return as_aerodynamics(pipeline).with_function(
+        lambda X: intercepts + X @ slopes,
+        lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
     )
 
 

@@ -34,6 +34,11 @@ LONGEST_CLOSING = 2**14
 MATTERS = ("skdgp", "scikit-learn", "numpy")
 
 
+def options_of(model: Bunch) -> dict[str, Any]:
+    """Return the options that a model was identified with; of another one its thrust is found in the flights."""
+    return {"thrust": "auto", "external_forces": []} | model.get("options", {})
+
+
 class ModelFileError(ValueError):
     """A file could not be read as a model."""
 

@@ -213,41 +213,52 @@ class FlightPipeline(Pipeline):
             super().fit(X, y, **params)
             self._learn_turbulence(X)
         else:
-            self.fit_regressors(X, y, **params)
+            self.fit_and_transform(X, y, **params)
         return self
 
-    def fit_regressors(
+    def fit_and_transform(
         self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False, **params: Any
     ) -> Matrix:
-        """Fit with ``params`` of the last step, and return the regressors (n, d) that its steps made of the flights.
+        """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.
 
         ``choose_engine``: of throttle and airspeed the set of regressors gets those of
         `engine_regressors`.
         """
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        place = list(self.named_steps).index("regressorselector")
-        before = self[:place]
-        made = before.fit_transform(X, y)
-        without_effect = None
-        if choose_engine:
-            choice = engine_regressors(self[place], made, y)
-            self.set_params(regressorselector__regressors=choice.names)
-            without_effect = choice.without_effect
-        steps = self[place:-1]
-        transformed = np.asarray(steps.fit_transform(made, y))
-        self.steps = [*before.steps, *steps.steps, (name, last)]  # a memory fits clones
-        of_air = self._slopes_of_air(transformed, y)
+        regressors, without_effect = self._fit_transforms(X, y, choose_engine)
+        of_air = self._slopes_of_air(regressors, y)
         slopes = self._known_slopes(of_air, without_effect)
-        last.fit(transformed, y, **slopes | self._clock(X) | parameters)
+        last.fit(regressors, y, **slopes | self._clock(X) | parameters)
         self.calibration_ = None
         if of_air is not None:
-            residuals = np.asarray(y, dtype=float) - last.predict(transformed)
+            residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = RegressionCalibration.of_residuals(
-                transformed, residuals, without_effect
+                regressors, residuals, without_effect
             )
         self._learn_turbulence(X)
-        return transformed
+        return regressors
+
+    def _fit_transforms(
+        self, X: pd.DataFrame, y: Any, choose_engine: bool
+    ) -> tuple[Matrix, Matrix | None]:
+        """Fit all steps but the last; return the regressors (n, d), and which are of no use to an output (P, d).
+
+        The latter is None without a choice of the regressors of an engine.
+        """
+        place = list(self.named_steps).index("regressorselector")
+        before = self[:place]
+        flights = before.fit_transform(X, y)
+        without_effect = None
+        if choose_engine:
+            choice = engine_regressors(self[place], flights, y)
+            self.set_params(regressorselector__regressors=choice.names)
+            without_effect = choice.without_effect
+        behind = self[place:-1]
+        regressors = np.asarray(behind.fit_transform(flights, y))
+        # with a ``memory``, clones of the steps were fitted
+        self.steps = [*before.steps, *behind.steps, self.steps[-1]]
+        return regressors, without_effect
 
     def _known_slopes(
         self, slopes: KnownSlopes | None, without_effect: Matrix | None

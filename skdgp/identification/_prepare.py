@@ -30,7 +30,7 @@ from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import find_contradictions
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, numeric
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -52,7 +52,7 @@ ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depen
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
 
-# warnings of later steps about the same faults, and about constant regressors, which they number
+# findings of this stage that later steps repeat: faults, and constant regressors, which they number
 REPEATED = (
     Code.FAULTS_BRIDGED,
     Code.FAULTS_EXCLUDED,
@@ -99,8 +99,8 @@ class PreparedFlights:
         return pd.concat(self.train.values(), ignore_index=True)
 
     @property
-    def repeated(self) -> tuple[Code, ...]:
-        """Findings that this stage has reported, or that do not apply, when later steps meet them."""
+    def ignored(self) -> tuple[Code, ...]:
+        """Findings of later steps that are left out: those of `REPEATED`, and large angles of full throws."""
         return (*REPEATED, Code.LARGE_SURFACES) if self.has_full_throws else REPEATED
 
 
@@ -120,20 +120,20 @@ def prepare(
     """
     aircraft = as_aircraft(aircraft)
     servos = servos_for(reading.get("servos"), flights, test, regressors=regressors)
-    options = {**reading, "servos": servos, "needed": MEASURED}
-    train = named_flights(flights, **options)
+    options = {**reading, "servos": servos}
+    train = named_flights(flights, needed=MEASURED, **options)
     check_controls(train, regressors)
     if test is None:
-        train, tested = held_out(train)
+        train, tested = without_last(train)
     else:
-        tested = named_flights(test, default="test flight", **options)
+        tested = named_flights(test, default="test flight", needed=MEASURED, **options)
         for name in train.keys() & tested.keys():
             report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
     columns = regressor_columns([flight.table for flight in train.values()], regressors)
     learned = usable_flights(train, regressors, columns)
     evaluated = usable_flights(tested, regressors, columns)
-    without_thrust = lacks_thrust(thrust, learned.values(), aircraft)
-    if without_thrust:
+    lacks_thrust = not _gives_thrust(thrust, learned.values(), aircraft)
+    if lacks_thrust:
         report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
         thrust = None
     if thrust is None:
@@ -144,7 +144,7 @@ def prepare(
         aircraft=aircraft,
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},
-        lacks_thrust=without_thrust,
+        lacks_thrust=lacks_thrust,
     )
     if prepared.has_full_throws:
         report(Finding(Code.FULL_THROWS), stacklevel=3)
@@ -206,7 +206,7 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
         report(Finding(Code.NO_ELEVATOR), stacklevel=2)
 
 
-def held_out(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flights, Flights]:
+def without_last(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flights, Flights]:
     """Return training and test flights: the last of several is held out, or the last quarter of a single one."""
     *earlier, last = flights
     if earlier:
@@ -266,10 +266,9 @@ def _complete_rows(
 ) -> pd.DataFrame:
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
     columns = regressor_columns([table], regressors)
-    missing = table[columns].apply(lambda column: ~np.isfinite(column.to_numpy(float)))
+    missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), table.index, columns)
     complete = table[~missing.any(axis=1)]
-    counts = missing.sum()
-    counts = counts[counts > 0].to_dict()
+    counts = {name: n for name, n in missing.sum().to_dict().items() if n}
     if complete.empty:
         raise ValueError(
             f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "
@@ -294,16 +293,16 @@ def _complete_rows(
     return complete.iloc[continuous].reset_index(drop=True)
 
 
-def lacks_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
-    """Return whether nothing gives the thrust of any flight, but a throttle explains it."""
+def _gives_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
+    """Return False where nothing gives the thrust of any flight, but a throttle explains it."""
     if thrust != "auto":
-        return False
+        return True
     for table in tables:
         has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
         has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
         if has_thrust or has_propeller or "throttle" not in table:
-            return False
-    return True
+            return True
+    return False
 
 
 def warn_of_engine(flights: Tables, regressors: str | Sequence[str]) -> None:

@@ -33,7 +33,7 @@ def group_means(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(means).T
 
 
-def extent_of(table: pd.DataFrame) -> dict[str, float]:
+def sampling_of(table: pd.DataFrame) -> dict[str, float]:
     """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
     time = table["time"].to_numpy(float)
     step = np.median(np.diff(time)) if len(time) > 1 else np.nan
@@ -124,7 +124,7 @@ def facts_of_fit(
     aircraft: Aircraft,
     pipeline: Pipeline,
     fit: FitRecord,
-    settings: Mapping[str, Any],
+    options: Mapping[str, Any],
     train: Mapping[str, pd.DataFrame],
     tested: Mapping[str, pd.DataFrame],
 ) -> dict[str, str]:
@@ -145,12 +145,12 @@ def facts_of_fit(
     if fit.training is not None:
         facts["Samples"] = f"{fit.training.samples:,} of {fit.training.samples_available:,}"
         facts["Time of the fit"] = f"{fit.training.seconds:.1f} s"
-    sources = thrust_sources(settings["thrust"], [*train.values(), *tested.values()])
+    sources = thrust_sources(options["thrust"], [*train.values(), *tested.values()])
     facts["Thrust"] = " or ".join([THRUSTS[name] for name in sources])
     if fit.reconstruction is not None:
         facts["Flight paths"] = text_of(fit.reconstruction)
     facts["Lags"] = _lags(fit)
-    facts["Other loads"] = ", ".join(settings["external_forces"])
+    facts["Other loads"] = ", ".join(options["external_forces"])
     if fit.interrupted:
         facts["Fit"] = "interrupted; this is the best model until then"
     facts["Versions"] = ", ".join(f"{name} {n}" for name, n in software_versions().items())
@@ -176,8 +176,8 @@ def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
     """Return flights with their durations and rates."""
     parts = []
     for name, table in flights.items():
-        extent = extent_of(table)
-        parts.append(f"{name} ({extent['duration']:.4g} s at {extent['sample_rate']:.3g} Hz)")
+        sampling = sampling_of(table)
+        parts.append(f"{name} ({sampling['duration']:.4g} s at {sampling['sample_rate']:.3g} Hz)")
     return ", ".join(parts)
 
 

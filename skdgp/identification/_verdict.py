@@ -147,12 +147,12 @@ def _is_failure(doubt: Finding) -> bool:
 
 def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[str, str]:
     """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
-    missing = {}
+    by_construction = {}
     for coefficient, vane in VANES_OF.items():
-        lacking = [vane not in flight.table for flight in evaluations]
-        if vane in fit.regressors and all(lacking):
-            missing[coefficient] = vane
-    return missing
+        is_measured = any(vane in flight.table for flight in evaluations)
+        if vane in fit.regressors and not is_measured:
+            by_construction[coefficient] = vane
+    return by_construction
 
 
 def _not_varying(evaluations: Sequence[Evaluation]) -> list[str]:
@@ -218,30 +218,30 @@ def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
     return Use(purpose, fit, (Finding(code, numbers=numbers),))
 
 
-def _prediction(table: pd.DataFrame, missing: dict[str, str], unvarying: list[str]) -> Use:
+def _prediction(table: pd.DataFrame, lacking_vane: dict[str, str], unvarying: list[str]) -> Use:
     """Return whether the model predicts coefficients, of which some cannot be judged.
 
-    ``missing``: coefficients that lack a vane; ``unvarying``: those that do not vary, without a row.
+    ``lacking_vane``: coefficients and their vanes; ``unvarying``: those that do not vary, without a row.
     """
     purpose = "predict coefficients"
     unjudged = []
-    missing = {name: vane for name, vane in missing.items() if name not in unvarying}
-    if missing:
-        numbers = {"names": list(missing), "vanes": list(missing.values())}
+    lacking_vane = {name: vane for name, vane in lacking_vane.items() if name not in unvarying}
+    if lacking_vane:
+        numbers = {"names": list(lacking_vane), "vanes": list(lacking_vane.values())}
         unjudged.append(Finding(Code.BY_CONSTRUCTION, numbers=numbers))
     if unvarying:
         unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
     if table["normalized_rmse"].mean() > 1:
         return _use(purpose, "no", Code.DIVERGING, error=table["normalized_rmse"].mean())
-    table = table.drop(index=list(missing))
+    table = table.drop(index=list(lacking_vane))
     if table.empty:
         return Use(purpose, "unknown", tuple(unjudged))
-    judged = _judged(purpose, table)
-    fit = "partly" if judged.fit == "yes" and unjudged else judged.fit
-    return Use(purpose, fit, (*judged.findings, *unjudged))
+    use = _use_by_scores(purpose, table)
+    fit = "partly" if use.fit == "yes" and unjudged else use.fit
+    return Use(purpose, fit, (*use.findings, *unjudged))
 
 
-def _judged(purpose: str, table: pd.DataFrame) -> Use:
+def _use_by_scores(purpose: str, table: pd.DataFrame) -> Use:
     """Return the judgement of coefficients by their errors and bands."""
     errors = table["normalized_rmse"]
     coverages = table["interval_coverage"]
@@ -317,8 +317,7 @@ def _control(
     coverages = table["interval_coverage"]
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
-        numbers = {"coverages": narrow.to_dict()}
-        return Use(purpose, "no", (Finding(Code.BANDS_TOO_NARROW, numbers=numbers),))
+        return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
     known = {"width": widths.max(), "widest": widths.idxmax()}
     controls_known = Finding(Code.CONTROLS_KNOWN, numbers=known)
     beyond = list(mechanics.trim.beyond)

@@ -156,4 +156,4 @@ def _applied(lag: Lag) -> tuple[float, float, float, str]:
         remark = "negligible"
     else:
         remark = "not shown by these flights"
-    return lag.lag, lag.std, applied, remark
+    return lag.value, lag.std, applied, remark

@@ -105,7 +105,7 @@ def learn(
     began = time.monotonic()
     # a list of regressors is the user's choice
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
-    X = pipeline.fit_and_transform(table, targets, choose_engine=choose_engine)
+    X = pipeline.fit_returning_regressors(table, targets, choose_engine=choose_engine)
     is_target = targets.notna()
     training = TrainingRecord(
         samples=int(is_target.any(axis=1).sum()),

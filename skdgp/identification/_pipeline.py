@@ -213,10 +213,10 @@ class FlightPipeline(Pipeline):
             super().fit(X, y, **params)
             self._learn_turbulence(X)
         else:
-            self.fit_and_transform(X, y, **params)
+            self.fit_returning_regressors(X, y, **params)
         return self
 
-    def fit_and_transform(
+    def fit_returning_regressors(
         self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False, **params: Any
     ) -> Matrix:
         """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.

@@ -202,7 +202,7 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
         lags=None,
         regressor=DependentGPRegressor(structure="trend", random_state=0),
     ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
-    model.fit_and_transform(flight, Y, choose_engine=True)
+    model.fit_returning_regressors(flight, Y, choose_engine=True)
     chosen = model["regressorselector"].regressors_
     assert {"throttle", "airspeed"} & {*chosen} == expected
     assert len(chosen) == 8 + len(expected)

@@ -352,7 +352,7 @@ def inspect_log(
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
-        topics=_topics(longest.topics),
+        topics=_topics(longest.log.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
         remarks=(*flown.remarks, *lacking, *faults),

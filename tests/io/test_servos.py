@@ -135,6 +135,14 @@ class TestFullThrow:
         table = read(log, "log.bin", servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
+    def test_full_throws_are_no_large_angles(self, read, dataflash):
+        t = np.arange(0, 10, 0.05)
+        log = dataflash(SERVO1_FUNCTION=4.0).topic("RCOU", t, C1=("H", np.where(t < 5, 1900, 1500)))
+        table = read(log, "log.bin", servos="full throw", airborne=False)
+        assert table.aileron.max() == 1.0
+        with pytest.warns(UserWarning, match="commands from -1 to 1"):
+            read(log, "log.bin", servos={"aileron": "60 deg"}, airborne=False)
+
     def test_what_cannot_be(self, read, dataflash, ulog):
         log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0)
         log.topic("RCOU", [0.1, 0.2], C1=("H", 1500))

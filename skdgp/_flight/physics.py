@@ -76,6 +76,8 @@ class PhysicsSettings:
     # to 10
     usual_airspeed_lag: float = 1.0
     least_airspeed_t: float = 4.0
+    # least correlation at a lag that is a contradiction, whatever the slope (guess)
+    lagged_correlation: float = 0.5
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
     # the same where the angle that a surface turns the aircraft to was not measured
@@ -684,9 +686,11 @@ def _judged(check: Check, signals: Signals) -> Judgement | None:
         return None
     least, most = check.slopes
     if check.slopes == EQUAL:
+        lagged = _judged_lag(check, slopes, settings)
+        is_late = lagged.t > 0.0 and best.correlation > settings.lagged_correlation
         margin = min(best.value - least, most - best.value)
-        if margin > settings.least_t * best.std:
-            return _judged_lag(check, slopes, settings)
+        if is_late or margin > settings.least_t * best.std:
+            return lagged
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
         least *= 1 - (check.noise / best.size) ** 2
         slope = slopes[0.0]

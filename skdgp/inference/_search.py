@@ -469,6 +469,8 @@ class _JointSearch(NamedTuple):
             return True
         if end.earlier is None or self.stop.is_set() or rise > settings.relevant_rise:
             return False
+        if end.n_since < settings.optimizer.recent - 1:  # too few evaluations to extrapolate
+            return False
         objective = Objective(kernel, data, len(noise))
         earlier = leave_one_out_error(*objective.at(end.earlier), data)
         latest = leave_one_out_error(kernel, noise, data)

@@ -42,6 +42,8 @@ class FlightLimits:
 
 
 FLIGHT_LIMITS = FlightLimits()
+# Largest state within a step: coefficients of any more may not be evaluated
+STAGE_LIMIT = 1e9
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,9 @@ class Integrator:
 
         def rate(t: float, state: Array) -> Array:
             if t > 0.0:
-                stages.append(self._at(step, begin, t, state))
+                # what diverges within a step is ended at its end
+                within = np.clip(state, -STAGE_LIMIT, STAGE_LIMIT)
+                stages.append(self._at(step, begin, t, within))
             return stages[-1].derivative
 
         state = rk4_step(rate, 0.0, begin.state, self.dt)

@@ -86,8 +86,10 @@ class SearchSettings:
     noise_steps: int = 10
     #: Expected rise of the likelihood for each value up to which a search has converged [nats]
     irrelevant_rise: float = 0.05
-    #: Expected change of the leave-one-out error, over itself, up to which a search has converged
-    irrelevant_change: float = 0.02
+    #: Expected fall of the leave-one-out error, over itself, up to which a search has converged,
+    #: and expected rise of the likelihood for each value beyond which it has not (guess) [nats]
+    irrelevant_fall: float = 0.02
+    relevant_rise: float = 0.2
     #: Of each maximisation
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(grid=2.0**-14))
 
@@ -497,21 +499,24 @@ class _JointSearch(NamedTuple):
         )
 
     def _gains_nothing(self, kernel, noise, data, end, n_iter) -> bool:
-        """Return whether as many iterations again are expected to change likelihood or errors by nothing relevant.
+        """Return whether as many iterations again are expected to improve likelihood or errors by nothing relevant.
 
-        The error by leaving one value out is extrapolated from its change in the last evaluations: the
-        likelihood may rise for long by widths that hardly change predictions.
+        The error by leaving one value out is extrapolated from its fall in the last evaluations: the
+        likelihood may rise for long by widths that hardly change predictions, or worsen them.
         """
         settings = self.options.settings
-        if end.remaining <= settings.irrelevant_rise * data.n_values:
+        rise = end.remaining / data.n_values
+        if rise <= settings.irrelevant_rise:
             return True
-        if end.earlier is None or self.stop.is_set():
+        if end.earlier is None or self.stop.is_set() or rise > settings.relevant_rise:
+            return False
+        if end.n_since < settings.optimizer.recent - 1:  # too few evaluations to extrapolate
             return False
         objective = Objective(kernel, data, len(noise))
         earlier = leave_one_out_error(*objective.at(end.earlier), data)
         latest = leave_one_out_error(kernel, noise, data)
-        change = abs(latest - earlier) * n_iter / end.n_since
-        return change <= settings.irrelevant_change * latest
+        fall = (earlier - latest) * n_iter / end.n_since
+        return fall <= settings.irrelevant_fall * latest
 
     def _start(self, kernel):
         return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)

@@ -30,7 +30,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
 from skdgp.io._dataflash import read_dataflash, read_dataflash_text
-from skdgp.io._instances import choose, last_before, validity_fields
+from skdgp.io._instances import choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -41,7 +41,6 @@ from skdgp.io._log import (
     Log,
     Rule,
     Servo,
-    Topic,
     full_throws,
     read_servos,
     reversed_of,
@@ -70,6 +69,7 @@ ARMED = (
     ("vehicle_status", "arming_state", 2.0),
     ("STAT", "Armed", 1.0),
     ("ARM", "ArmState", 1.0),
+    ("HEARTBEAT", "armed", 1.0),
 )
 # usual range of the pulses of servos [us]
 PULSE_RANGE = 1000.0
@@ -144,12 +144,17 @@ class Source(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Part of a log between two restarts of its clock."""
+    """Part of a log between two restarts of its clock, with the topics of this part."""
 
-    topics: dict[str, Topic]
+    log: Log
     table: pd.DataFrame
     segments: list[slice]
     cuts: Vector
+
+
+def _cuts(sources: list[Source]) -> Vector:
+    """Return the times [s] of all resets that cannot be corrected."""
+    return np.unique([cut for source in sources for cut in source.cuts])
 
 
 class FlightLog(NamedTuple):
@@ -196,21 +201,24 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
         origin: dict[str, Origin] = {}
         useless: list[str] = []
         for topics in topics_of_parts:
-            sources, unused = find_sources(log, topics, controls)
+            part_log = replace(log, topics=topics)
+            sources, unused = find_sources(part_log, controls)
             if sources:
                 table, origins = to_table(sources)
                 origin |= origins
                 useless += unused
                 believes = isinstance(airborne, bool)
-                segments = find_segments(table, log, topics, speed, believes_landed=believes)
-                fraction = lifting(table["time"].to_numpy(), log, topics).mean()
+                segments = find_segments(table, part_log, speed, believes_landed=believes)
+                part = Part(part_log, table, segments, _cuts(sources))
+                fraction = part_log.lifts(table["time"].to_numpy()).mean()
                 if fraction:
                     remarks.append(
                         f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift "
                         "the VTOL, or it is in transition"
                     )
-                cuts = np.unique([cut for source in sources for cut in source.cuts])
-                parts.append(Part(topics, table, segments, cuts))
+                if airborne is not False:
+                    remarks += _against_flight(part)
+                parts.append(part)
     if not parts:
         raise FlightReadError(
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
@@ -222,20 +230,16 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
 
 
 def find_sources(
-    log: Log,
-    topics: dict[str, Topic],
-    controls: Mapping[str, Control],
-    settings: TableSettings = TABLE,
+    log: Log, controls: Mapping[str, Control], settings: TableSettings = TABLE
 ) -> tuple[list[Source], list[str]]:
     """Return the source of each group of columns, and remarks on sources that are of no use."""
-    part = replace(log, topics=topics)
     chosen: dict[tuple[str, ...], Source] = {}
     useless = []
     for rule in log.rules:
-        source = _source(part, rule)
+        source = _source(log, rule)
         if source is None:
             continue
-        problem = _problem(source, rule, validity_fields(part, rule))
+        problem = _problem(source, rule, validity_fields(log, rule))
         if problem:
             useless.append(problem)
             continue
@@ -245,7 +249,7 @@ def find_sources(
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
     useless += [source.remark for source in sources if source.remark]
     for name, control in controls.items():
-        surface = _surface(part, name, control)
+        surface = _surface(log, name, control)
         if len(surface.time) > 1:
             sources.append(surface)
         else:
@@ -464,7 +468,6 @@ def _airborne_speed(log: Log, settings: FlightSettings = FLIGHT) -> float:
 def find_segments(
     table: pd.DataFrame,
     log: Log,
-    topics: dict[str, Topic],
     speed: float,
     settings: FlightSettings = FLIGHT,
     *,
@@ -478,8 +481,8 @@ def find_segments(
     time = table["time"].to_numpy()
     landed = np.zeros(len(time), dtype=bool)
     if believes_landed:
-        landed = _landed(time, log, topics)
-    is_flight = (_speed(table, log) > speed) & ~landed & ~lifting(time, log, topics)
+        landed = _landed(time, log)
+    is_flight = (_speed(table, log) > speed) & ~landed & ~log.lifts(time)
     rows = np.flatnonzero(is_flight)
     pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
     segments = []
@@ -524,7 +527,7 @@ def no_flight_because(flown: FlightLog) -> str:
     longest = max(flown.parts, key=lambda part: len(part.table))
     table = longest.table
     highest = np.nanmax(_speed(table, flown.log), initial=-np.inf)
-    reasons = _on_the_ground(longest, flown.log)
+    reasons = [*_unarmed(longest.log), *_on_the_ground(longest)]
     channel = "airspeed"
     if "airspeed" not in table:
         channel = "ground speed"
@@ -536,31 +539,53 @@ def no_flight_because(flown: FlightLog) -> str:
     return ", ".join(reasons)
 
 
-def _on_the_ground(part: Part, log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
-    """Return what the autopilot itself says against a flight, with the numbers."""
-    reasons = []
+def _unarmed(log: Log) -> list[str]:
+    """Return that the autopilot was never armed, with the field that says so, if it was not."""
     for name, field, armed in ARMED:
-        topic = part.topics.get(name, NOTHING)
+        topic = log.topics.get(name, NOTHING)
         if field in topic:
-            if not (topic[field] == armed).any():
-                reasons.append(f"the autopilot was never armed: {name}.{field} is never {armed:g}")
-            break
-    time = part.table["time"].to_numpy()
-    if log.landed is not None and _landed(time, log, part.topics).all():
-        name, field, value = log.landed
-        reasons.append(
-            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
-        )
+            if (topic[field] == armed).any():
+                return []
+            return [f"the autopilot was never armed: {name}.{field} is never {armed:g}"]
+    return []
+
+
+def _unmoved(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
+    """Return that no output moves, with the largest range, if none does."""
     ranges = []
     for output in log.outputs:
-        for field, values in part.topics.get(output, NOTHING).fields.items():
+        for field, values in log.topics.get(output, NOTHING).fields.items():
             if not field.startswith("time") and field not in ("TimeUS", "noutputs"):
                 finite = values[np.isfinite(values)].astype(float)
                 scale = PULSE_RANGE if np.abs(finite).max(initial=0.0) > NO_PULSE else 1.0
                 ranges.append(np.ptp(finite) / scale if finite.size else 0.0)
     if ranges and max(ranges) < settings.least_motion:
-        reasons.append(f"no output moves by more than {100 * max(ranges):.2g} % of its range")
-    return reasons
+        return [f"no output moves by more than {100 * max(ranges):.2g} % of its range"]
+    return []
+
+
+def _against_flight(part: Part) -> list[str]:
+    """Return a remark where speed says that a part was flown, but neither armed nor by the logged outputs."""
+    reasons = [*_unarmed(part.log), *_unmoved(part.log)]
+    if not part.segments or not reasons:
+        return []
+    return [
+        f"{', '.join(reasons)}, but the speed is a flight's: if something else moved the surfaces, "
+        "their columns and the throttle are not what flew"
+    ]
+
+
+def _on_the_ground(part: Part) -> list[str]:
+    """Return what else the autopilot itself says against a flight, with the numbers."""
+    log = part.log
+    reasons = []
+    time = part.table["time"].to_numpy()
+    if log.landed is not None and _landed(time, log).all():
+        name, field, value = log.landed
+        reasons.append(
+            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
+        )
+    return [*reasons, *_unmoved(log)]
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:
@@ -572,25 +597,12 @@ def _speed(table: pd.DataFrame, log: Log) -> Vector:
     return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
 
 
-def _landed(time: Vector, log: Log, topics: dict[str, Topic]) -> Mask:
+def _landed(time: Vector, log: Log) -> Mask:
     """Return whether the autopilot reported to be landed, (n,); False where it does not say."""
     if log.landed is not None:
         name, field, value = log.landed
-        topic = topics.get(name, NOTHING)
+        topic = log.topics.get(name, NOTHING)
         if field in topic:
             last = np.searchsorted(topic.time, time, side="right") - 1
             return (topic[field] == value)[np.maximum(last, 0)]
     return np.zeros(len(time), dtype=bool)
-
-
-def lifting(time: Vector, log: Log, topics: dict[str, Topic]) -> Mask:
-    """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
-    lifts = np.zeros(len(time), dtype=bool)
-    if log.vehicle != "VTOL":
-        return lifts
-    for name, field, low, high in log.lifting:
-        topic = topics.get(name, NOTHING)
-        if field in topic:
-            values = topic[field][last_before(topic.time, time)]
-            lifts |= (values >= low) & (values <= high)
-    return lifts

@@ -35,6 +35,8 @@ from skdgp.io._log import (
     centi,
     damage,
     density_at,
+    driving,
+    engines_rule,
     from_rpm,
     instance_name,
     numeric_fields,
@@ -83,7 +85,7 @@ STANDARD = "standard atmosphere at the measured pressure"
 # the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
 LANE_3 = (Use("XKF4", "PI"),)
 LANE_2 = (Use("NKF4", "PI"),)
-PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"))
+PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
@@ -93,11 +95,12 @@ IMU = (*LANE_3, *LANE_2)
 ALIASES = {
     "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
     "NKF1": ("NKF6",), "NKF2": ("NKF7",), "XKF1": ("XKF6",), "XKF2": ("XKF7",),
+    "ESC": tuple(f"ESC{n}" for n in range(1, 9)),
 }  # fmt: skip
 RULES = (
     Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=IMU),
     Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=IMU),
-    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
+    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude, switches=(*LANE_3, *LANE_2)),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
         (EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health"), used=PRIMARY, preferred=("U",)
@@ -119,7 +122,6 @@ RULES = (
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
-    Rule(("propeller_speed",), "RPM", ("rpm1",), from_rpm),
     Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm),
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
@@ -129,7 +131,11 @@ SERVOS = {
     4: ("aileron", False), 19: ("elevator", True), 21: ("rudder", True),
     77: ("elevon_left", True), 78: ("elevon_right", True),
 }  # fmt: skip
-MOST_SERVOS = 16
+MOST_SERVOS = 32
+# messages of outputs 15 to 18 and 19 to 32, which follow RCOU
+FURTHER_OUTPUTS = ("RCO2", "RCO3")
+# speeds [rpm] of a message of two engines
+ENGINES = ("rpm1", "rpm2")
 # Functions that open from zero: flaps, by the pilot alone or by the autopilot, and airbrakes
 OPENED = {2: "flap", 3: "flap", 110: "spoiler"}
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
@@ -173,8 +179,9 @@ def read_dataflash(path: Path) -> Log:
 
 
 class Texts(NamedTuple):
-    """Messages of one name in a text: the names of their columns, the cells of each row, and its line."""
+    """Messages of one name in a text: types and names of their columns, the cells of each row, and its line."""
 
+    codes: str
     columns: list[str]
     rows: list[list[str]]
     places: list[int]
@@ -205,7 +212,7 @@ def _read_texts(path: Path) -> dict[str, Texts]:
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         name, *cells = (cell.strip() for cell in line.split(","))
         if name == "FMT" and len(cells) > 4:
-            texts[cells[2]] = Texts(cells[4:], [], [])
+            texts[cells[2]] = Texts(cells[3], cells[4:], [], [])
         elif name in texts:
             width = len(texts[name].columns)
             # a text at the end may hold commas
@@ -224,7 +231,7 @@ def read_dataflash_text(path: Path) -> Log:
         topic = texts[name].topic()
         if topic is None:
             continue
-        number = next((field for field in INSTANCES if field in topic), None)
+        number = _instance_field(texts[name].codes, texts[name].columns)
         if number is None:
             topics[name] = topic
             continue
@@ -235,7 +242,7 @@ def read_dataflash_text(path: Path) -> Log:
             "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
             "log in text: is it of another kind, or written before 2015?"
         )
-    nothing = Texts([], [], [])
+    nothing = Texts("", [], [], [])
     defined = texts.get("PARM", nothing)
     numbers = pd.to_numeric(pd.Series(defined.cells("Value"), dtype=object), errors="coerce")
     parameters = {}
@@ -258,6 +265,8 @@ def _log(
     vehicle = VEHICLES.get(firmware.split(" ")[0])
     if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
         vehicle = "VTOL"
+    if "RCOU" in topics:
+        topics = topics | {"RCOU": _all_outputs(topics)}
     outputs = topics.get("RCOU", NOTHING)
     return Log(
         kind="ArduPilot DataFlash",
@@ -276,6 +285,20 @@ def _log(
     )
 
 
+def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
+    """Return RCOU with the outputs of the messages that follow each."""
+    outputs = topics["RCOU"]
+    fields = dict(outputs.fields)
+    for name in FURTHER_OUTPUTS:
+        further = topics.get(name, NOTHING)
+        if len(further):
+            following = np.searchsorted(further.order, outputs.order)
+            rows = np.minimum(following, len(further) - 1)
+            for field, values in further.fields.items():
+                fields.setdefault(field, values[rows])
+    return Topic(outputs.time, outputs.order, fields)
+
+
 def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float, float], ...]:
     """Return the outputs of motors that lift alone, and their pulses while they run."""
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
@@ -290,10 +313,21 @@ def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float
 
 
 def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE)."""
-    if parameters.get("AHRS_EKF_TYPE") != EKF2 or "NKF1" not in topics:
-        return RULES
-    return tuple(rule for rule in RULES if rule.topic not in ("XKF1", "XKF2"))
+    """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE), with the engines that run."""
+    rules: tuple[Rule, ...] = RULES
+    if parameters.get("AHRS_EKF_TYPE") == EKF2 and "NKF1" in topics:
+        rules = tuple(rule for rule in rules if rule.topic not in ("XKF1", "XKF2"))
+    speeds = topics.get("RPM", NOTHING)
+    engines = driving(speeds, ENGINES, np.zeros(len(speeds), bool))
+    return (engines_rule("RPM", engines), *rules) if engines else rules
+
+
+def _instance_field(codes: str, columns: list[str]) -> str | None:
+    """Return the first of the fields that number instances by name, if it is a small whole number."""
+    for code, column in zip(codes, columns, strict=False):
+        if column in INSTANCES and code in "BM":
+            return column
+    return None
 
 
 class _Messages:
@@ -317,9 +351,9 @@ class _Messages:
     def instance_field(self, units: str) -> str | None:
         """Return the field that numbers instances: by the unit "#", or in logs without units by its name."""
         if not units:
-            for column, code in self.codes.items():
-                if column in INSTANCES and code in "BM":
-                    return column
+            field = _instance_field("".join(self.codes.values()), list(self.codes))
+            if field is not None:
+                return field
         for column, unit in zip(self.codes, units, strict=False):
             if unit == "#" and self.is_kind(column, "iu"):
                 return column

@@ -8,9 +8,19 @@ import numpy as np
 
 from skdgp._compute.typing import Indices, Mask, Matrix, Vector
 from skdgp._flight.clock import CLOCK
+from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
-from skdgp.io._log import QUATERNION, Instance, Log, Rule, Topic, Use
-from skdgp.io._resets import correct_resets
+from skdgp.io._log import (
+    LEAST_SPEED,
+    QUATERNION,
+    Instance,
+    Log,
+    Rule,
+    Topic,
+    Use,
+    last_before,
+)
+from skdgp.io._resets import correct_resets, place_of_jump
 
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
@@ -54,11 +64,6 @@ class Choice(NamedTuple):
     cuts: list[float]
 
 
-def last_before(time: Vector, at: Vector) -> Indices:
-    """Return the last of increasing times at or before each time, the first where there is none."""
-    return np.maximum(np.searchsorted(time, at, side="right") - 1, 0)
-
-
 def is_valid(topic: Topic, rule: Rule) -> Mask:
     """Return which messages the log calls valid measurements, by the fields that it has."""
     valid = np.ones(len(topic), bool)
@@ -92,7 +97,7 @@ def choose(log: Log, rule: Rule) -> Choice | None:
     if not readings:
         return None
     if rule.columns == ENGINES and len(readings) > 1:
-        return _mean_engine(readings)
+        return _mean_engine(log, readings)
     if rule.columns == COMMANDS:
         readings = readings[:1]
     readings.sort(key=lambda each: each.health, reverse=True)
@@ -118,12 +123,13 @@ def choose(log: Log, rule: Rule) -> Choice | None:
     sorted_time = np.concatenate(time)[order]
     samples = np.concatenate(values)[order]
     cuts = []
-    if rule.resets or rule.is_estimate:
+    if rule.resets or rule.is_estimate or rule.switches:
+        counter = np.concatenate(counters)[order] + _switched(log, rule, sorted_time, samples)
         resets = correct_resets(
             " ".join(rule.columns),
             sorted_time,
             samples,
-            np.concatenate(counters)[order],
+            counter,
             np.concatenate(deltas)[order] if rule.resets[1:] else None,
             rule.columns == QUATERNION,
         )
@@ -140,9 +146,15 @@ def choose(log: Log, rule: Rule) -> Choice | None:
     )
 
 
-def _mean_engine(readings: list[Readings]) -> Choice:
-    """Return the root mean square of the engines that ever run: thrusts go with the square of the speed."""
-    running = [each for each in readings if np.any(each.values[each.valid])] or readings[:1]
+def _mean_engine(log: Log, readings: list[Readings]) -> Choice:
+    """Return the root mean square of the engines that drive: thrusts go with the square of the speed."""
+    speeds = []
+    for each in readings:
+        drives = each.valid & ~log.lifts(each.time)
+        speeds.append(float(np.mean(np.abs(each.values[drives]))) if drives.any() else 0.0)
+    least = LEAST_SPEED * max(speeds)
+    pairs = zip(readings, speeds, strict=True)
+    running = [each for each, speed in pairs if speed > least] or readings[:1]
     time = running[0].time[running[0].valid]
     squares = np.zeros(len(time))
     for each in running:
@@ -177,6 +189,23 @@ def _counter(topic: Topic, rule: Rule) -> Vector:
     if not rule.resets or rule.resets[0] not in topic:
         return np.zeros(len(topic))
     return topic[rule.resets[0]]
+
+
+def _switched(log: Log, rule: Rule, time: Vector, values: Matrix) -> Vector:
+    """Return how often another topic told of a switch or reset of the estimator, (n,), at the jumps of the values."""
+    counter = np.zeros(len(time))
+    if rule.columns == QUATERNION:
+        values = without_sign_changes(values)
+    for use in rule.switches:
+        for instance in log.instances(use.topic)[:1]:
+            if use.field not in instance.topic:
+                continue
+            told = instance.topic.time
+            numbers = instance.topic[use.field]
+            for k in np.flatnonzero(np.diff(numbers)):
+                place = place_of_jump(time, values, told[k], told[k + 1])
+                counter[place:] += 1.0
+    return counter
 
 
 def _deltas(topic: Topic, rule: Rule) -> Matrix:

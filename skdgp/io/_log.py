@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,8 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 EQUIVALENT = "equivalent_airspeed"
 # pulses shorter than this [us] move no servo: an output that is switched off
 NO_PULSE = 500.0
+# mean speed of an engine that runs, over that of the fastest; a guess
+LEAST_SPEED = 0.1
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,11 @@ class Use(NamedTuple):
         return f"{self.topic}.{self.field}" if self.topic else self.field
 
 
+def last_before(time: Vector, at: Vector) -> Indices:
+    """Return the last of increasing times at or before each time, the first where there is none."""
+    return np.maximum(np.searchsorted(time, at, side="right") - 1, 0)
+
+
 class Instance(NamedTuple):
     """One instance of a topic."""
 
@@ -153,6 +160,8 @@ class Rule(NamedTuple):
         Counter of an estimator's resets, and the fields of the changes of the columns by the last.
     is_estimate : bool
         Whether each instance is an estimator, which differ by more than noise.
+    switches : tuple of Use
+        Where the log says which estimator the values are of, or counts its resets, beside ``resets``.
     """
 
     columns: tuple[str, ...]
@@ -166,6 +175,7 @@ class Rule(NamedTuple):
     preferred: tuple[str, ...] = ()
     resets: tuple[str, ...] = ()
     is_estimate: bool = False
+    switches: tuple[Use, ...] = ()
 
 
 class Servo(NamedTuple):
@@ -263,6 +273,46 @@ class Log:
             elif len(topic) > 1 and key in further:
                 instances.append(Instance(1 + further.index(key), key, topic))
         return sorted(instances)
+
+    def lifts(self, time: Vector) -> Mask:
+        """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
+        if self.vehicle != "VTOL":
+            return np.zeros(len(time), dtype=bool)
+        return lifting_rows(self.topics, self.lifting, time)
+
+
+def lifting_rows(
+    topics: Mapping[str, Topic], lifting: Iterable[tuple[str, str, float, float]], time: Vector
+) -> Mask:
+    """Return where a field of ``lifting`` is within its limits, (n,)."""
+    lifts = np.zeros(len(time), dtype=bool)
+    for name, field_name, low, high in lifting:
+        topic = topics.get(name, NOTHING)
+        if field_name in topic:
+            values = topic[field_name][last_before(topic.time, time)]
+            lifts |= (values >= low) & (values <= high)
+    return lifts
+
+
+def driving(topic: Topic, names: Iterable[str], lifts: Mask) -> tuple[str, ...]:
+    """Return the fields of engines that drive the aircraft forward: they run while no rotor lifts it.
+
+    ``lifts`` (n,) are the messages in hover and transition. A motor that only spins down after
+    these is slower on average than `LEAST_SPEED` times the fastest.
+    """
+    means = {}
+    for name in names:
+        if name in topic and not lifts.all():
+            speed = np.nan_to_num(topic[name][~lifts])
+            means[name] = float(np.mean(np.abs(speed)))
+    least = LEAST_SPEED * max(means.values(), default=0.0)
+    return tuple(name for name, mean in means.items() if mean > least)
+
+
+def engines_rule(topic: str, fields: tuple[str, ...]) -> Rule:
+    """Return the rule for the propeller speed [rad/s] of engines whose speeds [rpm] are in fields of a topic."""
+    note = f"root mean square of {len(fields)} engines" if len(fields) > 1 else ""
+    return Rule(("propeller_speed",), topic, fields, mean_engine, note=note)
 
 
 def scaling(factor: float) -> Callable[[Array], Array]:

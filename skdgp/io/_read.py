@@ -14,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import plain
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Code
+from skdgp._compute.messages import recorded_warnings, warn
 from skdgp._compute.wording import grouped_faults, reason_of
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
@@ -29,7 +30,7 @@ from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
-from skdgp.io._log import Topic, lacking_servos
+from skdgp.io._log import Topic, lacking_servos, reversed_of
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
@@ -141,7 +142,10 @@ def read_flight(
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(path, servos=servos, airborne=airborne)
     name = path.stem if flight is None else flight
-    table = _as_flight(flight_table(flown, name, airborne=airborne))
+    with recorded_warnings() as record:
+        if reversed_of(servos) is not None:  # parts of the full throw are no angles
+            record.ignore(Code.LARGE_SURFACES)
+        table = _as_flight(flight_table(flown, name, airborne=airborne))
     table.attrs["sources"] = {
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
@@ -352,7 +356,7 @@ def inspect_log(
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
-        topics=_topics(longest.topics),
+        topics=_topics(longest.log.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
         remarks=(*flown.remarks, *lacking, *faults),

@@ -77,6 +77,17 @@ def correct_resets(
     return Resets(values, cuts, remark)
 
 
+def place_of_jump(time: Vector, values: Matrix, begin: float, end: float) -> int:
+    """Return the row after the largest step of values (n, k) between two times, or the length if there is none.
+
+    A step counts that begins or ends between them.
+    """
+    first = max(int(np.searchsorted(time, begin)) - 1, 0)
+    last = int(np.searchsorted(time, end, side="right"))
+    steps = np.linalg.norm(np.diff(values[first : last + 1], axis=0), axis=1)
+    return first + 1 + int(np.argmax(steps)) if len(steps) else len(time)
+
+
 def _turned(quaternions: Matrix, delta: Vector) -> Matrix:
     """Return quaternions (w, x, y, z) turned by another one."""
     if not delta.any():

@@ -31,7 +31,8 @@ from skdgp.io._log import (
     centi,
     damage,
     density_at,
-    from_rpm,
+    driving,
+    engines_rule,
     instance_name,
     milli,
     numeric_fields,
@@ -50,6 +51,8 @@ MAVLINK_2 = 0xFD
 OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
 # MAV_AUTOPILOT
 PX4 = 12
+# MAV_MODE_FLAG_SAFETY_ARMED of base_mode
+ARMED = 128
 # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 INT32 = 6
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
@@ -96,10 +99,19 @@ RULES = (
     Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
     Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
     Rule(("throttle",), "VFR_HUD", ("throttle",), centi),
-    Rule(("propeller_speed",), "RPM", ("rpm1",), from_rpm),
-    Rule(("propeller_speed",), "ESC_TELEMETRY_1_TO_4", ("rpm[0]",), from_rpm),
 )
-READ = {rule.topic for rule in RULES} | {OUTPUTS, "EXTENDED_SYS_STATE", "HEARTBEAT", "PARAM_VALUE"}
+# speeds [rpm] of engines, of which those count that run
+ENGINES = {
+    "RPM": ("rpm1", "rpm2"),
+    "ESC_TELEMETRY_1_TO_4": tuple(f"rpm[{k}]" for k in range(4)),
+}
+READ = {rule.topic for rule in RULES} | {
+    *ENGINES,
+    OUTPUTS,
+    "EXTENDED_SYS_STATE",
+    "HEARTBEAT",
+    "PARAM_VALUE",
+}
 
 
 def read_tlog(path: Path) -> Log:
@@ -114,7 +126,7 @@ def read_tlog(path: Path) -> Log:
         )
     system, _ = Counter(flown).most_common(1)[0]
     by_name = _by_name(messages, system)
-    beats = by_name.pop("HEARTBEAT", {}).values()
+    beats = by_name.get("HEARTBEAT", {}).values()
     is_px4 = any(beat.autopilot == PX4 for beat in beats)
     vehicles = [MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES]
     parameters = {}
@@ -123,11 +135,13 @@ def read_tlog(path: Path) -> Log:
     channels = OUTPUTS + ".servo{}_raw"
     attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
+    if "HEARTBEAT" in topics:
+        topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
     outputs = topics.get(OUTPUTS, NOTHING)
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
-        rules=RULES,
+        rules=_rules(topics),
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicles[0] if vehicles else None,
@@ -137,6 +151,24 @@ def read_tlog(path: Path) -> Log:
         controls=controls_of(outputs, parameters, channels),
         commands=commands_of(outputs, parameters, channels),
     )
+
+
+def _rules(topics: dict[str, Topic]) -> tuple[Rule, ...]:
+    """Return the rules with the engines that run."""
+    rules = list(RULES)
+    for name, fields in ENGINES.items():
+        topic = topics.get(name, NOTHING)
+        engines = driving(topic, fields, np.zeros(len(topic), bool))
+        if engines:
+            rules.append(engines_rule(name, engines))
+    return tuple(rules)
+
+
+def _with_armed(beats: Topic) -> Topic:
+    """Return the heartbeats with a field that says whether the autopilot was armed."""
+    modes = beats.fields["base_mode"].astype(int)
+    is_armed = (modes & ARMED) > 0
+    return Topic(beats.time, beats.order, beats.fields | {"armed": is_armed})
 
 
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE
 from skdgp.io._log import (
     DOWN,
@@ -32,9 +32,11 @@ from skdgp.io._log import (
     Topic,
     Use,
     damage,
+    driving,
+    engines_rule,
     from_rpm,
     instance_name,
-    mean_engine,
+    lifting_rows,
     milli,
     numeric_fields,
     whole,
@@ -81,6 +83,7 @@ def _xyz(name):
 QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in range(4)))
 VELOCITY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
 POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
+HEADING_RESETS = (Use("vehicle_local_position", "heading_reset_counter"),)
 ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
@@ -108,7 +111,9 @@ RULES = (
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
-    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS),
+    Rule(
+        QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS, switches=HEADING_RESETS
+    ),
     Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=QUATERNION_RESETS),
     Rule(
         ("airspeed",),
@@ -182,10 +187,8 @@ RULES = (
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
-    Rule(("throttle",), "actuator_motors", ("control[0]",)),
     Rule(("propeller_speed",), "rpm", ("rpm_estimate",), from_rpm),
     Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm),
-    Rule(("propeller_speed",), "esc_status", ("esc[0].esc_rpm",), from_rpm),
 )
 
 # VEHICLE_VTOL_STATE 1 to 3 are transitions and rotary wing; before, two flags (VtolVehicleStatus.msg)
@@ -288,18 +291,36 @@ def px4_log(
 
 
 def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return the rules, with the thrust of tilted rotors and all engines of a fixed wing."""
+    """Return the rules, with the thrust of tilted rotors and of the engines that drive forward."""
     rules: tuple[Rule, ...] = RULES
-    is_vtol = _vehicle(topics, parameters) == "VTOL"
-    if is_vtol and parameters.get("VT_TYPE") in TILTING:
+    if _vehicle(topics, parameters) == "VTOL" and parameters.get("VT_TYPE") in TILTING:
         rules = (TILTED, *rules)
-    reports = topics.get("esc_status", NOTHING)
-    names = (f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
-    engines = tuple(name for name in names if name in reports and reports[name].any())
-    if len(engines) > 1 and not is_vtol:
-        note = f"root mean square of {len(engines)} engines"
-        rules = (Rule(("propeller_speed",), "esc_status", engines, mean_engine, note=note), *rules)
+    motors = _driving(topics, parameters, "actuator_motors", "control[{}]")
+    if motors:
+        note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
+        rules = (*rules, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note))
+    engines = _driving(topics, parameters, "esc_status", "esc[{}].esc_rpm")
+    if len(engines) > 1:
+        return (engines_rule("esc_status", engines), *rules)
+    if engines:
+        return (*rules, engines_rule("esc_status", engines))
     return rules
+
+
+def _driving(
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], name: str, field: str
+) -> tuple[str, ...]:
+    """Return the fields of a topic of motors that drive the aircraft forward."""
+    topic = topics.get(name, NOTHING)
+    lifts = np.zeros(len(topic), bool)
+    if _vehicle(topics, parameters) == "VTOL":
+        lifts = lifting_rows(topics, LIFTING, topic.time)
+    return driving(topic, (field.format(k) for k in range(MOST_ENGINES)), lifts)
+
+
+def _mean_motor(commands: Matrix) -> Matrix:
+    """Return the mean command of motors, zero of one that is off (NaN)."""
+    return np.nan_to_num(commands).mean(axis=1)[:, None]
 
 
 class _Definitions:
@@ -438,7 +459,8 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
     """
     outputs = topics.get("actuator_servos", NOTHING)
     types = {}
-    for n in range(MOST_SURFACES):
+    count = whole(parameters.get("CA_SV_CS_COUNT", MOST_SURFACES))
+    for n in range(min(count, MOST_SURFACES)):
         if f"control[{n}]" in outputs:
             types[n] = whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
     mixed = _mixed_controls(types, parameters) | _flaps(types, parameters)

@@ -77,7 +77,8 @@ def late(table, seconds, names):
     time = table["time"]
     delayed = table.copy()
     for name in names:
-        delayed[name] = np.interp(time - seconds, time, np.unwrap(table[name]))
+        values = np.unwrap(table[name]) if name in EULER else table[name]
+        delayed[name] = np.interp(time - seconds, time, values)
     return delayed
 
 

@@ -2,11 +2,15 @@
 
 import io
 import os
+import re
 import sys
+import threading
 from contextlib import redirect_stderr, redirect_stdout
 
 import pandas as pd
 import pytest
+
+from skdgp._cli import Console
 
 FULL = "/dev/full"
 needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
@@ -67,3 +71,35 @@ def test_a_warning_that_nobody_sees_ends_nothing(predict, written, tmp_path):
     with open(FULL, "w") as full, redirect_stderr(full):
         assert predict(str(holes)) == 0
     assert len(pd.read_csv(written)) == len(table) - 10
+
+
+class Watched(io.StringIO):
+    """A stream that tells when a stage was written with its seconds."""
+
+    def __init__(self, is_terminal):
+        super().__init__()
+        self.is_terminal = is_terminal
+        self.has_seconds = threading.Event()
+
+    def isatty(self):
+        return self.is_terminal
+
+    def write(self, text):
+        if " · " in text:
+            self.has_seconds.set()
+        return super().write(text)
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_stage_that_lasts_is_shown_with_its_seconds(is_terminal):
+    """The waits end with the event, so their limits, in seconds, only count where the test fails."""
+    stream = Watched(is_terminal)
+    before = {*threading.enumerate()}
+    with Console(stream, silence=0.01) as console:
+        (thread,) = {*threading.enumerate()} - before
+        console.stage("flight 'a'")
+        assert stream.has_seconds.wait(30.0)
+    thread.join(30.0)
+    assert not thread.is_alive()
+    assert re.search(r"flight 'a' · \d+ s", stream.getvalue())
+    assert thread.daemon  # a command that fails does not wait for it

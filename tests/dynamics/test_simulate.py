@@ -406,6 +406,20 @@ class TestMarks:
         assert (flown[STATES].isna().any(axis=1) == (flown["ended"] != "")).all()
         assert set(flown["ended"]) == {"", "diverged"}
 
+    def test_one_that_diverges_within_a_step_ends(self, aircraft):
+        """Coefficients that grow with the rates, evaluated at no more than 1e60, as a fitted model's."""
+        unstable = SLOPES.copy()
+        unstable[3:, 2:5] = 1e22 * np.eye(3)
+
+        def coefficients(X):
+            assert np.abs(X).max() < 1e60
+            return X[:, :-1] @ unstable.T
+
+        model = Aerodynamics(coefficients, [*NAMES, "airspeed"])
+        with pytest.warns(SimulationWarning, match="ended early"):
+            flown = fly(aircraft, model, duration=1.0)
+        assert flown.loc[1:, STATES].isna().all(axis=None)
+
     def test_one_that_leaves_the_atmosphere_is_marked(self, aircraft):
         high = pd.DataFrame([START | {"altitude": 31_999.0, "theta": 0.5}, START])
         with pytest.warns(SimulationWarning, match="outside of the atmosphere: 1"):

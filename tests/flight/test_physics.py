@@ -204,6 +204,24 @@ def test_a_lag_is_found(flight, name, channels):
     assert contradictions(late(flight, 0.2, name)) == []
 
 
+@pytest.mark.parametrize("seconds", [-0.3, 0.3, 2.0])
+def test_a_late_airspeed_is_found_beyond_what_gusts_explain(flight, seconds):
+    found = contradictions(late(flight, seconds, "airspeed"))
+    assert len(found) == (seconds == 2.0)
+    assert all("lag" in finding.numbers for finding in found)
+
+
+@pytest.mark.parametrize("west", [1.0, -1.0])
+def test_accelerometers_in_earth_axes_are_named(flight, west):
+    """North, east or west, and down, as inertial navigation systems record them."""
+    rotation = euler_to_matrix(flight["phi"], flight["theta"], flight["psi"])
+    ax, ay, az = np.einsum("nij,nj->in", rotation, flight[FORCES].to_numpy())
+    clearest, *_ = contradictions(flight.assign(ax=ax, ay=west * ay, az=az))
+    assert {*clearest.numbers["channels"]} <= {"ax", "ay"}
+    assert clearest.numbers["y"] == "the change of v_north"
+    assert clearest.numbers["slope"] == pytest.approx(1.0, abs=0.05)
+
+
 def test_the_message_has_the_numbers(flight):
     (found,) = contradictions(scaled(flight, {"phi": DEGREES}))
     text = reason_of(found)

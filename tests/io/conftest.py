@@ -388,7 +388,7 @@ def tlog(flight):
     for name, value in parameters.items():
         send(flight.BEGIN, "param_value", name, value, 9, 3, 0)
     for t in flight.time(1):
-        send(t, "heartbeat", 1, 3, 0, 0, 0, 3)
+        send(t, "heartbeat", 1, 3, 128, 0, 0, 3)
         send(t, "heartbeat", 6, 8, 0, 0, 0, 3, by=station)
     for t in flight.time(10):
         ms, us = round(t * 1e3), round(t * 1e6)

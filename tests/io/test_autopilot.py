@@ -402,5 +402,6 @@ class TestOnTheGround:
         with pytest.raises(FlightReadError, match=r"found \(the autopilot was never armed.*landed"):
             read(log)
 
-    def test_a_speed_overrides_the_flag(self, read, log):
-        assert len(read(log, airborne=6.0)) == len(self.t)
+    def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, read, log):
+        with pytest.warns(FlightDataWarning, match="never armed.*are not what flew"):
+            assert len(read(log, airborne=6.0)) == len(self.t)

@@ -159,6 +159,7 @@ def test_a_log_in_text(tmp_path):
         "FMT, 129, 23, IMU, QBfff, TimeUS,I,GyrX,GyrY,GyrZ",
         "FMT, 130, 23, ARSP, QBfBB, TimeUS,I,Airspeed,H,Pri",
         "FMT, 131, 23, PARM, QNf, TimeUS,Name,Value",
+        "FMT, 132, 23, PIDR, Qff, TimeUS,P,I",
         "PARM, 0, AIRSPEED_MIN, 12",
         "PARM, 0, SERVO1_FUNCTION, damaged",
         "PARM, 0",
@@ -167,8 +168,10 @@ def test_a_log_in_text(tmp_path):
         lines.append(f"IMU, {20000 * k}, 0, {0.001 * k:.4f}, 0.1, 0.2")
         lines.append(f"ARSP, {20000 * k}, 0, 3.0, 1, 1")
         lines.append(f"ARSP, {20000 * k}, 1, 20.0, 1, 1")
+        lines.append(f"PIDR, {20000 * k}, 0.1, {0.01 * k:.2f}")
     path.write_text("\n".join(lines))
     with pytest.warns(FlightDataWarning, match="ARSP#1"):
         table = read_flight(path)
     assert table.airspeed.median() == 20.0
+    assert [*AUTOPILOTS[".log"](path).topics] == ["ARSP", "ARSP#1", "IMU", "PIDR"]
     assert_allclose(table.p, 0.05 * table.time, atol=1e-3)

@@ -44,6 +44,14 @@ class TestArduPilot:
         assert_allclose(table.airspeed[table.time < 24.9], 20.0)
         assert_allclose(table.airspeed[table.time > 25.3].dropna(), 30.0)
 
+    def test_the_primary_of_the_parameters(self, read, dataflash):
+        log = gyros(dataflash(ARSPD_PRIMARY=1.0))
+        log.topic("ARSP", SLOW, Airspeed=("f", 12.0), Health=("B", 1))
+        log.topic("ASP2", SLOW + 1e-3, Airspeed=("f", TRUE), Health=("B", 1))
+        with pytest.warns(FlightDataWarning, match="as ARSPD_PRIMARY says"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
+
     def test_the_lane_of_the_estimator(self, read, dataflash):
         log = gyros(dataflash())
         for lane, speed in enumerate((1.0, 9.0)):
@@ -102,6 +110,25 @@ class TestResets:
         steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
         assert np.abs(steps).max() < 0.01
 
+    @pytest.mark.parametrize("suffix", ["ulg", "bin"])
+    def test_a_heading_whose_reset_another_topic_counts_is_cut(self, read, ulog, dataflash, suffix):
+        """It jumps by 0.6 rad at 25 s, which a slower message tells a little later."""
+        heading = 0.1 * T - 0.6 * (T < 25)
+        late = SLOW >= 25.05
+        if suffix == "ulg":
+            q = np.column_stack([np.cos(heading / 2), 0 * T, 0 * T, np.sin(heading / 2)])
+            log = ulog().topic("vehicle_attitude", T, q=q)
+            log.topic("vehicle_local_position", SLOW, heading_reset_counter=("uint8_t", late))
+        else:
+            log = gyros(dataflash()).topic("XKF4", SLOW, C=("B", 0), PI=("B", late))
+            angles = {"Roll": ("c", 0), "Pitch": ("c", 0), "Yaw": ("C", np.degrees(heading) % 360)}
+            log.topic("ATT", T, **angles)
+        with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
+            table = read(log, f"log.{suffix}", airborne=False)
+        assert table.flight.nunique() == 2
+        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
+        assert np.abs(steps).max() < 0.01
+
 
 class TestVehicles:
     @pytest.mark.parametrize(("kind", "axis", "sign"), [(2, 0, 1), (1, 2, -1), (0, 2, -1)])
@@ -131,6 +158,64 @@ class TestVehicles:
             table = read(log, "log.bin", airborne=False)
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
+
+    def test_engines_that_lift_a_vtol_do_not_drive_it(self, read, dataflash):
+        """Four lift until 20 s, then the fifth pushes."""
+        lifts = SLOW < 20
+        motors = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
+        log = gyros(dataflash("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors))
+        pulse = ("H", np.where(lifts, 1600, 1000))
+        log.topic("RCOU", SLOW, **dict.fromkeys(("C5", "C6", "C7", "C8"), pulse))
+        for k in range(5):
+            rpm = 6000.0 * (lifts == (k < 4))
+            log.topic("ESC", SLOW + 1e-4 * k, Instance=("B", k), RPM=("f", rpm))
+        log.topic("ARSP", SLOW, I=("B", 0), Airspeed=("f", TRUE), H=("B", 1))
+        with pytest.warns(FlightDataWarning, match="rotors lift"):
+            table = read(log, "log.bin")
+        assert_allclose(table.propeller_speed[table.time > 20.5], 200 * np.pi, rtol=1e-6)
+
+    def test_the_motor_that_drives_a_vtol_of_px4(self, read, ulog):
+        lifts = SLOW < 20
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
+        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool))
+        state = ("uint8_t", np.where(lifts, 3, 4))
+        log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=state)
+        commands = np.where(lifts[:, None], [0.5, 0.5, np.nan], [np.nan, np.nan, 0.7])
+        log.topic("actuator_motors", SLOW, control=commands)
+        with pytest.warns(FlightDataWarning, match="rotors lift"):
+            table = read(log)
+        assert_allclose(table.throttle[table.time > 20.5], 0.7, rtol=1e-6)
+
+    @pytest.mark.parametrize("name", ["RPM", "ESC2"])
+    def test_the_engine_that_runs(self, read, dataflash, name):
+        log = gyros(dataflash())
+        if name == "RPM":
+            log.topic("RPM", SLOW, rpm1=("f", 0.0), rpm2=("f", 6000.0))
+        else:
+            log.topic("ESC1", SLOW, RPM=("e", 0.0)).topic("ESC2", SLOW, RPM=("e", 6000.0))
+        table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
+
+    def test_a_v_tail_on_outputs_of_two_messages(self, read, dataflash):
+        """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
+        functions = {"SERVO5_FUNCTION": 79.0, "SERVO15_FUNCTION": 80.0, "SERVO15_REVERSED": 1.0}
+        log = gyros(dataflash(**functions))
+        up, right = 0.3 * np.sin(SLOW), 0.2 * np.cos(SLOW)
+        log.topic("RCOU", SLOW, C5=("H", 1500 + 400 * (up + right)))
+        log.topic("RCO2", SLOW + 1e-4, C15=("H", 1500 - 400 * (up - right)))
+        table = read(log, "log.bin", servos="full throw", airborne=False).iloc[10:-10]
+        assert_allclose(table.elevator, -0.3 * np.sin(table.time), atol=0.01)
+        assert_allclose(table.rudder, -0.2 * np.cos(table.time), atol=0.01)
+
+    def test_surfaces_beyond_the_number_of_surfaces_are_none(self, read, ulog):
+        """Their types are left from an earlier configuration, and their outputs are not used."""
+        log = ulog(CA_SV_CS_COUNT=1, CA_SV_CS0_TYPE=3, CA_SV_CS1_TYPE=9)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        outputs = np.column_stack([0.1 * np.sin(SLOW), np.full(len(SLOW), np.nan)])
+        log.topic("actuator_servos", SLOW, control=outputs)
+        table = read(log, servos="full throw", airborne=False)
+        assert {"elevator", "flap"} & {*table} == {"elevator"}
 
     @pytest.mark.parametrize(("reverse", "turn"), [(0.0, 1.0), (1.0, -1.0)])
     def test_flaperons(self, read, dataflash, reverse, turn):

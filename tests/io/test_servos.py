@@ -120,7 +120,8 @@ class TestFullThrow:
         t = np.arange(0, 10, 0.05)
         control = np.tile([-ROLL, ROLL, PITCH + YAW, PITCH - YAW, 0.7], (t.size, 1))
         log = ulog(**parameters_of(ailerons | tail)).topic("actuator_servos", t, control=control)
-        table = read(log.topic("airspeed", t, true_airspeed_m_s=20.0), servos="full throw")
+        log.topic("airspeed", t, true_airspeed_m_s=20.0)
+        table = read(log, servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
     def test_a_v_tail_of_ardupilot(self, read, dataflash):
@@ -133,6 +134,14 @@ class TestFullThrow:
         log.topic("ARSP", t, Airspeed=("f", 20.0), H=("B", 1))
         table = read(log, "log.bin", servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
+
+    def test_full_throws_are_no_large_angles(self, read, dataflash):
+        t = np.arange(0, 10, 0.05)
+        log = dataflash(SERVO1_FUNCTION=4.0).topic("RCOU", t, C1=("H", np.where(t < 5, 1900, 1500)))
+        table = read(log, "log.bin", servos="full throw", airborne=False)
+        assert table.aileron.max() == 1.0
+        with pytest.warns(UserWarning, match="commands from -1 to 1"):
+            read(log, "log.bin", servos={"aileron": "60 deg"}, airborne=False)
 
     def test_what_cannot_be(self, read, dataflash, ulog):
         log = dataflash(SERVO1_FUNCTION=4.0, SERVO1_MIN=1900.0)

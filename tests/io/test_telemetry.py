@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 
 from skdgp.io import FlightReadError
+from skdgp.preprocessing import FlightDataWarning
 
 # Largest errors of what has a clock of its own
 ERRORS = {"p": 2e-3, "az": 2e-2, "phi": 2e-3, "v_east": 2e-2, "altitude": 0.1, "density": 2e-3}
@@ -42,6 +43,23 @@ def test_damage_costs_only_itself(tlog, read):
     with pytest.warns(UserWarning, match="bytes could not be read and were skipped"):
         table = read(b"".join(damaged), "log.tlog")
     assert len(table) > 0.95 * len(read(b"".join(tlog), "log.tlog"))
+
+
+def test_a_vehicle_that_was_never_armed(tlog, read):
+    """Its heartbeats are left out, and one without the flag (128) follows each attitude."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    beat = mavlink.MAVLink_heartbeat_message(1, 3, 1, 0, 0, 3)
+    disarmed = beat.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
+    messages = [message for message in tlog if not is_of(message, mavlink.MAVLINK_MSG_ID_HEARTBEAT)]
+    attitudes = [m for m in messages if is_of(m, mavlink.MAVLINK_MSG_ID_ATTITUDE)]
+    log = messages + [message[:8] + disarmed for message in attitudes]
+    with pytest.warns(FlightDataWarning, match="never armed: HEARTBEAT.armed is never 1, but"):
+        read(b"".join(log), "log.tlog")
+
+
+def is_of(message, number):
+    """Return whether a stamped message of MAVLink 2 is of a type."""
+    return int.from_bytes(message[15:18], "little") == number
 
 
 @pytest.mark.parametrize("content", [b"", b"text", bytes(1000)])

@@ -64,7 +64,10 @@ def flight_mechanics(
     state_and_inputs: tuple = _median_state(flown)
     try:
         climb = None if thrust is None else 0.0
-        results["trim"] = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
+        altitude = float(np.nan_to_num(flown.get("altitude", 0.0)))
+        results["trim"] = trim(
+            pipeline, aircraft, airspeed, altitude=altitude, climb=climb, **conditions
+        )
         state_and_inputs = (results["trim"],)
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))

@@ -60,7 +60,7 @@ def main(arguments=None):
         rewards.append(reward)
         angles.append(np.rad2deg(seen[[1, 3, 4]]))
     print(f"{len(rewards)} steps, mean reward {np.mean(rewards):.2f}")
-    fig, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 5))
+    fig, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 5), layout="constrained")
     time = np.linspace(0.0, env.simulator.time, len(rewards))
     above.plot(time, angles, label=["angle of attack", "roll angle", "pitch angle"])
     above.set_ylabel("[deg]")

@@ -88,6 +88,7 @@ def draw(model, path):
     X[:, 0] = a["shift"][0] + np.linspace(-2.0, 2.0, 100) * a["scale"][0]
     mean, std = model.predict(X, input_noise=0.0)
     figure = Figure(figsize=(9, 4.5), layout="constrained")
+    figure.suptitle("Coefficients along the first regressor, with 95 % bands")
     panels = figure.subplots(2, 3, sharex=True).ravel()
     for k, (ax, name) in enumerate(zip(panels, model.head["outputs"], strict=False)):
         ax.fill_between(X[:, 0], mean[:, k] - 2 * std[:, k], mean[:, k] + 2 * std[:, k], alpha=0.3)

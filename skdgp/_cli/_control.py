@@ -127,7 +127,12 @@ def fly(run: Run) -> None:
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
     full = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
-    place = f"{options.address}:{options.port}"
+
+    def ready() -> None:
+        run.console.end_stage()
+        place = f"{options.address}:{options.port}"
+        run.console.print_error(f"waiting for ArduPilot at {place}; Ctrl-C ends")
+
     flown = fly_model(
         model.pipeline,
         model.aircraft,
@@ -144,7 +149,7 @@ def fly(run: Run) -> None:
         port=options.port,
         wait=options.wait,
         seconds=options.seconds or np.inf,
-        ready=lambda: run.console.print_error(f"waiting for ArduPilot at {place}; Ctrl-C ends"),
+        ready=ready,
     )
     rate = flown.steps / max(flown.computing, 1e-9)
     duration = float(flown.table["time"].max()) if len(flown.table) else 0.0

@@ -287,6 +287,12 @@ class Console:
         self._stage = text
         self._show(text)
 
+    def end_stage(self) -> None:
+        """Show no stage until the next one begins."""
+        self._stage = ""
+        if self._shows_progress:
+            self._write(CLEAR)
+
     def _show_stages_that_last(self):
         while not self._done.wait(self.silence / 5):
             now = time.monotonic()

@@ -432,13 +432,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if clock is not None:
             _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
             misfit = misfit_variance(fit.posterior, X, Z, clock)
-        # The search took the discrepancy for noise: subtract it, and keep at least a lower bound.
+        # The search took the discrepancy for noise, of outputs or of regressors: subtract it, and keep
+        # at least a lower bound.
         least = (1.0 - self.settings.largest_misfit) * noise
         if known.bounds is not None:
             least = np.maximum(least, known.bounds[:, 0])
-        most = np.maximum(noise - least, 0.0)
-        misfit = np.where(known.is_learned, np.minimum(misfit, most), misfit)
-        white = np.where(known.is_learned, noise - misfit, noise)
+        white = np.where(known.is_learned, np.maximum(noise - misfit, least), noise)
         if known.loading is not None:
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
         self.misfit_variance_ = misfit * self.scale_**2

@@ -497,8 +497,11 @@ class _LearnedCoefficients:
     def sample(
         self, n_paths: int, random_state: Any, spread: Array | None = None
     ) -> tuple[Callable, Callable]:
-        """Return values and slopes of functions drawn from the posterior, slopes as of `slopes`."""
-        paths = self.regressor.sample_paths(n_paths, random_state)
+        """Return values and slopes of functions drawn from the posterior, slopes as of `slopes`.
+
+        Their waves have single precision, whose errors are far below those of an integration.
+        """
+        paths = self.regressor.sample_paths(n_paths, random_state).rounded()
 
         def values(X: Array) -> Array:
             return paths.each(self.scaled(X))[..., self.order]

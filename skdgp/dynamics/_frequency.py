@@ -54,9 +54,18 @@ class SpectrumSettings:
     # part of the highest frequencies that is noise
     excited: float = 4.0
     noise: float = 0.25
+    # Largest bias by feedback, relative, of a response that counts (chosen on JSBSim's viggen, judged
+    # on five other aircraft), and largest part of the power of the input that is fed back
+    bias: float = 0.15
+    part: float = 0.5
+    # Samples of the autoregression, and rows for each of its coefficients
+    order: int = 20
+    rows: int = 10
 
 
 SPECTRA = SpectrumSettings()
+# Relative, of matrices that are inverted: inputs may always move together
+RIDGE = 1e-10
 # Correlations of the powers of neighbouring bins, and of those two apart, of Hann's window
 NEIGHBOURS = (4 / 9, 1 / 36)
 # Correlation of the powers of Hann's windows that overlap by half
@@ -99,9 +108,9 @@ def frequency_response(
     DataFrame
         Rows (output, input, frequency [rad/s]); columns ``gain`` [dB] and ``phase`` [deg] with
         standard deviations ``gain_std`` and ``phase_std``, ``coherence``, the partial one, and
-        ``excited``: whether coherence, error and power of the response suffice. Where it is False
-        a feedback of noise to the input may give a high coherence and a wrong response. With a
-        linear model ``model_gain``, ``model_phase`` and, of its paths, ``_lower`` and ``_upper``,
+        ``excited``: whether coherence, error and power of the response suffice, and the input moves
+        by itself: where an autopilot feeds gusts and noise back, coherence is high and the response
+        wrong. With a linear model ``model_gain``, ``model_phase`` and, of its paths, ``_lower`` and ``_upper``,
         which hold 95 %.
 
     Raises
@@ -129,22 +138,23 @@ def frequency_response(
             f"Got inputs={inputs} and outputs={outputs}, but expected names of columns, each once."
         )
     table = FlightTable.of(flight, [*inputs, *outputs])
-    spectra = _spectra(table, inputs, outputs, settings)
+    step = float(np.median(np.diff(table.time)))
+    records = _records(table, [*inputs, *outputs], step)
+    spectra = _spectra(records, step, settings)
+    bands = _bands(spectra.frequency, settings)
+    phases = [2 * np.pi * step * spectra.frequency[band].mean() for band in bands]
+    is_free = _is_free(records, np.array(phases), len(inputs), settings)
     rows = []
-    for band in _bands(spectra.frequency, settings):
-        rows += _responses(spectra, band, inputs, outputs, settings)
+    for band, free in zip(bands, is_free, strict=True):
+        rows += _responses(spectra, band, free, inputs, outputs, settings)
     found = pd.DataFrame(rows).set_index(["output", "input", "frequency"]).sort_index()
     if linear is not None:
         found = found.join(_of_model(linear, found.index))
     return found
 
 
-def _spectra(
-    table: FlightTable, inputs: list[str], outputs: list[str], settings: SpectrumSettings
-) -> Spectra:
-    """Return the spectra of all channels, averaged over windows that overlap by half."""
-    step = float(np.median(np.diff(table.time)))
-    records = _records(table, [*inputs, *outputs], step)
+def _spectra(records: list[Array], step: float, settings: SpectrumSettings) -> Spectra:
+    """Return the spectra of the channels of records, averaged over windows that overlap by half."""
     lengths = [step * record.shape[1] for record in records]
     longest = max(lengths, default=0.0)
     seconds = min(settings.window, longest, sum(lengths) / settings.n_windows)
@@ -202,9 +212,72 @@ def _bands(frequency: Array, settings: SpectrumSettings) -> list[Indices]:
     return bands
 
 
+def _is_free(records: list[Array], phases: Array, q: int, settings: SpectrumSettings) -> Array:
+    r"""Return whether q inputs move by themselves, not by feedback, for each response (n, q, outputs).
+
+    An autoregression of all channels z (Geweke 1982),
+
+    .. math:: z_k = \sum_j A_j z_{k-j} + L e_k, \quad
+        T(\omega) = \Big(I - \sum_j A_j e^{-i \omega j}\Big)^{-1} L,
+
+    with white e of unit variance, gives the response from the spectra :math:`T T^H`, as
+    `_responses` estimates it. From the innovations of the inputs alone it is the aircraft's, and
+    the power that remains is fed back. What moves within a sample may follow the inputs or the
+    outputs: L is triangular either way. ``phases`` are :math:`\omega` [rad a sample] (n,).
+    """
+    A, covariance = _autoregression(records, settings)
+    order, c, _ = A.shape
+    delays = np.exp(-1j * np.outer(phases, np.arange(1, order + 1)))
+    transfers = np.linalg.inv(np.eye(c) - np.tensordot(delays, A, axes=1))
+    inputs_first = np.linalg.cholesky(covariance)
+    outputs_first = np.flip(np.linalg.cholesky(np.flip(covariance)))
+    is_free = np.zeros((len(phases), q, c - q), dtype=bool)
+    for L in (inputs_first, outputs_first):
+        T = transfers @ L
+        aircraft = _response_of(T[..., :q], q)
+        bias = np.abs(_response_of(T, q) - aircraft)
+        power = np.sum(np.abs(T[:, :q]) ** 2, axis=2)
+        fed_back = np.sum(np.abs(T[:, :q, q:]) ** 2, axis=2)
+        moves_by_itself = fed_back <= settings.part * power
+        is_free |= (bias <= settings.bias * np.abs(aircraft)) & moves_by_itself[..., None]
+    return is_free
+
+
+def _autoregression(records: list[Array], settings: SpectrumSettings) -> tuple[Array, Matrix]:
+    """Return A (order, c, c) and the covariance (c, c) of e of channels (c, n) over their deviations."""
+    c = len(records[0])
+    n_rows = sum(record.shape[1] for record in records)
+    order = max(1, min(settings.order, n_rows // (settings.rows * c)))
+    scale = np.concatenate(records, axis=1).std(axis=1)
+    before, now = [], []
+    for record in records:
+        n = record.shape[1]
+        if n > order:
+            z = ((record.T - record.mean(axis=1)) / scale).T
+            before.append(np.concatenate([z[:, order - j : n - j] for j in range(1, order + 1)]))
+            now.append(z[:, order:])
+    X = np.concatenate(before, axis=1)
+    Y = np.concatenate(now, axis=1)
+    gram = X @ X.T
+    np.einsum("ii->i", gram)[:] *= 1.0 + RIDGE
+    coefficients = np.linalg.solve(gram, X @ Y.T).T
+    innovations = Y - coefficients @ X
+    covariance = innovations @ innovations.T / Y.shape[1] + RIDGE * np.eye(c)
+    return coefficients.reshape(c, order, c).swapaxes(0, 1), covariance
+
+
+def _response_of(T: Array, q: int) -> Array:
+    """Return the responses (n, q, outputs) to q inputs of channels with the spectra T T^H."""
+    inputs, outputs = T[:, :q], T[:, q:]
+    adjoint = inputs.conj().swapaxes(1, 2)
+    inverse = np.linalg.pinv(inputs @ adjoint, rcond=RIDGE, hermitian=True)
+    return (outputs @ adjoint @ inverse).swapaxes(1, 2)
+
+
 def _responses(
     spectra: Spectra,
     band: Indices,
+    is_free: Array,
     inputs: list[str],
     outputs: list[str],
     settings: SpectrumSettings,
@@ -226,6 +299,7 @@ def _responses(
                 error = float(np.sqrt((1.0 - coherence) / (2.0 * coherence * n_averages)))
             H = response[i]
             is_sure = coherence >= settings.coherence and error <= settings.error
+            is_large = abs(H) ** 2 * S_ii > settings.excited * floor
             rows.append(
                 {
                     "output": output,
@@ -236,7 +310,7 @@ def _responses(
                     "gain_std": 20.0 / np.log(10.0) * error,
                     "phase_std": float(np.rad2deg(error)),
                     "coherence": coherence,
-                    "excited": is_sure and abs(H) ** 2 * S_ii > settings.excited * floor,
+                    "excited": is_sure and is_large and bool(is_free[i, j - q]),
                 }
             )
     return rows
@@ -255,7 +329,7 @@ def _conditioned(S: Array, i: int, j: int, q: int) -> Array:
 
 def _solved(S: Matrix, b: Array) -> Array:
     """Return S^-1 b; inputs that always move together share the response."""
-    solution: Any = np.linalg.lstsq(S, b, rcond=1e-10)[0]
+    solution: Any = np.linalg.lstsq(S, b, rcond=RIDGE)[0]
     return solution
 
 

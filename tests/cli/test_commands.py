@@ -233,12 +233,14 @@ class TestFly:
         assert flight["time"].max() <= 0.1
         assert_allclose(flight["altitude"], 100.0, atol=1.0)
 
-    def test_silence_is_no_flight(self, command, path, port, capsys):
-        words = ["fly", path, *self.WORDS, "--port", str(port), "--wait", "0.1"]
+    # in six seconds a stage that lasts would say so
+    @pytest.mark.parametrize("wait", ["0.1", pytest.param("6", marks=pytest.mark.slow)])
+    def test_silence_is_no_flight(self, command, path, port, wait, capsys):
+        words = ["fly", path, *self.WORDS, "--port", str(port), "--wait", wait]
         assert command(words) == 1
         waiting, error = capsys.readouterr().err.splitlines()[-2:]
         assert waiting == f"waiting for ArduPilot at 127.0.0.1:{port}; Ctrl-C ends"
-        assert error.startswith(f"error: Got no packet at 127.0.0.1:{port} for 0.1 s")
+        assert error.startswith(f"error: Got no packet at 127.0.0.1:{port} for {wait} s")
 
 
 class TestDerivatives:

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from scipy.signal import lsim
+from scipy.signal import butter, lfilter, lsim
 
 from skdgp.dynamics import SpectrumSettings, frequency_response, linearize, trim
 
@@ -117,6 +117,30 @@ def test_beyond_the_excitation_nothing_counts(linear):
     assert_allclose(above["gain"], 20 * np.log10(1 / 0.05), atol=2.0)
     assert not above["excited"].any()
     assert found.loc[1.5:5.0, "excited"].all()
+
+
+def test_gusts_that_an_autopilot_feeds_back_are_no_excitation():
+    """The rate answers gusts far above its noise, the aileron the rate, one sample later."""
+    rng = np.random.default_rng(0)
+    n = round(DURATION / STEP)
+    excitation = lfilter(*butter(2, 1.0, fs=1 / STEP), rng.normal(0, 0.3, n))
+    gust = rng.normal(0, 0.05, n)
+    noise = rng.normal(0, 0.001, n)
+    decay = np.exp(-10.0 * STEP)
+    rate, aileron = np.zeros(n), np.zeros(n)
+    for k in range(1, n):
+        rate[k] = decay * rate[k - 1] + (1 - decay) * 6.0 * (aileron[k - 1] + gust[k - 1])
+        aileron[k] = excitation[k] - 0.2 * (rate[k - 1] + noise[k - 1])
+    flight = pd.DataFrame({"time": STEP * np.arange(n), "aileron": aileron, "p": rate + noise})
+    found = frequency_response(flight, ["aileron"], ["p"]).loc[("p", "aileron")]
+    z = np.exp(1j * STEP * found.index.to_numpy(float))
+    error = (found["gain"] - 20 * np.log10(np.abs((1 - decay) * 6.0 / (z - decay)))).abs()
+    far = error.loc[30.0:]
+    assert far.min() > 5.0
+    assert found.loc[30.0:, "coherence"].min() > 0.6
+    assert not found.loc[30.0:, "excited"].any()
+    assert found["excited"].sum() >= 10
+    assert error[found["excited"]].max() < 2.0
 
 
 @pytest.mark.parametrize("is_missing", [False, True])

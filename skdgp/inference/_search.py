@@ -398,8 +398,15 @@ class _JointSearch(NamedTuple):
     def likeliest(
         self, kernel: MultiOutputKernel, simpler: Sequence[Hyperparameters] = ()
     ) -> Hyperparameters:
-        """Return the hyperparameters of a kernel with the largest likelihood, of all starts."""
-        best = self.learned(kernel, simpler)
+        """Return the hyperparameters of a kernel with the largest likelihood, of all starts.
+
+        It is searched again from where a simpler kernel that it contains was likelier.
+        """
+        best = self.learned(kernel)
+        for each in simpler:
+            is_likelier = each.log_likelihood > best.log_likelihood
+            if is_likelier and contains(kernel, each.kernel) and not self.stop.is_set():
+                best = self.learned(kernel, each)
         for _ in range(self.options.n_restarts):
             if self.stop.is_set():
                 break
@@ -416,9 +423,9 @@ class _JointSearch(NamedTuple):
         return start.clone_with_theta(self.random_state.uniform(*start.bounds.T))
 
     def learned(
-        self, kernel: MultiOutputKernel, simpler: Sequence[Hyperparameters] = ()
+        self, kernel: MultiOutputKernel, simpler: Hyperparameters | None = None
     ) -> Hyperparameters:
-        """Return the hyperparameters of a kernel from one start, or from the likelier end of a simpler kernel."""
+        """Return the hyperparameters of a kernel from one start, that of the data or a simpler kernel's end."""
         options = self.options
         data = Data.from_table(self.X, self.Y, self.known.loading)
         start = self._start(kernel)
@@ -432,13 +439,11 @@ class _JointSearch(NamedTuple):
             return self._all_learned(start, self.noise, data, 0)
         half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
         few = data.every(step)
-        starts = [(shared, self.noise)]
-        for each in simpler:
-            if contains(kernel, each.kernel):
-                starts.append((from_simpler(shared, each.kernel), each.noise))
-        if len(starts) > 1:
-            starts.sort(key=lambda start: log_likelihood(start[0], start[1], few))
-        shared, noise, end = self._climb(*starts[-1], self.bounds, few, half)
+        noise = self.noise
+        if simpler is not None:
+            shared = from_simpler(shared, simpler.kernel)
+            noise = simpler.noise
+        shared, noise, end = self._climb(shared, noise, self.bounds, few, half)
         start = from_coarse(kernel, start, shared)
         if options.input_noise:
             noisy = self._learned_with_input_noise(shared, start, noise, data, end)

@@ -367,8 +367,17 @@ class _JointSearch(NamedTuple):
     def compared(
         self, structure: _Structure, simpler: Sequence[Hyperparameters] = ()
     ) -> Hyperparameters:
-        """Return the hyperparameters of a structure, with its price; simpler ones may give its start."""
-        return self._priced(structure, self.likeliest(structure.kernel, simpler))
+        """Return the hyperparameters of a structure, with its price.
+
+        It is searched again from the ends of simpler ones that it contains, and the best score counts.
+        """
+        best = self._priced(structure, self.likeliest(structure.kernel))
+        for each in simpler:
+            if contains(structure.kernel, each.kernel) and not self.stop.is_set():
+                other = self._priced(structure, self.learned(structure.kernel, each))
+                if other.score() > best.score():
+                    best = other
+        return best._replace(interrupted=self.stop.is_set())
 
     def continued(self, structure: _Structure, trial: Hyperparameters) -> Hyperparameters:
         """Return the hyperparameters of a structure, from where a trial on the same values ended, with its price."""
@@ -395,18 +404,9 @@ class _JointSearch(NamedTuple):
         )
         return learned._replace(price=price + structure.price)
 
-    def likeliest(
-        self, kernel: MultiOutputKernel, simpler: Sequence[Hyperparameters] = ()
-    ) -> Hyperparameters:
-        """Return the hyperparameters of a kernel with the largest likelihood, of all starts.
-
-        It is searched again from where a simpler kernel that it contains was likelier.
-        """
+    def likeliest(self, kernel: MultiOutputKernel) -> Hyperparameters:
+        """Return the hyperparameters of a kernel with the largest likelihood, of all starts."""
         best = self.learned(kernel)
-        for each in simpler:
-            is_likelier = each.log_likelihood > best.log_likelihood
-            if is_likelier and contains(kernel, each.kernel) and not self.stop.is_set():
-                best = self.learned(kernel, each)
         for _ in range(self.options.n_restarts):
             if self.stop.is_set():
                 break

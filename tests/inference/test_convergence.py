@@ -1,0 +1,87 @@
+"""A search has converged where further iterations lower no error of predictions, however the likelihood rises."""
+
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from sklearn.exceptions import ConvergenceWarning
+
+from skdgp import DependentGPRegressor
+from skdgp.inference import Data, SearchSettings, fit_exact
+from skdgp.kernels import ConvolvedGaussian
+
+N = 60
+ERROR_ALONE = SearchSettings(irrelevant_rise=0.0, relevant_rise=np.inf)
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def tables(request):
+    """X (N, 2), a function without noise (N, 1), and the same beside two outputs of noise alone (N, 3)."""
+    rng = default_rng(request.param)
+    X = rng.uniform(-2, 2, (N, 2))
+    y = np.sin(2 * X[:, :1]) + np.cos(2 * X[:, 1:])
+    return X, y, np.column_stack([y, rng.normal(size=(N, 2))])
+
+
+def start(Y, width):
+    P = Y.shape[1]
+    return ConvolvedGaussian(0, amplitude=np.eye(P), length_scale=np.full((P, P, 2), width))
+
+
+def searched(X, Y, max_iter, width, settings=ERROR_ALONE):
+    """Return the hyperparameters of a search from a start that no other stage changes."""
+    options = {"optimizer": "fmin_l_bfgs_b", "random_state": 0, "max_iter": max_iter}
+    return fit_exact(start(Y, width), X, Y, settings=settings, **options).learned
+
+
+def error_of(learned, X, Y):
+    """Return the root mean square error of each value as predicted by all others, over its output's spread."""
+    data = Data.from_table(X, Y)
+    K = learned.kernel(data.X) + np.diag(np.repeat(learned.noise, N))
+    y = np.concatenate(data.y)
+    errors = np.empty(len(y))
+    for k in range(len(y)):
+        others = np.arange(len(y)) != k
+        weights = np.linalg.solve(K[np.ix_(others, others)], K[others, k])
+        errors[k] = y[k] - weights @ y[others]
+    return np.sqrt(np.mean((errors / np.repeat(Y.std(axis=0), N)) ** 2))
+
+
+def test_has_converged_where_the_likelihood_alone_rises(tables):
+    """The fit of the function becomes perfect, which hardly counts beside the noise of the others."""
+    X, _, Y = tables
+    few = searched(X, Y, 12, 0.5)
+    many = searched(X, Y, 24, 0.5)
+    assert many.log_likelihood > few.log_likelihood + 0.05 * Y.size
+    assert_allclose(error_of(many, X, Y), error_of(few, X, Y), rtol=0.05)
+    assert few.converged
+
+
+def test_has_not_converged_where_the_error_falls(tables):
+    X, y, _ = tables
+    few = searched(X, y, 10, 0.05)
+    many = searched(X, y, 20, 0.05)
+    assert error_of(many, X, y) < 0.5 * error_of(few, X, y)
+    assert not few.converged
+
+
+def test_has_not_converged_where_the_likelihood_rises_much(tables):
+    X, _, Y = tables
+    few = searched(X, Y, 12, 0.5, SearchSettings(relevant_rise=0.2))
+    assert few.remaining > 0.2 * Y.size
+    assert not few.converged
+
+
+def test_regressor_warns_of_too_few_iterations_alone(tables):
+    """What warns is an error in all tests: twenty iterations say nothing, though the likelihood rises yet."""
+    X, _, Y = tables
+    model = DependentGPRegressor(start(Y, 0.5), structure="joint", trend=None, random_state=0)
+    with pytest.warns(ConvergenceWarning, match="stopped at max_iter=6 before it converged"):
+        model.set_params(max_iter=6).fit(X, Y)
+    assert not model.converged_
+    likelihoods = []
+    for max_iter in (20, 40):
+        model.set_params(max_iter=max_iter).fit(X, Y)
+        assert model.converged_
+        likelihoods.append(model.log_marginal_likelihood_value_)
+    assert likelihoods[1] > likelihoods[0]

@@ -31,8 +31,8 @@ Learn an aircraft's six aerodynamic coefficients from flight logs.
   skdgp derivatives results/model.joblib --airspeed 30 35 40
   skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron -o next
   skdgp export results/model.joblib --to c -o flight_code
-  skdgp margins results/model.joblib --params plane.params --airspeed 35 --full aileron=0.42
-  skdgp fly results/model.joblib --airspeed 35 --full aileron=0.42     in ArduPilot's simulator
+  skdgp margins results/model.joblib --params plane.params --airspeed 35 --full aileron=0.42 elevator=0.42
+  skdgp fly results/model.joblib --airspeed 35 --full aileron=0.42 elevator=0.42 rudder=0.35
 
 COMMAND --help explains each. SI units and radians throughout. Exit codes: 0 done, 1 an error, in one line, 2 wrong
 usage, 130 stopped by Ctrl-C.

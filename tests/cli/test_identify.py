@@ -84,7 +84,8 @@ class TestIdentify:
         assert_only_stopped(said)
         codes = [finding["code"] for finding in identified[2]["findings"]]
         assert {*codes} <= {"few_rows", "search_stopped"}
-        assert len(codes) == len(said)
+        # stages that take more than five seconds, as on a busy machine, are told between them
+        assert len(codes) == sum(line.startswith("warning: ") for line in said)
         assert "\r" not in identified[1].stdout
         assert "\x1b" not in identified[1].stdout
 

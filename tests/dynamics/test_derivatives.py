@@ -128,7 +128,7 @@ class TestDeviations:
             ),
         ]:
             assert_allclose(
-                values, (slopes * units).ravel(), rtol=1e-6
+                values, (slopes * units).ravel(), rtol=1e-5
             )  # waves of single precision
         assert_allclose(table.loc[rows[:3], "perturbation"], spread / units)
         assert table.attrs["slopes"] == "over the perturbation"

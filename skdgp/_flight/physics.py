@@ -546,7 +546,12 @@ def _in_earth_axes(axis: int) -> Check:
         ("ax", "ay"), f"the change of {velocity}", "", in_body_axes, NONE, FORCE_CHANNELS
     )
     regression = partial(horizontal_force, axis=axis, in_earth_axes=True)
-    return replace(proper, x=f"the integral of {own}", regression=regression, witness=proper)
+    return replace(
+        proper,
+        x=f"the integral of {own} taken in earth axes",
+        regression=regression,
+        witness=proper,
+    )
 
 
 # Accelerometers in earth axes, from which other contradictions follow

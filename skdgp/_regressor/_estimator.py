@@ -434,7 +434,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             misfit = misfit_variance(fit.posterior, X, Z, clock)
         # The search took the discrepancy for noise, of outputs or of regressors: subtract it, and keep
         # at least a lower bound.
-        least = (1.0 - self.settings.largest_misfit) * noise
+        least = self.settings.least_white * noise
         if known.bounds is not None:
             least = np.maximum(least, known.bounds[:, 0])
         white = np.where(known.is_learned, np.maximum(noise - misfit, least), noise)

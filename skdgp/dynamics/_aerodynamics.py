@@ -499,12 +499,14 @@ class _LearnedCoefficients:
     ) -> tuple[Callable, Callable]:
         """Return values and slopes of functions drawn from the posterior, slopes as of `slopes`.
 
-        Their waves have single precision, whose errors are far below those of an integration.
+        Values, which simulations need at every step, are of waves of single precision: errors are
+        far below those of the integration.
         """
-        paths = self.regressor.sample_paths(n_paths, random_state).rounded()
+        paths = self.regressor.sample_paths(n_paths, random_state)
+        rounded = paths.rounded()
 
         def values(X: Array) -> Array:
-            return paths.each(self.scaled(X))[..., self.order]
+            return rounded.each(self.scaled(X))[..., self.order]
 
         def slopes(X: Array) -> Array:
             return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale

@@ -246,8 +246,9 @@ def _is_free(records: list[Array], phases: Array, q: int, settings: SpectrumSett
 def _autoregression(records: list[Array], settings: SpectrumSettings) -> tuple[Array, Matrix]:
     """Return A (order, c, c) and the covariance (c, c) of e of channels (c, n) over their deviations."""
     c = len(records[0])
-    n_rows = sum(record.shape[1] for record in records)
-    order = max(1, min(settings.order, n_rows // (settings.rows * c)))
+    lengths = [record.shape[1] for record in records]
+    order = min(settings.order, sum(lengths) // (settings.rows * c), max(lengths) - 1)
+    order = max(1, order)
     scale = np.concatenate(records, axis=1).std(axis=1)
     before, now = [], []
     for record in records:

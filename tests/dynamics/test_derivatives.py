@@ -127,9 +127,7 @@ class TestDeviations:
                 model.sample_paths(50, 0).gradient(at, spread)[:, 0].std(axis=0, ddof=1),
             ),
         ]:
-            assert_allclose(
-                values, (slopes * units).ravel(), rtol=1e-5
-            )  # waves of single precision
+            assert_allclose(values, (slopes * units).ravel(), rtol=1e-9)
         assert_allclose(table.loc[rows[:3], "perturbation"], spread / units)
         assert table.attrs["slopes"] == "over the perturbation"
         local = stability_derivatives(*flight, n_paths=0, perturbation=None)

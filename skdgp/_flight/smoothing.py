@@ -6,11 +6,15 @@ linear smoother of least mean squared error is, for one channel and for all join
     h_i(f) = max(0, 1 - N_i / P_ii(f)),        H(f) = (P - N) P^-1.
 
 Beyond the last frequency at which signal is as strong as noise, both are made non-increasing in f.
+
+A gain below one shrinks the signal with the noise. That is right for the regressors of a regression,
+whose slopes then come out unbiased (Carroll et al. 2006, section 4.2), and wrong for its targets: a
+target keeps a gain of one up to that frequency.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -63,6 +67,7 @@ def smooth(
     cutoff: float | str | None = "auto",
     flight: ArrayLike | None = None,
     joint: bool = False,
+    shrink: bool | Sequence[bool] = True,
     derivative: bool = False,
 ) -> np.ndarray:
     """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
@@ -75,13 +80,17 @@ def smooth(
     there); "auto", the Wiener smoother of the channel's spectrum over its flight, which needs a
     segment of 128 samples, else it warns and leaves the channel as it is; or None, no smoothing.
     With ``joint``, "auto" estimates each channel from all channels sampled at the same rows,
-    through their cross-spectra: for few channels that move together, such as alpha and q. With
-    ``derivative`` their rates of change are returned, see `differentiate`.
+    through their cross-spectra: for few channels that move together, such as alpha and q. Without
+    ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
+    frequency at which signal is as strong as noise: more noise stays, but no signal is lost there,
+    as the targets of a regression need it. With ``derivative`` their rates of change are returned,
+    see `differentiate`.
 
     Raises ValueError if time does not increase or is too irregular, a value is infinite, or the
     cutoff is not below half the sampling rate.
     """
     columns, clock = _checked(values, time, flight)
+    shrinks = np.broadcast_to(shrink, columns.shape[1])
     if cutoff is not None and cutoff != "auto":
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
@@ -92,7 +101,7 @@ def smooth(
         smoothed = np.empty_like(sampled)
         part = clock.part(rows)
         for runs in part.segments_by_flight:
-            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint)
+            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint, shrinks[channels])
             for run in runs:
                 smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
             lengths.append(sorted(map(n_rows, runs)))
@@ -192,7 +201,12 @@ def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
 
 
 def _low_pass(
-    columns: Matrix, time: Vector, runs: list[slice], cutoff: float | str | None, joint: bool
+    columns: Matrix,
+    time: Vector,
+    runs: list[slice],
+    cutoff: float | str | None,
+    joint: bool,
+    shrinks: Array,
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
     if cutoff is None:
@@ -203,7 +217,11 @@ def _low_pass(
     if spectrum is None:
         return None
     floor = white_noise(spectrum)
-    gain = _joint_gain(spectrum, floor) if joint else _single_gain(spectrum, floor)
+    if joint:
+        gain = _joint_gain(spectrum, floor)
+    else:
+        gain = _single_gain(spectrum, floor)
+        gain = np.where(shrinks | _is_beyond(gain), gain, 1.0)
     response = impulse_response(gain)
     return lambda values, rate: convolve(values, response)
 
@@ -353,11 +371,16 @@ def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
     return gain
 
 
-def _falling(gain: Matrix) -> Matrix:
-    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
+def _is_beyond(gain: Matrix) -> Array:
+    """Return whether a frequency lies beyond the last at which gains (m, k) are 1/2, signal as strong as noise."""
     is_strong = gain >= 0.5
     last = len(gain) - 1 - np.argmax(is_strong[::-1], axis=0)
-    is_beyond = np.arange(len(gain))[:, None] > last
+    return np.arange(len(gain))[:, None] > last
+
+
+def _falling(gain: Matrix) -> Matrix:
+    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
+    is_beyond = _is_beyond(gain)
     least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5), axis=0)
     factor = least / np.maximum(gain, 1e-12)
     return np.where(is_beyond, factor, 1.0)

@@ -71,6 +71,8 @@ def aerodynamic_coefficients(
     cutoff : float, "auto" or None, default="auto"
         Zero-phase smoothing of the measured channels, and of the rates before they are
         differentiated: a corner frequency [Hz], the smoother of each channel's spectrum, or none.
+        "auto" removes noise beyond the frequencies at which a channel has more signal, and keeps
+        these as they are, as a Wiener smoother would make derivatives too small.
     thrust : {"auto", None}, default="auto"
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
@@ -153,8 +155,10 @@ def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.Data
     is_measured = all(name in flight for name in RATE_DERIVATIVES)
     if is_measured:
         names += RATE_DERIVATIVES
-    smoothed = smooth(numeric(flight, names), **clock)
+    # targets of a regression may not shrink; airspeed is a regressor, too
+    shrinks = [name == "airspeed" for name in names]
+    smoothed = smooth(numeric(flight, names), shrink=shrinks, **clock)
     measured = flight.assign(**dict(zip(names, smoothed.T, strict=True)))
     if is_measured:
         return measured, numeric(measured, RATE_DERIVATIVES)
-    return measured, differentiate(numeric(flight, RATES), **clock)
+    return measured, differentiate(numeric(flight, RATES), shrink=False, **clock)

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 from scipy.stats import f as f_distribution
+from scipy.stats import false_discovery_control
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
@@ -120,7 +121,7 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     the uncertainty K of the model's function. With k weights and :math:`\nu = B - 1`,
     :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The p-values of the coefficients are combined into the whole by
-    Cauchy's combination, which allows for their dependence (Liu & Xie 2020).
+    Simes' test, which allows for positive dependence (Simes 1986).
 
     Raises ValueError as `validate` does.
 
@@ -237,9 +238,6 @@ def _p_value(weights: Vector, covariance: Matrix, n_blocks: int) -> float:
 
 
 def combined(p_values: Sequence[float]) -> float:
-    """Return Cauchy's combination of the p-values that are known, NaN if none is."""
+    """Return the p-value by Simes' test of those that are known, min n p_(k) / k, NaN if none is."""
     known = [p for p in p_values if np.isfinite(p)]
-    if not known:
-        return float("nan")
-    angles = np.pi * (0.5 - np.asarray(known))
-    return float(0.5 - np.arctan(np.mean(np.tan(angles))) / np.pi)
+    return float(false_discovery_control(known).min()) if known else float("nan")

@@ -6,8 +6,9 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
+from scipy import signal
 
-from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
@@ -58,6 +59,29 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     assert (smoothed <= 1.01 * raw).all(), (smoothed, raw)
     assert smoothed.mean() < 0.7 * raw.mean()
     assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
+
+
+def test_smoothing_does_not_shrink_a_signal_that_hardly_exceeds_its_noise():
+    """Slopes of targets on what they depend on keep their size. A Wiener smoother has 0.8 here."""
+    glider = Aircraft(
+        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
+    )
+    below_1_hz = signal.butter(4, 1.0, fs=50, output="sos")
+    slopes = []
+    for seed in range(6):
+        rng = default_rng(seed)
+        wave = signal.sosfiltfilt(below_1_hz, rng.normal(size=6000))
+        wave *= 0.04 / wave.std()
+        still = dict.fromkeys(["ay", "p", "q", "r"], 0.0)
+        flight = pd.DataFrame(
+            {"time": 0.02 * np.arange(6000), "airspeed": 12.0, "az": -9.8} | still
+        )
+        flight = flight.assign(density=1.2, ax=wave + rng.normal(0, 0.1, 6000))
+        CX = aerodynamic_coefficients(flight, glider, thrust=None)["CX"]
+        dynamic_pressure = 0.5 * 1.2 * 12.0**2
+        true = 2.0 * wave / (dynamic_pressure * 0.5)
+        slopes.append(np.polyfit(true, CX, 1)[0])
+    assert np.mean(slopes) == pytest.approx(1.0, abs=0.05)
 
 
 def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coefficients):

@@ -297,11 +297,15 @@ def _surface(log: Log, name: str, control: Control) -> Source:
     """Return a control by the channels of its servos, which are fields of one topic."""
     values: Any = 0.0
     largest = 0.0
+    is_command = name in log.commands
     for weight, servo in control:
-        values = values + weight * servo.deflection(_pulses(log, name, servo))
+        deflection = servo.deflection(_pulses(log, name, servo))
+        if is_command:  # an engine that is switched off gets no number
+            deflection = np.nan_to_num(deflection)
+        values = values + weight * deflection
         largest += abs(weight) * max(np.abs(servo.angles))
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
-    if name in log.commands:
+    if is_command:
         note = "as commanded"
     servos = [servo for _, servo in control]
     channels = " ".join(servo.channel for servo in servos)

@@ -27,6 +27,7 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
+    Lifting,
     Log,
     Rule,
     Servo,
@@ -89,8 +90,9 @@ PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
-# lanes have their own IMU, in the order of their numbers
-IMU = (*LANE_3, *LANE_2)
+# parameters of the IMUs that have a lane each, one bit for each; without it, those of the first lanes
+IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
+MOST_IMUS = 8
 # further instances of sensors before the messages had a number
 ALIASES = {
     "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
@@ -98,8 +100,6 @@ ALIASES = {
     "ESC": tuple(f"ESC{n}" for n in range(1, 9)),
 }  # fmt: skip
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=IMU),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=IMU),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude, switches=(*LANE_3, *LANE_2)),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
@@ -122,7 +122,7 @@ RULES = (
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
-    Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm),
+    Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm, valid=("H",)),
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
@@ -262,16 +262,15 @@ def _log(
     """Return the log of these messages."""
     programs = [text for text in messages if text.split(" ")[0] in VEHICLES]
     firmware = programs[0] if programs else "ArduPilot"
-    vehicle = VEHICLES.get(firmware.split(" ")[0])
-    if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
-        vehicle = "VTOL"
+    vehicle = vehicle_of(VEHICLES.get(firmware.split(" ")[0]), parameters)
+    lifting = lift_motors(parameters) if vehicle == "VTOL" else ()
     if "RCOU" in topics:
         topics = topics | {"RCOU": _all_outputs(topics)}
     outputs = topics.get("RCOU", NOTHING)
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=_rules(topics, parameters),
+        rules=_rules(topics, parameters, lifting),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
@@ -280,7 +279,7 @@ def _log(
         outputs=("RCOU",),
         controls=controls_of(outputs, parameters),
         aliases=ALIASES,
-        lifting=_lift_motors(parameters),
+        lifting=lifting,
         commands=commands_of(outputs, parameters),
     )
 
@@ -299,8 +298,14 @@ def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
     return Topic(outputs.time, outputs.order, fields)
 
 
-def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float, float], ...]:
-    """Return the outputs of motors that lift alone, and their pulses while they run."""
+def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | None:
+    """Return the kind of vehicle, of a plane with motors that lift "VTOL"."""
+    has_rotors = parameters.get("Q_ENABLE", 0.0) > 0
+    return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
+
+
+def lift_motors(parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Lifting:
+    """Return the channels ``name`` of motors that lift alone, and their pulses while they run."""
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
     motors = []
     for n in range(1, MOST_SERVOS + 1):
@@ -308,18 +313,31 @@ def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float
         if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
             low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
             high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
-            motors.append(("RCOU", f"C{n}", low + RUNNING * (high - low), np.inf))
+            topic, field = name.format(n).split(".")
+            motors.append((topic, field, low + RUNNING * (high - low), np.inf))
     return tuple(motors)
 
 
-def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+def _rules(
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: Lifting
+) -> tuple[Rule, ...]:
     """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE), with the engines that run."""
-    rules: tuple[Rule, ...] = RULES
+    used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
+    rules: tuple[Rule, ...] = (
+        Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=used),
+        Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=used),
+        *RULES,
+    )
     if parameters.get("AHRS_EKF_TYPE") == EKF2 and "NKF1" in topics:
         rules = tuple(rule for rule in rules if rule.topic not in ("XKF1", "XKF2"))
-    speeds = topics.get("RPM", NOTHING)
-    engines = driving(speeds, ENGINES, np.zeros(len(speeds), bool))
+    engines = driving(topics, "RPM", ENGINES, lifting)
     return (engines_rule("RPM", engines), *rules) if engines else rules
+
+
+def _imu_of(lane: Use, parameters: Mapping[str, float]) -> Use:
+    """Return where the log says which IMU the lane in use has (NavEKF3::InitialiseFilter)."""
+    mask = whole(parameters.get(IMU_MASKS[lane.topic], 0.0))
+    return lane._replace(instances=tuple(n for n in range(MOST_IMUS) if mask >> n & 1))
 
 
 def _instance_field(codes: str, columns: list[str]) -> str | None:

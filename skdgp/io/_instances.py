@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from skdgp.io._log import (
     Rule,
     Topic,
     Use,
+    engines_note,
     last_before,
 )
 from skdgp.io._resets import correct_resets, place_of_jump
@@ -148,13 +150,14 @@ def choose(log: Log, rule: Rule) -> Choice | None:
 
 def _mean_engine(log: Log, readings: list[Readings]) -> Choice:
     """Return the root mean square of the engines that drive: thrusts go with the square of the speed."""
+    readings = [each for each in readings if each.valid.any()] or readings[:1]
     speeds = []
     for each in readings:
         drives = each.valid & ~log.lifts(each.time)
         speeds.append(float(np.mean(np.abs(each.values[drives]))) if drives.any() else 0.0)
     least = LEAST_SPEED * max(speeds)
-    pairs = zip(readings, speeds, strict=True)
-    running = [each for each, speed in pairs if speed > least] or readings[:1]
+    runs = [speed > least for speed in speeds]
+    running = list(compress(readings, runs)) or readings[:1]
     time = running[0].time[running[0].valid]
     squares = np.zeros(len(time))
     for each in running:
@@ -162,10 +165,11 @@ def _mean_engine(log: Log, readings: list[Readings]) -> Choice:
         squares += np.interp(time, each.time[each.valid], speed) ** 2
     names = tuple(each.instance.name for each in running)
     mean = np.sqrt(squares / len(running))[:, None]
-    note = f"root mean square of {len(running)} engines"
-    apart = float(np.ptp([np.mean(each.values[each.valid]) for each in running]))
+    note = engines_note(len(running))
+    speeds = list(compress(speeds, runs))
+    apart = max(speeds, default=0.0) - min(speeds, default=0.0)
     remark = ""
-    if apart > LARGEST_APART * float(np.mean(mean)):
+    if apart > LARGEST_APART * sum(speeds) / len(running):
         remark = (
             f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: their "
             "yawing moment is in no column"
@@ -227,6 +231,10 @@ def _used(
         places = np.full(len(times), NONE)
         for place, each in enumerate(readings):
             number: float = each.instance.number + use.first
+            if each.instance.number in use.instances:
+                number = use.instances.index(each.instance.number)
+            elif use.instances:
+                number = NONE
             if use.match in each.instance.topic:
                 number = float(each.instance.topic[use.match][0])
             places[numbers == number] = place

@@ -110,6 +110,8 @@ class Use(NamedTuple):
     match: str = ""
     #: Whether a number of no instance means that nothing was measured
     is_measurement: bool = False
+    #: Instances that the numbers 0, 1, ... stand for, where these are of estimators in place of sensors
+    instances: tuple[int, ...] = ()
 
     @property
     def words(self) -> str:
@@ -210,6 +212,8 @@ UP = (-1.0, 0.0, 1.0)
 DOWN = UP[::-1]
 # of one that moves to one side alone
 OPENING = (0.0, 1.0)
+# Topic, field and its limits while rotors carry a VTOL, or in transition
+Lifting: TypeAlias = tuple[tuple[str, str, float, float], ...]
 # Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
@@ -243,7 +247,7 @@ class Log:
     aliases : dict of str to tuple of str
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
     lifting : tuple of (str, str, float, float)
-        Topic, field and its limits while rotors carry a VTOL, or in transition.
+        Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
     commands : dict of str to Control
         Outputs that need no angles: the throttle of the left less the right engine.
     """
@@ -259,7 +263,7 @@ class Log:
     outputs: tuple[str, ...] = ()
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    lifting: tuple[tuple[str, str, float, float], ...] = ()
+    lifting: Lifting = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
 
     def instances(self, name: str) -> list[Instance]:
@@ -276,14 +280,10 @@ class Log:
 
     def lifts(self, time: Vector) -> Mask:
         """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
-        if self.vehicle != "VTOL":
-            return np.zeros(len(time), dtype=bool)
         return lifting_rows(self.topics, self.lifting, time)
 
 
-def lifting_rows(
-    topics: Mapping[str, Topic], lifting: Iterable[tuple[str, str, float, float]], time: Vector
-) -> Mask:
+def lifting_rows(topics: Mapping[str, Topic], lifting: Lifting, time: Vector) -> Mask:
     """Return where a field of ``lifting`` is within its limits, (n,)."""
     lifts = np.zeros(len(time), dtype=bool)
     for name, field_name, low, high in lifting:
@@ -294,25 +294,33 @@ def lifting_rows(
     return lifts
 
 
-def driving(topic: Topic, names: Iterable[str], lifts: Mask) -> tuple[str, ...]:
+def driving(
+    topics: Mapping[str, Topic], name: str, fields: Iterable[str], lifting: Lifting
+) -> tuple[str, ...]:
     """Return the fields of engines that drive the aircraft forward: they run while no rotor lifts it.
 
-    ``lifts`` (n,) are the messages in hover and transition. A motor that only spins down after
-    these is slower on average than `LEAST_SPEED` times the fastest.
+    A motor that only spins down after hover and transition is slower on average than `LEAST_SPEED`
+    times the fastest.
     """
+    topic = topics.get(name, NOTHING)
+    lifts = lifting_rows(topics, lifting, topic.time)
     means = {}
-    for name in names:
-        if name in topic and not lifts.all():
-            speed = np.nan_to_num(topic[name][~lifts])
-            means[name] = float(np.mean(np.abs(speed)))
+    for field_name in fields:
+        if field_name in topic and not lifts.all():
+            speed = np.nan_to_num(topic[field_name][~lifts])
+            means[field_name] = float(np.mean(np.abs(speed)))
     least = LEAST_SPEED * max(means.values(), default=0.0)
-    return tuple(name for name, mean in means.items() if mean > least)
+    return tuple(field_name for field_name, mean in means.items() if mean > least)
 
 
 def engines_rule(topic: str, fields: tuple[str, ...]) -> Rule:
     """Return the rule for the propeller speed [rad/s] of engines whose speeds [rpm] are in fields of a topic."""
-    note = f"root mean square of {len(fields)} engines" if len(fields) > 1 else ""
-    return Rule(("propeller_speed",), topic, fields, mean_engine, note=note)
+    return Rule(("propeller_speed",), topic, fields, mean_engine, note=engines_note(len(fields)))
+
+
+def engines_note(n_engines: int) -> str:
+    """Return how the propeller speed follows from engines, nothing of one engine."""
+    return f"root mean square of {n_engines} engines" if n_engines > 1 else ""
 
 
 def scaling(factor: float) -> Callable[[Array], Array]:

@@ -155,6 +155,11 @@ def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) 
 
 
 def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.DataFrame:
+    if path.is_dir():
+        raise FlightReadError(
+            "Got a folder without tables of ulog2csv, such as vehicle_attitude_0.csv, but expected "
+            "these or a file: give the file of one flight."
+        )
     kind = path.suffix.lower()
     if kind not in TABLES:
         raise FlightReadError(

@@ -20,11 +20,18 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import commands_of, controls_of, mounting_remarks
+from skdgp.io._dataflash import (
+    commands_of,
+    controls_of,
+    lift_motors,
+    mounting_remarks,
+    vehicle_of,
+)
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
     QUATERNION,
+    Lifting,
     Log,
     Rule,
     Topic,
@@ -34,6 +41,7 @@ from skdgp.io._log import (
     driving,
     engines_rule,
     instance_name,
+    lifting_rows,
     milli,
     numeric_fields,
     scaling,
@@ -60,6 +68,8 @@ CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 LARGEST_DIFFERENCE = 60.0
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
+# MAV_VTOL_STATE 1 to 3 are transitions and rotary wing
+HOVER = ("EXTENDED_SYS_STATE", "vtol_state", 1.0, 3.0)
 
 
 def _wind_from(values: Matrix) -> Matrix:
@@ -138,27 +148,39 @@ def read_tlog(path: Path) -> Log:
     if "HEARTBEAT" in topics:
         topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
     outputs = topics.get(OUTPUTS, NOTHING)
+    vehicle = _vehicle(topics, vehicles, parameters)
+    lifting = (HOVER, *lift_motors(parameters, channels)) if vehicle == "VTOL" else ()
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
-        rules=_rules(topics),
+        rules=_rules(topics, lifting),
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
-        vehicle=vehicles[0] if vehicles else None,
+        vehicle=vehicle,
         remarks=(*damage(skipped), *mounting_remarks(outputs, parameters, channels)),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
         controls=controls_of(outputs, parameters, channels),
+        lifting=lifting,
         commands=commands_of(outputs, parameters, channels),
     )
 
 
-def _rules(topics: dict[str, Topic]) -> tuple[Rule, ...]:
+def _vehicle(
+    topics: dict[str, Topic], vehicles: list[str], parameters: dict[str, float]
+) -> str | None:
+    """Return the kind of vehicle by heartbeats; of a plane with a state in hover or transition "VTOL"."""
+    vehicle = vehicle_of(vehicles[0] if vehicles else None, parameters)
+    states = topics.get(HOVER[0], NOTHING)
+    hovers = lifting_rows(topics, (HOVER,), states.time).any()
+    return "VTOL" if vehicle == "fixed wing" and hovers else vehicle
+
+
+def _rules(topics: dict[str, Topic], lifting: Lifting) -> tuple[Rule, ...]:
     """Return the rules with the engines that run."""
     rules = list(RULES)
     for name, fields in ENGINES.items():
-        topic = topics.get(name, NOTHING)
-        engines = driving(topic, fields, np.zeros(len(topic), bool))
+        engines = driving(topics, name, fields, lifting)
         if engines:
             rules.append(engines_rule(name, engines))
     return tuple(rules)

@@ -26,6 +26,7 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
+    Lifting,
     Log,
     Rule,
     Servo,
@@ -36,7 +37,6 @@ from skdgp.io._log import (
     engines_rule,
     from_rpm,
     instance_name,
-    lifting_rows,
     milli,
     numeric_fields,
     whole,
@@ -122,7 +122,7 @@ RULES = (
         valid=PITOT_VALID,
         within=MEASURED,
     ),
-    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT),
+    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred=("confidence",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
     Rule(
@@ -206,6 +206,8 @@ TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
 MOST_ENGINES = 8
+MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
+ENGINE_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
 MOST_SURFACES = 8  # of control allocation
 # By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 # against our signs.
@@ -274,48 +276,44 @@ def px4_log(
     remarks: tuple[str, ...] = (),
 ) -> Log:
     """Return the log of topics and parameters of PX4."""
+    vehicle = _vehicle(topics, parameters)
+    is_vtol = vehicle == "VTOL"
+    lifting = LIFTING if is_vtol else ()
+    tilts = is_vtol and parameters.get("VT_TYPE") in TILTING
     return Log(
         kind=kind,
         topics=topics,
-        rules=_rules(topics, parameters),
+        rules=(*((TILTED,) if tilts else ()), *_rules(topics, lifting)),
         parameters=parameters,
         firmware=firmware,
-        vehicle=_vehicle(topics, parameters),
+        vehicle=vehicle,
         remarks=remarks,
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
         controls=_controls(topics, parameters),
-        lifting=LIFTING,
-        commands=_commands(topics, parameters),
+        lifting=lifting,
+        commands={} if is_vtol else _commands(topics, parameters),
     )
 
 
-def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return the rules, with the thrust of tilted rotors and of the engines that drive forward."""
+def _rules(topics: Mapping[str, Topic], lifting: Lifting) -> tuple[Rule, ...]:
+    """Return the rules, with those of the motors and engines that drive forward.
+
+    Several motors come first: other sources are one number for all, also where one is switched off.
+    """
+    motors = driving(topics, "actuator_motors", MOTOR_FIELDS, lifting)
+    engines = driving(topics, "esc_status", ENGINE_FIELDS, lifting)
+    note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
     rules: tuple[Rule, ...] = RULES
-    if _vehicle(topics, parameters) == "VTOL" and parameters.get("VT_TYPE") in TILTING:
-        rules = (TILTED, *rules)
-    motors = _driving(topics, parameters, "actuator_motors", "control[{}]")
-    if motors:
-        note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
-        rules = (*rules, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note))
-    engines = _driving(topics, parameters, "esc_status", "esc[{}].esc_rpm")
-    if len(engines) > 1:
-        return (engines_rule("esc_status", engines), *rules)
-    if engines:
-        return (*rules, engines_rule("esc_status", engines))
+    for fields, rule in (
+        (motors, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note)),
+        (engines, engines_rule("esc_status", engines)),
+    ):
+        if len(fields) > 1:
+            rules = (rule, *rules)
+        elif fields:
+            rules = (*rules, rule)
     return rules
-
-
-def _driving(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], name: str, field: str
-) -> tuple[str, ...]:
-    """Return the fields of a topic of motors that drive the aircraft forward."""
-    topic = topics.get(name, NOTHING)
-    lifts = np.zeros(len(topic), bool)
-    if _vehicle(topics, parameters) == "VTOL":
-        lifts = lifting_rows(topics, LIFTING, topic.time)
-    return driving(topic, (field.format(k) for k in range(MOST_ENGINES)), lifts)
 
 
 def _mean_motor(commands: Matrix) -> Matrix:
@@ -553,12 +551,9 @@ def _turn_apart(types: Mapping[int, int], parameters: Mapping[str, float]) -> bo
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
     """Return the mean throttle of the left less that of the right engines of a fixed wing, by CA_ROTORn_PY."""
     outputs = topics.get("actuator_motors", NOTHING)
-    if _vehicle(topics, parameters) == "VTOL":
-        return {}
     sides: dict[bool, list[Servo]] = {True: [], False: []}
-    for n in range(MOST_ENGINES):
+    for n, channel in enumerate(MOTOR_FIELDS):
         place = parameters.get(f"CA_ROTOR{n}_PY", 0.0)
-        channel = f"control[{n}]"
         if place and channel in outputs and np.isfinite(outputs[channel]).any():
             servo = Servo(f"actuator_motors.{channel}", OPENING, OPENING)
             sides[place < 0].append(servo)

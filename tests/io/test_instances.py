@@ -62,6 +62,18 @@ class TestArduPilot:
             table = read(log, "log.bin", airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
 
+    @pytest.mark.parametrize(("name", "ekf"), [("XKF4", "EK3"), ("NKF4", "EK2")])
+    def test_the_imu_of_a_lane_is_one_of_its_mask(self, read, dataflash, name, ekf):
+        """The mask 0b110 has lanes on IMU 1 and IMU 2 alone; the second lane is used."""
+        log = dataflash(**{f"{ekf}_IMU_MASK": 6.0})
+        for number in range(3):
+            rates = {f"Gyr{axis}": ("f", np.sin(T) + number) for axis in "XYZ"}
+            log.topic("IMU", T + number * 1e-3, I=("B", number), **rates)
+        log.topic(name, SLOW, PI=("B", 1))
+        with pytest.warns(FlightDataWarning, match=rf"p q r of 3 instances: IMU#2 \(as {name}.PI"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.p[10:-10], 2 + np.sin(table.time[10:-10]), atol=0.01)
+
 
 class TestPX4:
     @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
@@ -82,6 +94,17 @@ class TestPX4:
             table = read(log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
+
+    def test_a_sensor_without_confidence(self, read, ulog):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+        fails = SLOW > 25
+        first = np.where(fails, 0.0, TRUE)
+        log.topic("airspeed", SLOW, true_airspeed_m_s=first, confidence=np.where(fails, 0.0, 1.0))
+        fields = {"true_airspeed_m_s": TRUE, "confidence": np.ones(len(SLOW))}
+        log.topic("airspeed", SLOW, instance=1, **fields)
+        with pytest.warns(FlightDataWarning, match=r"airspeed#1 \(the healthiest\)"):
+            table = read(log, airborne=False)
+        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
 
 
 class TestResets:
@@ -158,6 +181,28 @@ class TestVehicles:
             table = read(log, "log.bin", airborne=False)
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
+
+    def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, dataflash):
+        log = gyros(dataflash())
+        for number, speed in enumerate((9000.0, 6000.0)):
+            message = {"I": ("B", number), "RPM": ("f", speed), "H": ("B", number)}
+            log.topic("RPM", SLOW + number * 1e-3, **message)
+        table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
+
+    def test_an_engine_that_is_switched_off(self, read, ulog):
+        """The right one of two gets no number from 25 s on; the thrust that was asked for stays."""
+        log = ulog(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log.topic("vehicle_thrust_setpoint", SLOW, xyz=np.outer(np.ones(len(SLOW)), [0.6, 0, 0]))
+        right = np.where(SLOW < 25, 0.6, np.nan)
+        motors = np.column_stack([np.full(len(SLOW), 0.6), right])
+        log.topic("actuator_motors", SLOW, control=motors)
+        table = read(log, airborne=False)
+        early, late = table[table.time < 24.8], table[table.time > 25.2]
+        assert_allclose(early[["throttle", "differential_throttle"]], [[0.6, 0.0]] * len(early))
+        late = late[["throttle", "differential_throttle"]].dropna()
+        assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
 
     def test_engines_that_lift_a_vtol_do_not_drive_it(self, read, dataflash):
         """Four lift until 20 s, then the fifth pushes."""

@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
@@ -292,6 +292,41 @@ def lifting_rows(topics: Mapping[str, Topic], lifting: Lifting, time: Vector) ->
             values = topic[field_name][last_before(topic.time, time)]
             lifts |= (values >= low) & (values <= high)
     return lifts
+
+
+def in_flight_axes(rules: Iterable[Rule]) -> tuple[Rule, ...]:
+    """Return rules of a tailsitter, whose body axes are those of hover, for its axes in forward flight.
+
+    Forward is then along -z, and down along x (FixedwingRateControl.cpp of PX4).
+    """
+    turned = []
+    for rule in rules:
+        turn = TURNS.get(rule.columns)
+        convert = partial(_turned, rule.convert, turn) if turn else rule.convert
+        turned.append(rule._replace(convert=convert))
+    return tuple(turned)
+
+
+def _turned(
+    convert: Callable[[Matrix], Matrix], turn: Callable[[Matrix], Matrix], fields: Matrix
+) -> Matrix:
+    """Return converted fields in other body axes."""
+    return turn(convert(fields))
+
+
+def _swapped(vectors: Matrix) -> Matrix:
+    """Return vectors (n, 3) in axes of hover in axes of forward flight."""
+    x, y, z = vectors.T
+    return np.column_stack([-z, y, x])
+
+
+def _pitched(quaternions: Matrix) -> Matrix:
+    """Return attitudes of the axes of hover as of the axes of forward flight, a turn by 90 degrees about y."""
+    w, x, y, z = quaternions.T
+    return np.column_stack([w - y, x - z, y + w, z + x]) / np.sqrt(2)
+
+
+TURNS = {RATES: _swapped, SPECIFIC_FORCE: _swapped, QUATERNION: _pitched}
 
 
 def driving(

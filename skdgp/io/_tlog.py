@@ -40,6 +40,7 @@ from skdgp.io._log import (
     density_at,
     driving,
     engines_rule,
+    in_flight_axes,
     instance_name,
     lifting_rows,
     milli,
@@ -59,6 +60,8 @@ MAVLINK_2 = 0xFD
 OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
 # MAV_AUTOPILOT
 PX4 = 12
+# MAV_TYPE of tailsitters, with two rotors, four, and any
+TAILSITTERS = (19, 20, 23)
 # MAV_MODE_FLAG_SAFETY_ARMED of base_mode
 ARMED = 128
 # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
@@ -150,10 +153,12 @@ def read_tlog(path: Path) -> Log:
     outputs = topics.get(OUTPUTS, NOTHING)
     vehicle = _vehicle(topics, vehicles, parameters)
     lifting = (HOVER, *lift_motors(parameters, channels)) if vehicle == "VTOL" else ()
+    rules = _rules(topics, lifting)
+    sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
-        rules=_rules(topics, lifting),
+        rules=in_flight_axes(rules) if sits_on_tail else rules,
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,

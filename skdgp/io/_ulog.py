@@ -36,6 +36,7 @@ from skdgp.io._log import (
     driving,
     engines_rule,
     from_rpm,
+    in_flight_axes,
     instance_name,
     milli,
     numeric_fields,
@@ -202,6 +203,7 @@ LIFTING = (
 # VT_TYPE of tailsitters and tiltrotors, whose thrust is along -z (tailsitter.cpp, tiltrotor.cpp)
 TILTING = (0, 1)
 TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+TAILSITTER = 0
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
@@ -222,6 +224,8 @@ AILERONS = (1, 2)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
+# The same of tailsitters, whose torques are about the axes of hover
+HOVER_TORQUES = {"aileron": ("Y", -1.0), "elevator": ("P", -1.0), "rudder": ("R", -1.0)}
 # Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
 CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
 # The flaps of actuator_controls, which open from zero
@@ -279,18 +283,23 @@ def px4_log(
     vehicle = _vehicle(topics, parameters)
     is_vtol = vehicle == "VTOL"
     lifting = LIFTING if is_vtol else ()
-    tilts = is_vtol and parameters.get("VT_TYPE") in TILTING
+    sits_on_tail = is_vtol and _sits_on_tail(topics, parameters)
+    rules = _rules(topics, lifting)
+    if sits_on_tail or (is_vtol and parameters.get("VT_TYPE") in TILTING):
+        rules = (TILTED, *rules)
+    if sits_on_tail:
+        rules = in_flight_axes(rules)
     return Log(
         kind=kind,
         topics=topics,
-        rules=(*((TILTED,) if tilts else ()), *_rules(topics, lifting)),
+        rules=rules,
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
         remarks=remarks,
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
-        controls=_controls(topics, parameters),
+        controls=_controls(topics, parameters, sits_on_tail),
         lifting=lifting,
         commands={} if is_vtol else _commands(topics, parameters),
     )
@@ -450,10 +459,21 @@ def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> st
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
 
 
-def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
+def _sits_on_tail(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> bool:
+    """Return whether a VTOL is a tailsitter, by its status or the parameter."""
+    status = topics.get("vehicle_status", NOTHING)
+    if "is_vtol_tailsitter" in status:
+        return bool(status["is_vtol_tailsitter"].any())
+    return parameters.get("VT_TYPE") == TAILSITTER
+
+
+def _controls(
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], sits_on_tail: bool
+) -> dict[str, Control]:
     """Return the servos of control allocation, else of a plane mixed by fixed rules.
 
     The torques of control allocation mix any number of surfaces in any way; elevons are then mixed.
+    The fixed rules of tailsitters changed with the version.
     """
     outputs = topics.get("actuator_servos", NOTHING)
     types = {}
@@ -461,8 +481,11 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
     for n in range(min(count, MOST_SURFACES)):
         if f"control[{n}]" in outputs:
             types[n] = whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
-    mixed = _mixed_controls(types, parameters) | _flaps(types, parameters)
-    controls = _single_controls(types) or _fixed_controls(topics)
+    axes = HOVER_TORQUES if sits_on_tail else TORQUES
+    mixed = _mixed_controls(types, parameters, axes) | _flaps(types, parameters)
+    controls = _single_controls(types)
+    if not controls and not sits_on_tail:
+        controls = _fixed_controls(topics)
     if mixed:
         for name in ELEVONS:
             controls.pop(name, None)
@@ -470,11 +493,13 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
 
 
 def _mixed_controls(
-    types: Mapping[int, int], parameters: Mapping[str, float]
+    types: Mapping[int, int],
+    parameters: Mapping[str, float],
+    axes: Mapping[str, tuple[str, float]],
 ) -> dict[str, Control]:
-    """Return the controls that several surfaces share, weighted by their torques."""
+    """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
     controls = {}
-    for control, (axis, sign) in TORQUES.items():
+    for control, (axis, sign) in axes.items():
         torques = {}
         for n, kind in types.items():
             torque = parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from skdgp.preprocessing import FlightDataWarning
 
@@ -171,6 +172,33 @@ class TestVehicles:
             table = read(log)
         assert table.time.min() >= 19.9
         assert_allclose(table.throttle, 0.55, rtol=1e-6)
+
+    @pytest.mark.parametrize("by_status", [True, False])
+    def test_a_tailsitter_is_read_in_its_axes_of_forward_flight(self, read, ulog, by_status):
+        """Its topics are in axes of hover, a turn by 90 degrees about y; more of the left elevon rolls it left."""
+        angles = 0.2 * np.sin(T), 0.05 + 0.1 * np.cos(T), 0.3 + 0.05 * T
+        rates = np.column_stack([0.4 * np.sin(T), 0.2 * np.cos(T), 0.1 * np.sin(2 * T)])
+        force = np.column_stack([1 + 0.1 * np.sin(T), 0.2 * np.cos(T), -9.8 + np.sin(T)])
+        flies = Rotation.from_euler("ZYX", np.column_stack(angles[::-1]))
+        to_hover = Rotation.from_euler("y", 90, degrees=True)
+        q = np.roll((flies * to_hover.inv()).as_quat(), 1, axis=1)
+        sides = {"CA_SV_CS0_TRQ_P": 0.5, "CA_SV_CS1_TRQ_P": 0.5}
+        sides |= {"CA_SV_CS0_TRQ_Y": 0.5, "CA_SV_CS1_TRQ_Y": -0.5}
+        kinds = {"CA_SV_CS0_TYPE": 5, "CA_SV_CS1_TYPE": 6}
+        log = ulog(**({} if by_status else {"VT_TYPE": 0}), **kinds, **sides)
+        log.topic("vehicle_angular_velocity", T, xyz=to_hover.apply(rates))
+        log.topic("vehicle_acceleration", T, xyz=to_hover.apply(force))
+        log.topic("vehicle_attitude", T, q=q)
+        status = {"is_vtol_tailsitter": np.ones(len(SLOW), bool)} if by_status else {}
+        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool), **status)
+        up, right = 0.3 * np.cos(T), 0.2 * np.sin(T)
+        log.topic("actuator_servos", T, control=np.column_stack([up - right, up + right]))
+        table = read(log, servos="full throw", airborne=False)
+        for names, values in (("phi theta psi", np.column_stack(angles)), ("p q r", rates)):
+            assert_allclose(table[names.split()], values[: len(table)], atol=1e-3)
+        assert_allclose(table[["ax", "ay", "az"]], force[: len(table)], atol=1e-3)
+        assert_allclose(table.aileron, right[: len(table)], atol=1e-3)
+        assert_allclose(table.elevator, -up[: len(table)], atol=1e-3)
 
     def test_thrust_goes_with_the_squares_of_all_engines(self, read, dataflash):
         log = gyros(dataflash())

@@ -62,8 +62,8 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances, in logs that do not say which field does
 INSTANCES = ("I", "Instance", "C")
-# of AHRS_EKF_TYPE
-EKF2 = 2
+# Estimators by AHRS_EKF_TYPE, each with the beginning of its topics; others (DCM, external) log none of them
+ESTIMATORS = {2: "NKF", 3: "XKF"}
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -321,17 +321,27 @@ def lift_motors(parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Lift
 def _rules(
     topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: Lifting
 ) -> tuple[Rule, ...]:
-    """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE), with the engines that run."""
+    """Return the rules, without estimators that the autopilot did not fly by, with the engines that run."""
     used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
     rules: tuple[Rule, ...] = (
         Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=used),
         Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=used),
         *RULES,
     )
-    if parameters.get("AHRS_EKF_TYPE") == EKF2 and "NKF1" in topics:
-        rules = tuple(rule for rule in rules if rule.topic not in ("XKF1", "XKF2"))
+    unused = _unused_estimators(topics, parameters)
+    rules = tuple(rule for rule in rules if rule.topic[:3] not in unused)
     engines = driving(topics, "RPM", ENGINES, lifting)
     return (engines_rule("RPM", engines), *rules) if engines else rules
+
+
+def _unused_estimators(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> set[str]:
+    """Return the estimators that only ran beside the one in use; none if the log does not say which that is."""
+    if "AHRS_EKF_TYPE" not in parameters:
+        return set()
+    used = ESTIMATORS.get(whole(parameters["AHRS_EKF_TYPE"]), "")
+    if used and f"{used}1" not in topics:
+        return set()
+    return {*ESTIMATORS.values()} - {used}
 
 
 def _imu_of(lane: Use, parameters: Mapping[str, float]) -> Use:

@@ -248,7 +248,7 @@ def _numbers(log: Log, use: Use, times: Vector) -> Vector | None:
     if not use.topic:
         value = log.parameters.get(use.field)
         return None if value is None else np.full(len(times), value)
-    for instance in log.instances(use.topic):
+    for instance in log.instances(use.topic, least=1):
         if use.field in instance.topic:
             return instance.topic[use.field][last_before(instance.topic.time, times)]
     return None

@@ -266,15 +266,17 @@ class Log:
     lifting: Lifting = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
 
-    def instances(self, name: str) -> list[Instance]:
-        """Return the instances of a topic that have messages, by number."""
+    def instances(self, name: str, least: int = 2) -> list[Instance]:
+        """Return the instances of a topic that have so many messages, by number."""
         instances = []
         further = self.aliases.get(name, ())
         for key, topic in self.topics.items():
             base, _, number = key.partition("#")
-            if len(topic) > 1 and base == name:
+            if len(topic) < least:
+                continue
+            if base == name:
                 instances.append(Instance(int(number or 0), key, topic))
-            elif len(topic) > 1 and key in further:
+            elif key in further:
                 instances.append(Instance(1 + further.index(key), key, topic))
         return sorted(instances)
 

@@ -137,7 +137,13 @@ def read_tlog(path: Path) -> Log:
             "Got a file without a message ATTITUDE of MAVLink, but expected the "
             "telemetry of an aircraft: is it empty, or of another kind?"
         )
-    system, _ = Counter(flown).most_common(1)[0]
+    systems = Counter(flown)
+    system, _ = systems.most_common(1)[0]
+    others: tuple[str, ...] = ()
+    if len(systems) > 1:
+        others = (
+            f"of the vehicles {sorted(systems)} number {system} is read, with most attitudes",
+        )
     by_name = _by_name(messages, system)
     beats = by_name.get("HEARTBEAT", {}).values()
     is_px4 = any(beat.autopilot == PX4 for beat in beats)
@@ -162,7 +168,7 @@ def read_tlog(path: Path) -> Log:
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,
-        remarks=(*damage(skipped), *mounting_remarks(outputs, parameters, channels)),
+        remarks=(*damage(skipped), *others, *mounting_remarks(outputs, parameters, channels)),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
         controls=controls_of(outputs, parameters, channels),

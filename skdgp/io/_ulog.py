@@ -284,9 +284,8 @@ def px4_log(
     is_vtol = vehicle == "VTOL"
     lifting = LIFTING if is_vtol else ()
     sits_on_tail = is_vtol and _sits_on_tail(topics, parameters)
-    rules = _rules(topics, lifting)
-    if sits_on_tail or (is_vtol and parameters.get("VT_TYPE") in TILTING):
-        rules = (TILTED, *rules)
+    tilts = sits_on_tail or (is_vtol and parameters.get("VT_TYPE") in TILTING)
+    rules = _rules(topics, lifting, tilts)
     if sits_on_tail:
         rules = in_flight_axes(rules)
     return Log(
@@ -305,7 +304,7 @@ def px4_log(
     )
 
 
-def _rules(topics: Mapping[str, Topic], lifting: Lifting) -> tuple[Rule, ...]:
+def _rules(topics: Mapping[str, Topic], lifting: Lifting, tilts: bool) -> tuple[Rule, ...]:
     """Return the rules, with those of the motors and engines that drive forward.
 
     Several motors come first: other sources are one number for all, also where one is switched off.
@@ -313,7 +312,7 @@ def _rules(topics: Mapping[str, Topic], lifting: Lifting) -> tuple[Rule, ...]:
     motors = driving(topics, "actuator_motors", MOTOR_FIELDS, lifting)
     engines = driving(topics, "esc_status", ENGINE_FIELDS, lifting)
     note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
-    rules: tuple[Rule, ...] = RULES
+    rules: tuple[Rule, ...] = (TILTED, *RULES) if tilts else RULES
     for fields, rule in (
         (motors, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note)),
         (engines, engines_rule("esc_status", engines)),

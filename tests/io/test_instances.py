@@ -63,6 +63,16 @@ class TestArduPilot:
             table = read(log, "log.bin", airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
 
+    @pytest.mark.parametrize("kind", [0, 2, 3, 11])
+    def test_an_estimator_that_was_not_flown_by_is_no_source(self, read, dataflash, kind):
+        """AHRS_EKF_TYPE 0 and 11 are none of those that log a velocity: it is the one of the GPS."""
+        log = gyros(dataflash(AHRS_EKF_TYPE=float(kind)))
+        for name, speed in (("NKF1", 2.0), ("XKF1", 3.0)):
+            log.topic(name, SLOW, **dict.fromkeys(("VN", "VE", "VD"), ("f", speed)))
+        log.topic("GPS", SLOW, Status=("B", 3), Spd=("f", 9.0), GCrs=("f", 0.0), VZ=("f", 0.0))
+        table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.v_north.dropna(), kind if kind in (2, 3) else 9.0)
+
     @pytest.mark.parametrize(("name", "ekf"), [("XKF4", "EK3"), ("NKF4", "EK2")])
     def test_the_imu_of_a_lane_is_one_of_its_mask(self, read, dataflash, name, ekf):
         """The mask 0b110 has lanes on IMU 1 and IMU 2 alone; the second lane is used."""
@@ -95,6 +105,17 @@ class TestPX4:
             table = read(log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
+
+    def test_a_selection_that_is_logged_once(self, read, ulog):
+        log = ulog()
+        for number in range(2):
+            device = ("int32_t", np.full(len(T), 100 + number))
+            rates = {axis: np.sin(T) + number for axis in "xyz"}
+            log.topic("sensor_gyro", T, instance=number, device_id=device, **rates)
+        log.topic("sensor_selection", SLOW[:1], gyro_device_id=("int32_t", np.array([101])))
+        with pytest.warns(FlightDataWarning, match=r"sensor_gyro#1 \(as sensor_selection"):
+            table = read(log, airborne=False)
+        assert_allclose(table.p[10:-10], 1 + np.sin(table.time[10:-10]), atol=0.01)
 
     def test_a_sensor_without_confidence(self, read, ulog):
         log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))

@@ -57,6 +57,16 @@ def test_a_vehicle_that_was_never_armed(tlog, read):
         read(b"".join(log), "log.tlog")
 
 
+def test_of_two_vehicles_one_is_read(tlog, read):
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    attitude = mavlink.MAVLink_attitude_message(15000, 0, 0, 0, 0, 0, 0)
+    second = attitude.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1))
+    log = [*tlog, tlog[-1][:8] + second]
+    with pytest.warns(FlightDataWarning, match=r"vehicles \[1, 7\] number 1 is read"):
+        table = read(b"".join(log), "log.tlog")
+    assert_frame_equal(table, read(b"".join(tlog), "log.tlog"))
+
+
 @pytest.mark.parametrize("told_by", ["state", "motors"])
 def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
     """It hovers until 20 s, by MAV_VTOL_STATE or by the pulse of a motor that lifts."""

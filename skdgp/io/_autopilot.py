@@ -28,9 +28,9 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
-from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
+from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import read_dataflash, read_dataflash_text
-from skdgp.io._instances import choose, validity_fields
+from skdgp.io._instances import Origin, Source, choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -110,37 +110,6 @@ class FlightSettings:
 
 TABLE = TableSettings()
 FLIGHT = FlightSettings()
-
-
-class Origin(NamedTuple):
-    """The description of the source of a column, and its sampling rate [Hz]."""
-
-    words: str
-    rate: float
-
-
-class Source(NamedTuple):
-    """The source of columns, and its valid samples."""
-
-    columns: tuple[str, ...]
-    name: str
-    time: Vector
-    values: Matrix
-    note: str = ""
-    remark: str = ""
-    # times [s] of resets that the log does not let correct
-    cuts: tuple[float, ...] = ()
-
-    @property
-    def rate(self) -> float:
-        """The usual rate [Hz], NaN of less than two samples."""
-        return 1.0 / usual_step(np.diff(self.time)) if len(self.time) > 1 else np.nan
-
-    @property
-    def origin(self) -> Origin:
-        """The description with its note, and the rate."""
-        words = f"{self.name} ({self.note})" if self.note else self.name
-        return Origin(words, self.rate)
 
 
 class Part(NamedTuple):
@@ -236,10 +205,10 @@ def find_sources(
     chosen: dict[tuple[str, ...], Source] = {}
     useless = []
     for rule in log.rules:
-        source = _source(log, rule)
+        source = choose(log, rule)
         if source is None:
             continue
-        problem = _problem(source, rule, validity_fields(log, rule))
+        problem = _problem(source, log, rule)
         if problem:
             useless.append(problem)
             continue
@@ -257,30 +226,10 @@ def find_sources(
     return sources, useless
 
 
-def _source(log: Log, rule: Rule) -> Source | None:
-    """Return the valid samples of a rule's source, or None if the log has none of its fields."""
-    choice = choose(log, rule)
-    if choice is None:
-        return None
-    names = " and ".join(choice.names[:3])
-    notes = ", ".join(filter(None, (rule.note, choice.note)))
-    words = f"{names}.{_field_words(rule.fields)}"
-    return Source(
-        rule.columns, words, choice.time, choice.values, notes, choice.remark, tuple(choice.cuts)
-    )
-
-
-def _field_words(fields: tuple[str, ...]) -> str:
-    """Return the names of fields, of an array q[0..3]."""
-    first, last = fields[0], fields[-1]
-    if len(fields) > 1 and first.endswith("[0]"):
-        return f"{first[:-1]}..{last.split('[')[1]}"
-    return " ".join(fields)
-
-
-def _problem(source: Source, rule: Rule, fields: list[str]) -> str:
+def _problem(source: Source, log: Log, rule: Rule) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
+        fields = validity_fields(log, rule)
         return f"{source.name} is never valid ({' '.join(fields) or 'no number'})"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)

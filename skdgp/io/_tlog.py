@@ -20,13 +20,7 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import (
-    commands_of,
-    controls_of,
-    lift_motors,
-    mounting_remarks,
-    vehicle_of,
-)
+from skdgp.io._dataflash import outputs_of, vehicle_of
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -151,14 +145,13 @@ def read_tlog(path: Path) -> Log:
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
-    channels = OUTPUTS + ".servo{}_raw"
     attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     if "HEARTBEAT" in topics:
         topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
-    outputs = topics.get(OUTPUTS, NOTHING)
+    outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
     vehicle = _vehicle(topics, vehicles, parameters)
-    lifting = (HOVER, *lift_motors(parameters, channels)) if vehicle == "VTOL" else ()
+    lifting = (HOVER, *outputs.lifting) if vehicle == "VTOL" else ()
     rules = _rules(topics, lifting)
     sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
     return Log(
@@ -168,12 +161,12 @@ def read_tlog(path: Path) -> Log:
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,
-        remarks=(*damage(skipped), *others, *mounting_remarks(outputs, parameters, channels)),
+        remarks=(*damage(skipped), *others, *outputs.remarks),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        controls=controls_of(outputs, parameters, channels),
+        controls=outputs.controls,
         lifting=lifting,
-        commands=commands_of(outputs, parameters, channels),
+        commands=outputs.commands,
     )
 
 

@@ -82,11 +82,13 @@ def _xyz(name):
 
 
 QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in range(4)))
-VELOCITY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
+VXY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
+VZ_RESETS = ("vz_reset_counter", "delta_vz")
 POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
 HEADING_RESETS = (Use("vehicle_local_position", "heading_reset_counter"),)
 ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
+WIND = ("wind_north", "wind_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
 # -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
@@ -103,7 +105,28 @@ def _device(name):
     return tuple(Use(topic, f"{name}_device_id", match="device_id") for topic in topics)
 
 
-LOCAL = "estimator_local_position"
+def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
+    """Return the rules for the velocity of a local position."""
+    return (
+        Rule(HORIZONTAL, topic, ("vx", "vy"), valid=("v_xy_valid",), resets=VXY_RESETS, used=used),
+        Rule(("v_down",), topic, ("vz",), valid=("v_z_valid",), resets=VZ_RESETS, used=used),
+    )
+
+
+def _velocity(
+    topic: str, fields: tuple[str, str, str], valid: tuple[str, ...] = ()
+) -> tuple[Rule, Rule]:
+    """Return the rules for a velocity whose components are valid together."""
+    return (
+        Rule(HORIZONTAL, topic, fields[:2], valid=valid),
+        Rule(("v_down",), topic, fields[2:], valid=valid),
+    )
+
+
+def _wind(topic: str, used: tuple[Use, ...] = ()) -> Rule:
+    return Rule(WIND, topic, ("windspeed_north", "windspeed_east"), used=used)
+
+
 RULES = (
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
@@ -126,33 +149,10 @@ RULES = (
     Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred=("confidence",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    Rule(
-        HORIZONTAL,
-        "vehicle_local_position",
-        ("vx", "vy"),
-        valid=("v_xy_valid",),
-        resets=VELOCITY_RESETS,
-    ),
-    Rule(HORIZONTAL, LOCAL, ("vx", "vy"), valid=("v_xy_valid",), resets=VELOCITY_RESETS, used=LANE),
-    Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
-    Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID),
-    Rule(
-        ("v_down",),
-        "vehicle_local_position",
-        ("vz",),
-        valid=("v_z_valid",),
-        resets=("vz_reset_counter", "delta_vz"),
-    ),
-    Rule(
-        ("v_down",),
-        LOCAL,
-        ("vz",),
-        valid=("v_z_valid",),
-        resets=("vz_reset_counter", "delta_vz"),
-        used=LANE,
-    ),
-    Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
-    Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=GPS_VALID),
+    *_local("vehicle_local_position"),
+    *_local("estimator_local_position", LANE),
+    *_velocity("vehicle_global_position", ("vel_n", "vel_e", "vel_d")),
+    *_velocity("vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), GPS_VALID),
     Rule(
         ("north", "east"),
         "vehicle_local_position",
@@ -177,14 +177,9 @@ RULES = (
     Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
     Rule(("altitude",), "vehicle_gps_position", ("alt",), milli),
     Rule(("density",), "vehicle_air_data", ("rho",)),
-    Rule(("wind_north", "wind_east"), "wind", ("windspeed_north", "windspeed_east")),
-    Rule(("wind_north", "wind_east"), "wind_estimate", ("windspeed_north", "windspeed_east")),
-    Rule(
-        ("wind_north", "wind_east"),
-        "estimator_wind",
-        ("windspeed_north", "windspeed_east"),
-        used=LANE,
-    ),
+    _wind("wind"),
+    _wind("wind_estimate"),
+    _wind("estimator_wind", LANE),
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),

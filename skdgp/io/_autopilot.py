@@ -392,7 +392,7 @@ def flight_table(
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
             f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
-            "(--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
+            f"(--airborne all) reads all of it{_lower_speed(flown, settings)}."
         )
     return pd.concat(flights, ignore_index=True)
 
@@ -472,6 +472,21 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
     return flight[(time >= begin) & (time <= end)]
 
 
+def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
+    """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
+    highest = settings.airborne_fraction * _highest_speed(flown)
+    if not highest >= 1.0:
+        return ""
+    speed = f"{min(flown.speed, highest):.2g}"
+    return f", airborne={speed} (--airborne {speed}) all above {speed} m/s"
+
+
+def _highest_speed(flown: FlightLog) -> float:
+    """Return the highest speed [m/s] of the longest part, minus infinity where there is none."""
+    longest = max(flown.parts, key=lambda part: len(part.table))
+    return float(np.nanmax(_speed(longest.table, flown.log), initial=-np.inf))
+
+
 def no_flight_because(flown: FlightLog) -> str:
     """Return why a log holds no flight."""
     vehicle = flown.log.vehicle
@@ -479,7 +494,7 @@ def no_flight_because(flown: FlightLog) -> str:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
     longest = max(flown.parts, key=lambda part: len(part.table))
     table = longest.table
-    highest = np.nanmax(_speed(table, flown.log), initial=-np.inf)
+    highest = _highest_speed(flown)
     reasons = [*_unarmed(longest.log), *_on_the_ground(longest)]
     channel = "airspeed"
     if "airspeed" not in table:

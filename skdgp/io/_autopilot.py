@@ -81,8 +81,10 @@ LEADERS = ("p", "ax", "qw")
 class TableSettings:
     """Settings of the sources and the clock of a table."""
 
-    # a source slower than this [Hz] gives way to a faster one further down
+    # a source slower than this [Hz] gives way to one further down that is not, or so many times as
+    # fast (guess)
     least_rate: float = 5.0
+    least_ratio: float = 1.5
     # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
     highest_rate: float = 50.0
     # corner of the smoothing of accelerations by velocities, in parts of the sampling rate
@@ -213,7 +215,8 @@ def find_sources(
             useless.append(problem)
             continue
         first = chosen.setdefault(rule.columns, source)
-        if not first.rate >= settings.least_rate and source.rate >= settings.least_rate:
+        least = min(settings.least_rate, settings.least_ratio * first.rate)
+        if first.rate < settings.least_rate and source.rate >= least:
             chosen[rule.columns] = source
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
     useless += [source.remark for source in sources if source.remark]

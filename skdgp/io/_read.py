@@ -243,6 +243,8 @@ def _as_numbers(table: pd.DataFrame) -> dict[str, np.ndarray]:
 def _as_seconds(time: pd.Series) -> pd.Series:
     """Return durations as seconds, dates (ISO 8601) and times of day from the first row on, numbers as they are."""
     if pd.api.types.is_object_dtype(time) or pd.api.types.is_string_dtype(time):
+        # ISO 8601 has either decimal mark
+        time = time.map(lambda cell: cell.replace(",", ".") if isinstance(cell, str) else cell)
         if time.astype(str).str.fullmatch(TIME_OF_DAY).all():
             seconds = pd.to_timedelta(time).dt.total_seconds()
             days = (seconds.diff() < -0.5 * DAY).cumsum()

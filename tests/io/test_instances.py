@@ -106,6 +106,20 @@ class TestPX4:
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
 
+    @pytest.mark.parametrize(
+        ("rates", "chosen"), [((2, 4), 1), ((4, 5), 1), ((4, 4.2), 0), ((6, 50), 0)]
+    )
+    def test_of_slow_sources_a_clearly_faster_one_counts(self, read, ulog, rates, chosen):
+        """Below 5 Hz, which is enough for the preferred one."""
+        log = ulog()
+        names = {"vehicle_angular_velocity": "xyz", "sensor_combined": "gyro_rad"}
+        for number, (topic, field) in enumerate(names.items()):
+            time = np.arange(10, 40, 1 / rates[number])
+            rate = np.full((len(time), 3), number + 0.1 * np.sin(time)[:, None])
+            log.topic(topic, time, **{field: rate})
+        table = read(log, airborne=False)
+        assert_allclose(table.p, chosen, atol=0.11)
+
     def test_a_selection_that_is_logged_once(self, read, ulog):
         log = ulog()
         for number in range(2):

@@ -50,7 +50,7 @@ from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
-from skdgp.io._ulog_csv import is_ulog_csv, read_ulog_csv
+from skdgp.io._ulog_csv import is_ulog_csv, name_of_log, read_ulog_csv
 
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
@@ -150,6 +150,11 @@ def read_log(path: Path) -> Log:
     if is_ulog_csv(path):
         return read_ulog_csv(path)
     return AUTOPILOTS[path.suffix.lower()](path)
+
+
+def name_of(path: Path) -> str:
+    """Return the name of the flights of a log."""
+    return name_of_log(path) if is_ulog_csv(path) else path.stem
 
 
 def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> FlightLog:

@@ -29,7 +29,7 @@ from skdgp._flight.faults import FlightDataWarning, find_faults
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
-from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
+from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, name_of, on_one_clock, read_log
 from skdgp.io._log import Topic, lacking_servos, reversed_of
 from skdgp.io._tables import (
     FlightReadError,
@@ -143,7 +143,7 @@ def read_flight(
 
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(path, servos=servos, airborne=airborne)
-    name = path.stem if flight is None else flight
+    name = name_of(path) if flight is None else flight
     with recorded_warnings() as record:
         if reversed_of(servos) is not None:  # parts of the full throw are no angles
             record.ignore(Code.LARGE_SURFACES)
@@ -359,7 +359,7 @@ def inspect_log(
     longest = max(flown.parts, key=lambda part: len(part.table))
     lacking = [] if servos is not None or flown.log.controls else [lacking_servos(flown.log)]
     try:
-        table = flight_table(flown, path.stem, airborne=True)
+        table = flight_table(flown, name_of(path), airborne=True)
         faults = _faults(table)
     except FlightReadError as error:
         table = longest.table[:0].assign(flight="")

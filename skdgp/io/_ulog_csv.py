@@ -63,6 +63,14 @@ def read_ulog_csv(path: Path) -> Log:
     return px4_log(topics, {}, kind="PX4 ULog as CSV", firmware="PX4")
 
 
+def name_of_log(path: Path) -> str:
+    """Return the name of a log: what stands before a table's topic, else the folder's."""
+    match = ANCHOR.fullmatch(path.name)
+    if match is None:
+        return path.name
+    return match[1].removesuffix("_") if match[1] else path.parent.name
+
+
 def _topic(name: str, file: Path) -> Topic | None:
     """Return the messages of a topic; None of an empty table, or one without time."""
     try:

@@ -26,6 +26,9 @@ def test_the_folder_and_a_table_in_it_are_the_log(converted):
     for given in (folder, folder / "sortie_vehicle_attitude_0.csv"):
         assert_frame_equal(read_flight(given, flight="a"), whole, atol=1e-5)
     assert inspect_log(folder).vehicle == "fixed wing"
+    names = {folder: "tables", folder / "sortie_vehicle_attitude_0.csv": "sortie"}
+    for given, name in names.items():
+        assert read_flight(given).flight.unique().tolist() == [name]
 
 
 def test_a_folder_of_two_logs_is_ambiguous(converted):

@@ -120,12 +120,10 @@ class Part(NamedTuple):
     log: Log
     table: pd.DataFrame
     segments: list[slice]
+    # times [s] of all resets that cannot be corrected
     cuts: Vector
-
-
-def _cuts(sources: list[Source]) -> Vector:
-    """Return the times [s] of all resets that cannot be corrected."""
-    return np.unique([cut for source in sources for cut in source.cuts])
+    origin: dict[str, Origin]
+    remarks: list[str]
 
 
 class FlightLog(NamedTuple):
@@ -136,6 +134,16 @@ class FlightLog(NamedTuple):
     origin: dict[str, Origin]
     speed: float
     remarks: list[str]
+
+    @property
+    def longest(self) -> Part:
+        """The part with most rows."""
+        return max(self.parts, key=lambda part: len(part.table))
+
+    @property
+    def highest_speed(self) -> float:
+        """Highest speed [m/s] of the longest part, minus infinity where there is none."""
+        return float(np.nanmax(_speed(self.longest.table, self.log), initial=-np.inf))
 
 
 def is_log(path: object) -> bool:
@@ -174,35 +182,42 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
         speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
-        origin: dict[str, Origin] = {}
-        useless: list[str] = []
         for topics in topics_of_parts:
-            part_log = replace(log, topics=topics)
-            sources, unused = find_sources(part_log, controls)
-            if sources:
-                table, origins = to_table(sources)
-                origin |= origins
-                useless += unused
-                believes = isinstance(airborne, bool)
-                segments = find_segments(table, part_log, speed, believes_landed=believes)
-                part = Part(part_log, table, segments, _cuts(sources))
-                fraction = part_log.lifts(table["time"].to_numpy()).mean()
-                if fraction:
-                    remarks.append(
-                        f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift "
-                        "the VTOL, or it is in transition"
-                    )
-                if airborne is not False:
-                    remarks += _against_flight(part)
+            part = _part(replace(log, topics=topics), controls, speed, airborne)
+            if part is not None:
                 parts.append(part)
     if not parts:
         raise FlightReadError(
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
             "log these topics."
         )
-    return FlightLog(
-        log, parts, origin, speed, list(dict.fromkeys([*log.remarks, *remarks, *useless]))
-    )
+    origin: dict[str, Origin] = {}
+    remarks = [*log.remarks, *remarks]
+    for part in parts:
+        origin |= part.origin
+        remarks += part.remarks
+    return FlightLog(log, parts, origin, speed, list(dict.fromkeys(remarks)))
+
+
+def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any) -> Part | None:
+    """Return a part of a log on one clock, None if it has no source of a column."""
+    sources, useless = find_sources(log, controls)
+    if not sources:
+        return None
+    table, origin = to_table(sources)
+    segments = find_segments(table, log, speed, believes_landed=isinstance(airborne, bool))
+    remarks = []
+    if airborne is not False:
+        fraction = log.lifts(table["time"].to_numpy()).mean()
+        if fraction:
+            remarks.append(
+                f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift the "
+                "VTOL, or it is in transition"
+            )
+        if segments:
+            remarks += _against_flight(log)
+    cuts = np.unique([cut for source in sources for cut in source.cuts])
+    return Part(log, table, segments, cuts, origin, remarks + useless)
 
 
 def find_sources(
@@ -482,17 +497,11 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
 
 def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
     """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
-    highest = settings.airborne_fraction * _highest_speed(flown)
+    highest = settings.airborne_fraction * flown.highest_speed
     if not highest >= 1.0:
         return ""
     speed = f"{min(flown.speed, highest):.2g}"
     return f", airborne={speed} (--airborne {speed}) all above {speed} m/s"
-
-
-def _highest_speed(flown: FlightLog) -> float:
-    """Return the highest speed [m/s] of the longest part, minus infinity where there is none."""
-    longest = max(flown.parts, key=lambda part: len(part.table))
-    return float(np.nanmax(_speed(longest.table, flown.log), initial=-np.inf))
 
 
 def no_flight_because(flown: FlightLog) -> str:
@@ -500,14 +509,13 @@ def no_flight_because(flown: FlightLog) -> str:
     vehicle = flown.log.vehicle
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
-    longest = max(flown.parts, key=lambda part: len(part.table))
-    table = longest.table
-    highest = _highest_speed(flown)
-    reasons = [*_unarmed(longest.log), *_on_the_ground(longest)]
+    log = flown.longest.log
+    reasons = [*_unarmed(log), *_landed_throughout(flown.longest), *_unmoved(log)]
     channel = "airspeed"
-    if "airspeed" not in table:
+    if "airspeed" not in flown.longest.table:
         channel = "ground speed"
         reasons.append("there is no valid airspeed")
+    highest = flown.highest_speed
     if np.isfinite(highest):
         reasons.append(
             f"{channel} never stays above {flown.speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
@@ -540,10 +548,10 @@ def _unmoved(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
     return []
 
 
-def _against_flight(part: Part) -> list[str]:
-    """Return a remark where speed says that a part was flown, but neither armed nor by the logged outputs."""
-    reasons = [*_unarmed(part.log), *_unmoved(part.log)]
-    if not part.segments or not reasons:
+def _against_flight(log: Log) -> list[str]:
+    """Return a remark on a flight by its speed that was neither armed nor flown by the logged outputs."""
+    reasons = [*_unarmed(log), *_unmoved(log)]
+    if not reasons:
         return []
     return [
         f"{', '.join(reasons)}, but the speed is a flight's: if something else moved the surfaces, "
@@ -551,17 +559,13 @@ def _against_flight(part: Part) -> list[str]:
     ]
 
 
-def _on_the_ground(part: Part) -> list[str]:
-    """Return what else the autopilot itself says against a flight, with the numbers."""
+def _landed_throughout(part: Part) -> list[str]:
+    """Return that the autopilot itself says to be on the ground in all rows, with the number, if it does."""
     log = part.log
-    reasons = []
-    time = part.table["time"].to_numpy()
-    if log.landed is not None and _landed(time, log).all():
-        name, field, value = log.landed
-        reasons.append(
-            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
-        )
-    return [*reasons, *_unmoved(log)]
+    if log.landed is None or not _landed(part.table["time"].to_numpy(), log).all():
+        return []
+    name, field, value = log.landed
+    return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

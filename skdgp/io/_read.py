@@ -356,20 +356,19 @@ def inspect_log(
         return _of_table(path, read_flight(path, rename=rename))
     with reading(path):
         flown = on_one_clock(path, servos=servos)
-    longest = max(flown.parts, key=lambda part: len(part.table))
     lacking = [] if servos is not None or flown.log.controls else [lacking_servos(flown.log)]
     try:
         table = flight_table(flown, name_of(path), airborne=True)
         faults = _faults(table)
     except FlightReadError as error:
-        table = longest.table[:0].assign(flight="")
+        table = flown.longest.table[:0].assign(flight="")
         faults = [str(error)]
     return LogSummary(
         path=str(path),
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
-        topics=_topics(longest.log.topics),
+        topics=_topics(flown.longest.log.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
         remarks=(*flown.remarks, *lacking, *faults),

@@ -207,6 +207,8 @@ class TestVehicles:
             table = read(log)
         assert table.time.min() >= 19.9
         assert_allclose(table.throttle, 0.55, rtol=1e-6)
+        whole = read(log, airborne=False)  # without that warning
+        assert_allclose(whole.time.min(), T[0])
 
     @pytest.mark.parametrize("by_status", [True, False])
     def test_a_tailsitter_is_read_in_its_axes_of_forward_flight(self, read, ulog, by_status):

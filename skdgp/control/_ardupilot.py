@@ -215,8 +215,24 @@ def full_outputs(
 ) -> dict[str, float]:
     """Return the values at full output of the controls that an autopilot moves, as `fly` takes them.
 
-    The throttle of a model without another control of the thrust is 1. Raises ValueError if one is
-    missing, of another control, or no number > 0.
+    Parameters
+    ----------
+    model, aircraft
+        As for `fly`.
+    full : mapping of str to float
+        Values at full output; a throttle that is not given is 1.
+    thrust : "auto" or None
+        As for `fly`.
+
+    Returns
+    -------
+    dict of str to float
+        Of aileron, elevator and rudder, if the model has them, and of the engine.
+
+    Raises
+    ------
+    ValueError
+        If a value is missing, of another control, or no number > 0.
     """
     engine = thrust_control(aircraft, thrust)
     controls = {*Motion(model, aircraft, thrust=thrust).controls, engine}

@@ -360,10 +360,22 @@ def held_out_error(
 ) -> float:
     r"""Return the root mean square error of predictions of values from all others, over their output's spread.
 
-    Each value is held out alone, or with ``n_blocks`` all values of a block of rows: in a time
-    series, values are predicted well by their neighbours whatever the kernel. The errors of a block
-    B are :math:`([K^{-1}]_{BB})^{-1} [K^{-1} y]_B` (Rasmussen & Williams 2006, equation 5.12, of one
-    value).
+    The errors of a block B of values are :math:`([K^{-1}]_{BB})^{-1} [K^{-1} y]_B` (Rasmussen &
+    Williams 2006, equation 5.12, of one value).
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    noise : ndarray (P,)
+        Variances of the outputs' noise.
+    data : Data
+    n_blocks : int, optional
+        Blocks of rows that are held out in turn; by default each value alone. In a time series,
+        values are predicted well by their neighbours, whatever the kernel.
+
+    Returns
+    -------
+    float
     """
     y = np.concatenate(data.y)
     with threads_for(data.n_values):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._log import (
@@ -200,11 +200,16 @@ class Texts(NamedTuple):
         place = self.columns.index(name)
         return [row[place] for row in self.rows]
 
+    def numbers(self, name: str) -> Vector:
+        """Return a column as floats, NaN where it is no number."""
+        cells = pd.Series(self.cells(name), dtype=object)
+        return pd.to_numeric(cells, errors="coerce").to_numpy(float)
+
     def topic(self) -> Topic | None:
         """Return the messages with a time, None if there is none; texts are left out."""
         fields = {}
         for name in self.columns:
-            numbers = pd.to_numeric(pd.Series(self.cells(name)), errors="coerce").to_numpy(float)
+            numbers = self.numbers(name)
             if np.isfinite(numbers).any():
                 fields[name] = numbers
         if "TimeUS" not in fields:
@@ -251,11 +256,8 @@ def read_dataflash_text(path: Path) -> Log:
         )
     nothing = Texts("", [], [], [])
     defined = texts.get("PARM", nothing)
-    numbers = pd.to_numeric(pd.Series(defined.cells("Value"), dtype=object), errors="coerce")
-    parameters = {}
-    for name, value in zip(defined.cells("Name"), numbers.tolist(), strict=False):
-        if np.isfinite(value):
-            parameters[name] = float(value)
+    values = defined.numbers("Value").tolist()
+    parameters = dict(zip(defined.cells("Name"), values, strict=False))
     messages = [row[-1] for row in texts.get("MSG", nothing).rows]
     return _log(topics, parameters, messages, ())
 

@@ -11,7 +11,14 @@ from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
 from skdgp._cli._use import read_model_to_fly, trimmed
 from skdgp._compute.files import csv_writer
-from skdgp.control import FlySettings, Loop, autopilot_loops, read_parameters, suggest_gains
+from skdgp.control import (
+    FlySettings,
+    Loop,
+    autopilot_loops,
+    full_outputs,
+    read_parameters,
+    suggest_gains,
+)
 from skdgp.control import fly as fly_model
 from skdgp.control import margins as margins_of
 from skdgp.dynamics import Turbulence, linearize
@@ -124,9 +131,10 @@ def fly(run: Run) -> None:
     run.console.stage("reading")
     parameters = read_parameters(options.params) if options.params else None
     model, thrust = read_model_to_fly(options)
+    given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
+    full = full_outputs(model.pipeline, model.aircraft, given, thrust)
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
-    full = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
 
     def ready() -> None:
         run.console.end_stage()

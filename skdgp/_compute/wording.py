@@ -311,6 +311,14 @@ def _search_stopped(finding: Finding) -> str:
     return _filled(text + ".", finding)
 
 
+def _errors_small(finding: Finding) -> str:
+    """Return the range of the errors, one number where they are shown alike."""
+    smallest, largest = (f"{finding.numbers[name]:.2f}" for name in ("smallest", "largest"))
+    if smallest == largest:
+        return f"error {largest} of the spread"
+    return f"errors {smallest} to {largest} of the spread of the coefficients"
+
+
 def _errors_too_large(finding: Finding) -> str:
     """Return the coefficients that are predicted well, then those that are not, and why."""
     numbers = finding.numbers
@@ -487,7 +495,7 @@ REASONS = _by_code(
     bands_too_narrow="the bands do not hold on the test flights: {coverages:.0%} of the "
     "measured values",
     constant_better_in_moments="a constant predicts {names: } of the test flights better",
-    errors_small="errors {smallest:.2f} to {largest:.2f} of the spread of the coefficients",
+    errors_small=_errors_small,
     errors_too_large=_errors_too_large,
     controls_known="controls and fast modes are known to {width:.0%} or better ({widest})",
     controls_missing="the model has none of the controls elevator, aileron, rudder",

@@ -317,7 +317,11 @@ def warn_of_search(
         unscaled = _marked(
             names, (std > settings.scaled) | ((std > 0) & (std < 1 / settings.scaled))
         )
-        numbers = {"max_iter": max_iter, "remaining": best.remaining, "unscaled": unscaled}
+        numbers = {
+            "max_iter": max(max_iter, best.n_iter),
+            "remaining": best.remaining,
+            "unscaled": unscaled,
+        }
         _warn(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning, stacklevel=7)
 
 

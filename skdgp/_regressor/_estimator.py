@@ -124,7 +124,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a time
-        series, else 150, and down to 86 where the search learns from more than 1500 values, at most 1800.
+        series, and up to 60 more while the error of held-out blocks falls; else 100, and down to 57
+        where the search learns from more than 1500 values, at most 1800.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -161,13 +162,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "additive", with main effects, and "trend".
     n_iter_, max_iter_ : int
         Iterations of the joint search, without the fits of single outputs, and their largest
-        number. ``n_iter_`` is at least 1, also of a search that starts at its optimum, and of
-        ``optimizer=None``.
+        number, unless it goes on. ``n_iter_`` is at least 1, also of a search that starts at its
+        optimum, and of ``optimizer=None``.
     interrupted_ : bool
         Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
         Whether the search stopped because the likelihood no longer rose, or would rise by less than
-        0.05 nats for each value in ``max_iter_`` further iterations. If not, ``fit`` warns.
+        0.05 nats for each value in as many further iterations, or the error of values, or blocks of
+        a time series, that are held out would fall by less than 2 %. If not, ``fit`` warns.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str

@@ -1,6 +1,6 @@
 """Control: margins of an autopilot's loops around linear models, gains that have them, and flights in its simulator."""
 
-from skdgp.control._ardupilot import Flown, FlySettings, fly
+from skdgp.control._ardupilot import Flown, FlySettings, fly, full_outputs
 from skdgp.control._loops import Loop, autopilot_loops, read_parameters
 from skdgp.control._margins import MarginSettings, margins, suggest_gains
 
@@ -11,6 +11,7 @@ __all__ = [
     "MarginSettings",
     "autopilot_loops",
     "fly",
+    "full_outputs",
     "margins",
     "read_parameters",
     "suggest_gains",

@@ -175,21 +175,16 @@ class Outputs:
         self,
         linear: LinearModel,
         steady: Trim,
-        engine: str | None,
         full: Mapping[str, float],
         parameters: Mapping[str, float],
         no_pulse: float,
     ) -> None:
         self.steady = steady.controls
         self.no_pulse = no_pulse
-        self.engine = "throttle" if engine is None else engine
-        known = [name for name in (*RAISED, self.engine) if name in linear.B.columns]
-        full = {"throttle": 1.0, **full} if self.engine == "throttle" else dict(full)
-        _check_full(full, known)
         servos = servos_of(parameters)
         self.servos: dict[str, list[Servo]] = {}
         self.gains: dict[str, float] = {}
-        for name in known:
+        for name in full:
             self.servos[name] = servos.get(name if name in RAISED else "throttle", [])
             sign = _effect(linear, name) if name in RAISED else 1.0
             self.gains[name] = sign * full[name]
@@ -212,8 +207,39 @@ class Outputs:
         return commands
 
 
-def _check_full(full: Mapping[str, float], known: Sequence[str]) -> None:
-    """Raise ValueError if a full deflection is missing, of another control, or no number > 0."""
+def full_outputs(
+    model: Aerodynamics | BaseEstimator,
+    aircraft: Aircraft,
+    full: Mapping[str, float],
+    thrust: str | None = "auto",
+) -> dict[str, float]:
+    """Return the values at full output of the controls that an autopilot moves, as `fly` takes them.
+
+    Parameters
+    ----------
+    model, aircraft
+        As for `fly`.
+    full : mapping of str to float
+        Values at full output; a throttle that is not given is 1.
+    thrust : "auto" or None
+        As for `fly`.
+
+    Returns
+    -------
+    dict of str to float
+        Of aileron, elevator and rudder, if the model has them, and of the engine.
+
+    Raises
+    ------
+    ValueError
+        If a value is missing, of another control, or no number > 0.
+    """
+    engine = thrust_control(aircraft, thrust)
+    controls = {*Motion(model, aircraft, thrust=thrust).controls, engine}
+    moved = (*RAISED, engine or "throttle")
+    known = [name for name in moved if name in controls]
+    if engine in (None, "throttle"):
+        full = {"throttle": 1.0, **full}
     for name, value in full.items():
         if name not in known and name != "throttle":
             raise ValueError(
@@ -227,6 +253,7 @@ def _check_full(full: Mapping[str, float], known: Sequence[str]) -> None:
             f"Got no value of {', '.join(lacking)} at full output: give deflections [rad] of surfaces, "
             f"thrust [N] or propeller_speed [rad/s] (--full {lacking[0]}=...)."
         )
+    return {name: full[name] for name in known}
 
 
 def _effect(linear: LinearModel, control: str) -> float:
@@ -533,8 +560,8 @@ def fly(
         )
     motion = Motion(model, aircraft, thrust=thrust)
     linear = linearize(model, aircraft, steady, thrust=thrust)
-    engine = thrust_control(aircraft, thrust)
-    outputs = Outputs(linear, steady, engine, full, parameters or {}, settings.no_pulse)
+    full = full_outputs(model, aircraft, full, thrust)
+    outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
     if path is not None:
         motion.aerodynamics = motion.aerodynamics.sample(1, path)
     flight = ModelInFlight(motion, steady, height, wind, gusts, random_state, settings)

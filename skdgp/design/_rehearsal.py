@@ -68,8 +68,8 @@ class Rehearsal:
         scales = dict.fromkeys(full, 1.0)
         inside = []
         cause = ""
+        notify(f"planning: size of {len(scales)} manoeuvres", 0, np.nan)
         while scales:
-            notify(f"planning: size of {len(scales)} manoeuvres", 0, np.nan)
             sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
             for name, flight in self.flights(sized).items():
                 factors = self._factors(sized[name], flight, centre)

@@ -256,8 +256,10 @@ def usable_flights(
         check_columns(flight.table, needed)
         checked[name] = FlightCheck().fit_transform(flight.table)
     together = FlightTable.of(pd.concat(checked.values(), ignore_index=True))
+    only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
-        report(contradiction.finding, FlightDataWarning, stacklevel=3)
+        finding = contradiction._replace(flight=contradiction.flight or only).finding
+        report(finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 
 

@@ -31,9 +31,8 @@ from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, 
 from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._further_rows import ExpectedErrors, expected_errors
 from skdgp.inference._known_slopes import KnownSlopes
-from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._likelihood import Data, held_out_error, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
-from skdgp.inference._likelihood import leave_one_out_error as leave_one_out_error
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings
@@ -97,6 +96,7 @@ __all__ = [
     "fit_exact",
     "fit_sparse",
     "function_errors",
+    "held_out_error",
     "log_likelihood",
     "maximize",
     "mean_errors",

@@ -26,7 +26,7 @@ from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import (
     Data,
     coupled_outputs,
-    leave_one_out_error,
+    held_out_error,
     log_likelihood,
 )
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
@@ -86,10 +86,12 @@ class SearchSettings:
     noise_steps: int = 10
     #: Expected rise of the likelihood for each value up to which a search has converged [nats]
     irrelevant_rise: float = 0.05
-    #: Expected fall of the leave-one-out error, over itself, up to which a search has converged,
+    #: Expected fall of the error of held-out values, over itself, up to which a search has converged,
     #: and expected rise of the likelihood for each value beyond which it has not (guess) [nats]
     irrelevant_fall: float = 0.02
     relevant_rise: float = 0.2
+    #: Blocks of a time series that are held out in turn: errors are correlated over a tenth of it
+    n_blocks: int = 8
     #: Of each maximisation
     optimizer: OptimizerSettings = field(default_factory=lambda: OptimizerSettings(grid=2.0**-14))
 
@@ -114,6 +116,10 @@ class SearchOptions:
         Joint searches from other random starts, of which the likeliest counts.
     shifts : bool
         Whether kernels with shifts are searched too, where separate fits of the outputs show them.
+    time_series : bool
+        Whether the rows are a time series, so that convergence is judged by held-out blocks.
+    further : int
+        How often the last stage goes on with as many iterations, as long as it has not converged.
     settings : SearchSettings
     """
 
@@ -123,6 +129,8 @@ class SearchOptions:
     input_noise: bool = False
     n_restarts: int = 0
     shifts: bool = False
+    time_series: bool = False
+    further: int = 0
     settings: SearchSettings = SETTINGS
 
 
@@ -385,16 +393,8 @@ class _JointSearch(NamedTuple):
         if n_left < 1:
             return trial
         data = Data.from_table(self.X, self.Y, self.known.loading)
-        kernel, noise, end = self._climb(trial.kernel, trial.noise, self.bounds, data, n_left)
-        learned = trial._replace(
-            kernel=kernel,
-            noise=noise,
-            n_iter=trial.n_iter + end.n_iter,
-            interrupted=self.stop.is_set(),
-            remaining=end.remaining,
-            converged=end.converged or self._gains_nothing(kernel, noise, data, end, n_left),
-            log_likelihood=end.value,
-        )
+        learned = self._converging(trial.kernel, trial.noise, self.bounds, data, n_left)
+        learned = learned._replace(n_iter=trial.n_iter + learned.n_iter)
         return self._priced(structure, learned)
 
     def _priced(self, structure, learned):
@@ -454,16 +454,8 @@ class _JointSearch(NamedTuple):
     def _all_learned(self, start, noise, data, n_iter) -> Hyperparameters:
         """Return all hyperparameters from a start (stage 3), for exact regressors."""
         n_left = self.options.max_iter - n_iter
-        best, noise, end = self._climb(start, noise, self.bounds, data, n_left)
-        return Hyperparameters(
-            best,
-            noise,
-            n_iter=n_iter + end.n_iter,
-            interrupted=self.stop.is_set(),
-            remaining=end.remaining,
-            converged=end.converged or self._gains_nothing(best, noise, data, end, n_left),
-            log_likelihood=end.value,
-        )
+        learned = self._converging(start, noise, self.bounds, data, n_left)
+        return learned._replace(n_iter=n_iter + learned.n_iter)
 
     def _learned_with_input_noise(
         self, shared, start, noise, data, of_exact: Optimum
@@ -478,38 +470,70 @@ class _JointSearch(NamedTuple):
         noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
         bounds = np.concatenate([self.bounds, input_bounds])
         n_left = options.max_iter - of_exact.n_iter
-        best, noise, end = self._climb(start, noise, bounds, data, n_left)
+        learned = self._converging(start, noise, bounds, data, n_left)
+        noise = learned.noise
         is_known = self.known.input_std is not None
-        if end.value < of_exact.value and not is_known and not self.stop.is_set():
+        gains = learned.log_likelihood >= of_exact.value
+        if not gains and not is_known and not self.stop.is_set():
             return None
-        converged = end.converged or self._gains_nothing(best, noise, data, end, n_left)
         if not self.exact and not self.stop.is_set():
             noise = _noise_from_half(
-                best, noise, bounds, self.X, self.Y, self.scale, self.stop, options.settings
+                learned.kernel,
+                noise,
+                bounds,
+                self.X,
+                self.Y,
+                self.scale,
+                self.stop,
+                options.settings,
             )
         P = self.Y.shape[1]
         if is_known:
             input_std = self.known.input_std
         else:
             input_std = self.scale * np.sqrt(noise[P:])
-        return Hyperparameters(
-            best,
-            noise[:P],
-            input_std,
-            n_iter=of_exact.n_iter + end.n_iter,
+        return learned._replace(
+            noise=noise[:P],
+            input_std=input_std,
+            n_iter=of_exact.n_iter + learned.n_iter,
             interrupted=self.stop.is_set(),
-            remaining=end.remaining,
-            converged=converged,
-            log_likelihood=end.value,
         )
 
-    def _gains_nothing(self, kernel, noise, data, end, n_iter) -> bool:
+    def _converging(self, start, noise, bounds, data, n_iter) -> Hyperparameters:
+        """Return the hyperparameters after so many iterations, or further ones as long as they gain something."""
+        point = self._climb(start, noise, bounds, data, n_iter)
+        n_done = point.end.n_iter
+        converged = self._gains_nothing(point, data, n_iter)
+        for _ in range(self.options.further):
+            if converged or self.stop.is_set():
+                break
+            before = point
+            point = self._climb(before.kernel, before.noise, bounds, data, n_iter)
+            n_done += point.end.n_iter
+            converged = self._gains_nothing(point, data, n_iter, before)
+        return Hyperparameters(
+            point.kernel,
+            point.noise,
+            n_iter=n_done,
+            interrupted=self.stop.is_set(),
+            remaining=point.end.remaining,
+            converged=converged,
+            log_likelihood=point.end.value,
+        )
+
+    def _gains_nothing(
+        self, point: Point, data: Data, n_iter: int, before: Point | None = None
+    ) -> bool:
         """Return whether as many iterations again are expected to improve likelihood or errors by nothing relevant.
 
-        The error by leaving one value out is extrapolated from its fall in the last evaluations: the
-        likelihood may rise for long by widths that hardly change predictions, or worsen them.
+        The likelihood may rise for long by widths that hardly change predictions, or worsen them. So
+        the error of held-out values counts, that may not fall more than in as many iterations
+        ``before``, or is extrapolated from the last evaluations.
         """
+        kernel, noise, end = point
         settings = self.options.settings
+        if end.converged:
+            return True
         rise = end.remaining / data.n_values
         if rise <= settings.irrelevant_rise:
             return True
@@ -517,10 +541,13 @@ class _JointSearch(NamedTuple):
             return False
         if end.n_since < settings.optimizer.recent - 1:  # too few evaluations to extrapolate
             return False
-        objective = Objective(kernel, data, len(noise))
-        earlier = leave_one_out_error(*objective.at(end.earlier), data)
-        latest = leave_one_out_error(kernel, noise, data)
-        fall = (earlier - latest) * n_iter / end.n_since
+        n_blocks = settings.n_blocks if self.options.time_series else None
+        latest = held_out_error(kernel, noise, data, n_blocks)
+        if before is not None:
+            fall = held_out_error(before.kernel, before.noise, data, n_blocks) - latest
+        else:
+            earlier = Objective(kernel, data, len(noise)).at(end.earlier)
+            fall = (held_out_error(*earlier, data, n_blocks) - latest) * n_iter / end.n_since
         return fall <= settings.irrelevant_fall * latest
 
     def _start(self, kernel):

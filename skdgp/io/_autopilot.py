@@ -28,9 +28,9 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
-from skdgp.io._clock import clock_parts, resample, uniform_clock, usual_step
+from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import read_dataflash, read_dataflash_text
-from skdgp.io._instances import choose, validity_fields
+from skdgp.io._instances import Origin, Source, choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -50,7 +50,7 @@ from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
-from skdgp.io._ulog_csv import is_ulog_csv, read_ulog_csv
+from skdgp.io._ulog_csv import is_ulog_csv, name_of_log, read_ulog_csv
 
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
@@ -81,8 +81,10 @@ LEADERS = ("p", "ax", "qw")
 class TableSettings:
     """Settings of the sources and the clock of a table."""
 
-    # a source slower than this [Hz] gives way to a faster one further down
+    # a source slower than this [Hz] gives way to one further down that is not, or so many times as
+    # fast (guess)
     least_rate: float = 5.0
+    least_ratio: float = 1.5
     # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
     highest_rate: float = 50.0
     # corner of the smoothing of accelerations by velocities, in parts of the sampling rate
@@ -112,49 +114,16 @@ TABLE = TableSettings()
 FLIGHT = FlightSettings()
 
 
-class Origin(NamedTuple):
-    """The description of the source of a column, and its sampling rate [Hz]."""
-
-    words: str
-    rate: float
-
-
-class Source(NamedTuple):
-    """The source of columns, and its valid samples."""
-
-    columns: tuple[str, ...]
-    name: str
-    time: Vector
-    values: Matrix
-    note: str = ""
-    remark: str = ""
-    # times [s] of resets that the log does not let correct
-    cuts: tuple[float, ...] = ()
-
-    @property
-    def rate(self) -> float:
-        """The usual rate [Hz], NaN of less than two samples."""
-        return 1.0 / usual_step(np.diff(self.time)) if len(self.time) > 1 else np.nan
-
-    @property
-    def origin(self) -> Origin:
-        """The description with its note, and the rate."""
-        words = f"{self.name} ({self.note})" if self.note else self.name
-        return Origin(words, self.rate)
-
-
 class Part(NamedTuple):
     """Part of a log between two restarts of its clock, with the topics of this part."""
 
     log: Log
     table: pd.DataFrame
     segments: list[slice]
+    # times [s] of all resets that cannot be corrected
     cuts: Vector
-
-
-def _cuts(sources: list[Source]) -> Vector:
-    """Return the times [s] of all resets that cannot be corrected."""
-    return np.unique([cut for source in sources for cut in source.cuts])
+    origin: dict[str, Origin]
+    remarks: list[str]
 
 
 class FlightLog(NamedTuple):
@@ -165,6 +134,16 @@ class FlightLog(NamedTuple):
     origin: dict[str, Origin]
     speed: float
     remarks: list[str]
+
+    @property
+    def longest(self) -> Part:
+        """The part with most rows."""
+        return max(self.parts, key=lambda part: len(part.table))
+
+    @property
+    def highest_speed(self) -> float:
+        """Highest speed [m/s] of the longest part, minus infinity where there is none."""
+        return float(np.nanmax(_speed(self.longest.table, self.log), initial=-np.inf))
 
 
 def is_log(path: object) -> bool:
@@ -179,6 +158,11 @@ def read_log(path: Path) -> Log:
     if is_ulog_csv(path):
         return read_ulog_csv(path)
     return AUTOPILOTS[path.suffix.lower()](path)
+
+
+def name_of(path: Path) -> str:
+    """Return the name of the flights of a log."""
+    return name_of_log(path) if is_ulog_csv(path) else path.stem
 
 
 def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> FlightLog:
@@ -198,35 +182,42 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
         speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
-        origin: dict[str, Origin] = {}
-        useless: list[str] = []
         for topics in topics_of_parts:
-            part_log = replace(log, topics=topics)
-            sources, unused = find_sources(part_log, controls)
-            if sources:
-                table, origins = to_table(sources)
-                origin |= origins
-                useless += unused
-                believes = isinstance(airborne, bool)
-                segments = find_segments(table, part_log, speed, believes_landed=believes)
-                part = Part(part_log, table, segments, _cuts(sources))
-                fraction = part_log.lifts(table["time"].to_numpy()).mean()
-                if fraction:
-                    remarks.append(
-                        f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift "
-                        "the VTOL, or it is in transition"
-                    )
-                if airborne is not False:
-                    remarks += _against_flight(part)
+            part = _part(replace(log, topics=topics), controls, speed, airborne)
+            if part is not None:
                 parts.append(part)
     if not parts:
         raise FlightReadError(
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
             "log these topics."
         )
-    return FlightLog(
-        log, parts, origin, speed, list(dict.fromkeys([*log.remarks, *remarks, *useless]))
-    )
+    origin: dict[str, Origin] = {}
+    remarks = [*log.remarks, *remarks]
+    for part in parts:
+        origin |= part.origin
+        remarks += part.remarks
+    return FlightLog(log, parts, origin, speed, list(dict.fromkeys(remarks)))
+
+
+def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any) -> Part | None:
+    """Return a part of a log on one clock, None if it has no source of a column."""
+    sources, useless = find_sources(log, controls)
+    if not sources:
+        return None
+    table, origin = to_table(sources)
+    segments = find_segments(table, log, speed, believes_landed=isinstance(airborne, bool))
+    remarks = []
+    if airborne is not False:
+        fraction = log.lifts(table["time"].to_numpy()).mean()
+        if fraction:
+            remarks.append(
+                f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift the "
+                "VTOL, or it is in transition"
+            )
+        if segments:
+            remarks += _against_flight(log)
+    cuts = np.unique([cut for source in sources for cut in source.cuts])
+    return Part(log, table, segments, cuts, origin, remarks + useless)
 
 
 def find_sources(
@@ -236,15 +227,16 @@ def find_sources(
     chosen: dict[tuple[str, ...], Source] = {}
     useless = []
     for rule in log.rules:
-        source = _source(log, rule)
+        source = choose(log, rule)
         if source is None:
             continue
-        problem = _problem(source, rule, validity_fields(log, rule))
+        problem = _problem(source, log, rule)
         if problem:
             useless.append(problem)
             continue
         first = chosen.setdefault(rule.columns, source)
-        if not first.rate >= settings.least_rate and source.rate >= settings.least_rate:
+        least = min(settings.least_rate, settings.least_ratio * first.rate)
+        if first.rate < settings.least_rate and source.rate >= least:
             chosen[rule.columns] = source
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
     useless += [source.remark for source in sources if source.remark]
@@ -257,30 +249,10 @@ def find_sources(
     return sources, useless
 
 
-def _source(log: Log, rule: Rule) -> Source | None:
-    """Return the valid samples of a rule's source, or None if the log has none of its fields."""
-    choice = choose(log, rule)
-    if choice is None:
-        return None
-    names = " and ".join(choice.names[:3])
-    notes = ", ".join(filter(None, (rule.note, choice.note)))
-    words = f"{names}.{_field_words(rule.fields)}"
-    return Source(
-        rule.columns, words, choice.time, choice.values, notes, choice.remark, tuple(choice.cuts)
-    )
-
-
-def _field_words(fields: tuple[str, ...]) -> str:
-    """Return the names of fields, of an array q[0..3]."""
-    first, last = fields[0], fields[-1]
-    if len(fields) > 1 and first.endswith("[0]"):
-        return f"{first[:-1]}..{last.split('[')[1]}"
-    return " ".join(fields)
-
-
-def _problem(source: Source, rule: Rule, fields: list[str]) -> str:
+def _problem(source: Source, log: Log, rule: Rule) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
+        fields = validity_fields(log, rule)
         return f"{source.name} is never valid ({' '.join(fields) or 'no number'})"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
@@ -297,11 +269,15 @@ def _surface(log: Log, name: str, control: Control) -> Source:
     """Return a control by the channels of its servos, which are fields of one topic."""
     values: Any = 0.0
     largest = 0.0
+    is_command = name in log.commands
     for weight, servo in control:
-        values = values + weight * servo.deflection(_pulses(log, name, servo))
+        deflection = servo.deflection(_pulses(log, name, servo))
+        if is_command:  # an engine that is switched off gets no number
+            deflection = np.nan_to_num(deflection)
+        values = values + weight * deflection
         largest += abs(weight) * max(np.abs(servo.angles))
     note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
-    if name in log.commands:
+    if is_command:
         note = "as commanded"
     servos = [servo for _, servo in control]
     channels = " ".join(servo.channel for servo in servos)
@@ -439,7 +415,7 @@ def flight_table(
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
             f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
-            "(--airborne all) reads all of it, airborne=6.0 (--airborne 6) all above 6 m/s."
+            f"(--airborne all) reads all of it{_lower_speed(flown, settings)}."
         )
     return pd.concat(flights, ignore_index=True)
 
@@ -519,19 +495,27 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
     return flight[(time >= begin) & (time <= end)]
 
 
+def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
+    """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
+    highest = settings.airborne_fraction * flown.highest_speed
+    if not highest >= 1.0:
+        return ""
+    speed = f"{min(flown.speed, highest):.2g}"
+    return f", airborne={speed} (--airborne {speed}) all above {speed} m/s"
+
+
 def no_flight_because(flown: FlightLog) -> str:
     """Return why a log holds no flight."""
     vehicle = flown.log.vehicle
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
-    longest = max(flown.parts, key=lambda part: len(part.table))
-    table = longest.table
-    highest = np.nanmax(_speed(table, flown.log), initial=-np.inf)
-    reasons = [*_unarmed(longest.log), *_on_the_ground(longest)]
+    log = flown.longest.log
+    reasons = [*_unarmed(log), *_landed_throughout(flown.longest), *_unmoved(log)]
     channel = "airspeed"
-    if "airspeed" not in table:
+    if "airspeed" not in flown.longest.table:
         channel = "ground speed"
         reasons.append("there is no valid airspeed")
+    highest = flown.highest_speed
     if np.isfinite(highest):
         reasons.append(
             f"{channel} never stays above {flown.speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
@@ -564,10 +548,10 @@ def _unmoved(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
     return []
 
 
-def _against_flight(part: Part) -> list[str]:
-    """Return a remark where speed says that a part was flown, but neither armed nor by the logged outputs."""
-    reasons = [*_unarmed(part.log), *_unmoved(part.log)]
-    if not part.segments or not reasons:
+def _against_flight(log: Log) -> list[str]:
+    """Return a remark on a flight by its speed that was neither armed nor flown by the logged outputs."""
+    reasons = [*_unarmed(log), *_unmoved(log)]
+    if not reasons:
         return []
     return [
         f"{', '.join(reasons)}, but the speed is a flight's: if something else moved the surfaces, "
@@ -575,17 +559,13 @@ def _against_flight(part: Part) -> list[str]:
     ]
 
 
-def _on_the_ground(part: Part) -> list[str]:
-    """Return what else the autopilot itself says against a flight, with the numbers."""
+def _landed_throughout(part: Part) -> list[str]:
+    """Return that the autopilot itself says to be on the ground in all rows, with the number, if it does."""
     log = part.log
-    reasons = []
-    time = part.table["time"].to_numpy()
-    if log.landed is not None and _landed(time, log).all():
-        name, field, value = log.landed
-        reasons.append(
-            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
-        )
-    return [*reasons, *_unmoved(log)]
+    if log.landed is None or not _landed(part.table["time"].to_numpy(), log).all():
+        return []
+    name, field, value = log.landed
+    return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_quaternion
 from skdgp.io._log import (
     DOWN,
@@ -27,6 +27,7 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
+    Lifting,
     Log,
     Rule,
     Servo,
@@ -61,8 +62,8 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances, in logs that do not say which field does
 INSTANCES = ("I", "Instance", "C")
-# of AHRS_EKF_TYPE
-EKF2 = 2
+# Estimators by AHRS_EKF_TYPE, each with the beginning of its topics; others (DCM, external) log none of them
+ESTIMATORS = {2: "NKF", 3: "XKF"}
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -89,17 +90,27 @@ PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
-# lanes have their own IMU, in the order of their numbers
-IMU = (*LANE_3, *LANE_2)
+# parameters of the IMUs that have a lane each, one bit for each; without it, those of the first lanes
+IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
+MOST_IMUS = 8
 # further instances of sensors before the messages had a number
 ALIASES = {
     "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
     "NKF1": ("NKF6",), "NKF2": ("NKF7",), "XKF1": ("XKF6",), "XKF2": ("XKF7",),
     "ESC": tuple(f"ESC{n}" for n in range(1, 9)),
 }  # fmt: skip
+
+
+def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
+    """Return the rules for velocity, position and wind of an estimator."""
+    return (
+        Rule(EARTH_VELOCITY, f"{name}1", ("VN", "VE", "VD"), used=lane, is_estimate=True),
+        Rule(POSITION, f"{name}1", ("PN", "PE", "PD"), used=lane, is_estimate=True),
+        Rule(("wind_north", "wind_east"), f"{name}2", ("VWN", "VWE"), used=lane),
+    )
+
+
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=IMU),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=IMU),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude, switches=(*LANE_3, *LANE_2)),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
@@ -107,37 +118,33 @@ RULES = (
     ),
     Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
     Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
-    Rule(EARTH_VELOCITY, "XKF1", ("VN", "VE", "VD"), used=LANE_3, is_estimate=True),
-    Rule(EARTH_VELOCITY, "NKF1", ("VN", "VE", "VD"), used=LANE_2, is_estimate=True),
+    *_estimator("XKF", LANE_3),
+    *_estimator("NKF", LANE_2),
     Rule(
         EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course, within=FIX, preferred=("U",)
     ),
-    Rule(POSITION, "XKF1", ("PN", "PE", "PD"), used=LANE_3, is_estimate=True),
-    Rule(POSITION, "NKF1", ("PN", "PE", "PD"), used=LANE_2, is_estimate=True),
     Rule(("altitude",), "POS", ("Alt",)),
     Rule(("altitude",), "GPS", ("Alt",), within=FIX, preferred=("U",)),
     Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD, used=BAROMETER),
-    Rule(("wind_north", "wind_east"), "XKF2", ("VWN", "VWE"), used=LANE_3),
-    Rule(("wind_north", "wind_east"), "NKF2", ("VWN", "VWE"), used=LANE_2),
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
-    Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm),
+    Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm, valid=("H",)),
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
-# By SERVOn_FUNCTION, and whether more of the command turns the surface against our sign
-SERVOS = {
-    4: ("aileron", False), 19: ("elevator", True), 21: ("rudder", True),
-    77: ("elevon_left", True), 78: ("elevon_right", True),
+# By SERVOn_FUNCTION; flaps are moved by the pilot alone or by the autopilot, and 110 are airbrakes
+SURFACES = {
+    4: "aileron", 19: "elevator", 21: "rudder", 77: "elevon_left", 78: "elevon_right",
+    2: "flap", 3: "flap", 110: "spoiler",
 }  # fmt: skip
+# functions whose command turns a surface against our sign
+TURNED = (19, 21, 77, 78)
 MOST_SERVOS = 32
 # messages of outputs 15 to 18 and 19 to 32, which follow RCOU
 FURTHER_OUTPUTS = ("RCO2", "RCO3")
 # speeds [rpm] of a message of two engines
 ENGINES = ("rpm1", "rpm2")
-# Functions that open from zero: flaps, by the pilot alone or by the autopilot, and airbrakes
-OPENED = {2: "flap", 3: "flap", 110: "spoiler"}
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
 TWIN = (73, 74)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
@@ -193,11 +200,16 @@ class Texts(NamedTuple):
         place = self.columns.index(name)
         return [row[place] for row in self.rows]
 
+    def numbers(self, name: str) -> Vector:
+        """Return a column as floats, NaN where it is no number."""
+        cells = pd.Series(self.cells(name), dtype=object)
+        return pd.to_numeric(cells, errors="coerce").to_numpy(float)
+
     def topic(self) -> Topic | None:
         """Return the messages with a time, None if there is none; texts are left out."""
         fields = {}
         for name in self.columns:
-            numbers = pd.to_numeric(pd.Series(self.cells(name)), errors="coerce").to_numpy(float)
+            numbers = self.numbers(name)
             if np.isfinite(numbers).any():
                 fields[name] = numbers
         if "TimeUS" not in fields:
@@ -244,11 +256,8 @@ def read_dataflash_text(path: Path) -> Log:
         )
     nothing = Texts("", [], [], [])
     defined = texts.get("PARM", nothing)
-    numbers = pd.to_numeric(pd.Series(defined.cells("Value"), dtype=object), errors="coerce")
-    parameters = {}
-    for name, value in zip(defined.cells("Name"), numbers.tolist(), strict=False):
-        if np.isfinite(value):
-            parameters[name] = float(value)
+    values = defined.numbers("Value").tolist()
+    parameters = dict(zip(defined.cells("Name"), values, strict=False))
     messages = [row[-1] for row in texts.get("MSG", nothing).rows]
     return _log(topics, parameters, messages, ())
 
@@ -262,26 +271,25 @@ def _log(
     """Return the log of these messages."""
     programs = [text for text in messages if text.split(" ")[0] in VEHICLES]
     firmware = programs[0] if programs else "ArduPilot"
-    vehicle = VEHICLES.get(firmware.split(" ")[0])
-    if vehicle == "fixed wing" and parameters.get("Q_ENABLE", 0) > 0:
-        vehicle = "VTOL"
+    vehicle = vehicle_of(VEHICLES.get(firmware.split(" ")[0]), parameters)
     if "RCOU" in topics:
         topics = topics | {"RCOU": _all_outputs(topics)}
-    outputs = topics.get("RCOU", NOTHING)
+    outputs = outputs_of(topics.get("RCOU", NOTHING), parameters)
+    lifting = outputs.lifting if vehicle == "VTOL" else ()
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=_rules(topics, parameters),
+        rules=_rules(topics, parameters, lifting),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=(*remarks, *mounting_remarks(outputs, parameters)),
+        remarks=(*remarks, *outputs.remarks),
         landed=("STAT", "isFlying", 0.0),
         outputs=("RCOU",),
-        controls=controls_of(outputs, parameters),
+        controls=outputs.controls,
         aliases=ALIASES,
-        lifting=_lift_motors(parameters),
-        commands=commands_of(outputs, parameters),
+        lifting=lifting,
+        commands=outputs.commands,
     )
 
 
@@ -299,8 +307,14 @@ def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
     return Topic(outputs.time, outputs.order, fields)
 
 
-def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float, float], ...]:
-    """Return the outputs of motors that lift alone, and their pulses while they run."""
+def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | None:
+    """Return the kind of vehicle, of a plane with motors that lift "VTOL"."""
+    has_rotors = parameters.get("Q_ENABLE", 0.0) > 0
+    return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
+
+
+def _lift_motors(parameters: Mapping[str, float], name: str) -> Lifting:
+    """Return the channels ``name`` of motors that lift alone, and their pulses while they run."""
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
     motors = []
     for n in range(1, MOST_SERVOS + 1):
@@ -308,18 +322,41 @@ def _lift_motors(parameters: Mapping[str, float]) -> tuple[tuple[str, str, float
         if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
             low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
             high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
-            motors.append(("RCOU", f"C{n}", low + RUNNING * (high - low), np.inf))
+            topic, field = name.format(n).split(".")
+            motors.append((topic, field, low + RUNNING * (high - low), np.inf))
     return tuple(motors)
 
 
-def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return the rules, without EKF3 where the autopilot flew by EKF2 (AHRS_EKF_TYPE), with the engines that run."""
-    rules: tuple[Rule, ...] = RULES
-    if parameters.get("AHRS_EKF_TYPE") == EKF2 and "NKF1" in topics:
-        rules = tuple(rule for rule in rules if rule.topic not in ("XKF1", "XKF2"))
-    speeds = topics.get("RPM", NOTHING)
-    engines = driving(speeds, ENGINES, np.zeros(len(speeds), bool))
+def _rules(
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: Lifting
+) -> tuple[Rule, ...]:
+    """Return the rules, without estimators that the autopilot did not fly by, with the engines that run."""
+    used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
+    rules: tuple[Rule, ...] = (
+        Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=used),
+        Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=used),
+        *RULES,
+    )
+    unused = _unused_estimators(topics, parameters)
+    rules = tuple(rule for rule in rules if rule.topic[:3] not in unused)
+    engines = driving(topics, "RPM", ENGINES, lifting)
     return (engines_rule("RPM", engines), *rules) if engines else rules
+
+
+def _unused_estimators(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> set[str]:
+    """Return the estimators that only ran beside the one in use; none if the log does not say which that is."""
+    if "AHRS_EKF_TYPE" not in parameters:
+        return set()
+    used = ESTIMATORS.get(whole(parameters["AHRS_EKF_TYPE"]), "")
+    if used and f"{used}1" not in topics:
+        return set()
+    return {*ESTIMATORS.values()} - {used}
+
+
+def _imu_of(lane: Use, parameters: Mapping[str, float]) -> Use:
+    """Return where the log says which IMU the lane in use has (NavEKF3::InitialiseFilter)."""
+    mask = whole(parameters.get(IMU_MASKS[lane.topic], 0.0))
+    return lane._replace(instances=tuple(n for n in range(MOST_IMUS) if mask >> n & 1))
 
 
 def _instance_field(codes: str, columns: list[str]) -> str | None:
@@ -445,29 +482,39 @@ class _File:
         return dict(sorted(topics.items()))
 
 
-def controls_of(
-    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, Control]:
-    """Return surfaces by SERVOn_FUNCTION, and controls of a V-tail; ``name`` is the channel of output n."""
+class Outputs(NamedTuple):
+    """What the parameters say of the outputs of an autopilot, see `Log`."""
+
+    controls: dict[str, Control]
+    commands: dict[str, Control]
+    lifting: Lifting
+    remarks: tuple[str, ...]
+
+
+def outputs_of(outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Outputs:
+    """Return the surfaces by SERVOn_FUNCTION and the mixed ones, the engines of a twin, and motors that lift.
+
+    ``name`` is the channel of output n.
+    """
     servos = _servos_of(outputs, parameters, name)
-    controls: dict[str, Control] = {}
-    for function, servo in servos.items():
-        if function in SERVOS:
-            surface, _ = SERVOS[function]
-            controls[surface] = ((1.0, servo),)
-        elif function in OPENED:
-            controls[OPENED[function]] = ((1.0, servo),)
+    controls = _spoilers(servos, parameters)
+    commands: dict[str, Control] = {}
+    remarks: tuple[str, ...] = ()
+    if servos.keys() >= {*FLAPERONS}:
+        flaperons, remarks = _flaperons(servos, outputs)
+        controls |= flaperons
+    for function in sorted(servos.keys() & SURFACES):
+        controls[SURFACES[function]] = ((1.0, servos[function]),)
     for control, weights in MIXES.items():
         if weights.keys() <= servos.keys():
             controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
-    if servos.keys() >= {*FLAPERONS}:
-        controls = _flaperons(servos, outputs) | controls
-    return _spoilers(servos, parameters) | controls
+    if servos.keys() >= {*TWIN}:
+        left, right = (servos[function] for function in TWIN)
+        commands["differential_throttle"] = ((1.0, left), (-1.0, right))
+    return Outputs(controls, commands, _lift_motors(parameters, name), remarks)
 
 
-def _servos_of(
-    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[int, Servo]:
+def _servos_of(outputs: Topic, parameters: Mapping[str, float], name: str) -> dict[int, Servo]:
     """Return the first logged servo of each SERVOn_FUNCTION."""
     servos: dict[int, Servo] = {}
     for n in range(1, MOST_SERVOS + 1):
@@ -475,18 +522,7 @@ def _servos_of(
         servo = _servo(parameters, n, name.format(n), function)
         if servo.field in outputs:
             servos.setdefault(function, servo)
-    return dict(sorted(servos.items()))
-
-
-def commands_of(
-    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> dict[str, Control]:
-    """Return the throttle of the left less the right engine of a twin."""
-    servos = _servos_of(outputs, parameters, name)
-    if not servos.keys() >= {*TWIN}:
-        return {}
-    left, right = (servos[function] for function in TWIN)
-    return {"differential_throttle": ((1.0, left), (-1.0, right))}
+    return servos
 
 
 def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:
@@ -500,33 +536,26 @@ def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:
     return bool(together >= against)
 
 
-def _flaperons(servos: Mapping[int, Servo], outputs: Topic) -> dict[str, Control]:
+def _flaperons(
+    servos: Mapping[int, Servo], outputs: Topic
+) -> tuple[dict[str, Control], tuple[str, ...]]:
     """Return aileron and flap of flaperons: aileron + flap on the left, aileron - flap on the right.
 
-    Where they move against each other one is mounted against the parameters (ArduPlane/servos.cpp).
+    Where they move against each other one is mounted against the parameters (ArduPlane/servos.cpp),
+    which a remark says.
     """
     left, right = (servos[function] for function in FLAPERONS)
-    sign = 1.0 if _moves_together(left, right, outputs) else -1.0
-    return {
-        "aileron": ((0.5, left), (0.5 * sign, right)),
-        "flap": ((0.5, left), (-0.5 * sign, right)),
-    }
-
-
-def mounting_remarks(
-    outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> tuple[str, ...]:
-    """Return a remark on flaperons of which one is mounted against the parameters, if so."""
-    servos = _servos_of(outputs, parameters, name)
-    if not servos.keys() >= {*FLAPERONS}:
-        return ()
-    left, right = (servos[function] for function in FLAPERONS)
-    if _moves_together(left, right, outputs):
-        return ()
-    return (
-        f"flaperons {left.channel} and {right.channel} move against each other: the aileron is "
-        "half their difference, as if the right one were mounted against SERVOn_REVERSED",
-    )
+    sign = 1.0
+    remarks: tuple[str, ...] = ()
+    if not _moves_together(left, right, outputs):
+        sign = -1.0
+        remarks = (
+            f"flaperons {left.channel} and {right.channel} move against each other: the aileron is "
+            "half their difference, as if the right one were mounted against SERVOn_REVERSED",
+        )
+    aileron = ((0.5, left), (0.5 * sign, right))
+    flap = ((0.5, left), (-0.5 * sign, right))
+    return {"aileron": aileron, "flap": flap}, remarks
 
 
 def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> dict[str, Control]:
@@ -562,9 +591,8 @@ def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int)
     for key, usual in USUAL_PULSES.items():
         inputs.append(parameters.get(f"SERVO{n}_{key}", usual))
     is_reversed = bool(parameters.get(f"SERVO{n}_REVERSED", 0.0))
-    if function in (*OPENED, *TWIN):
+    if SURFACES.get(function) in HIGH_LIFT or function in TWIN:
         low, _, high = inputs
         return Servo(channel, (low, high), OPENING[::-1] if is_reversed else OPENING)
-    _, is_turned = SERVOS.get(function, ("", False))
-    throws = DOWN if is_turned != is_reversed else UP
+    throws = DOWN if (function in TURNED) != is_reversed else UP
     return Servo(channel, tuple(inputs), throws)

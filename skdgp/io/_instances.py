@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from itertools import compress
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from skdgp.io._log import (
     Rule,
     Topic,
     Use,
+    engines_note,
     last_before,
 )
 from skdgp.io._resets import correct_resets, place_of_jump
@@ -36,14 +38,49 @@ COUNTERS = 1e6
 NONE = -1
 
 
+class Origin(NamedTuple):
+    """The description of the source of a column, and its sampling rate [Hz]."""
+
+    words: str
+    rate: float
+
+
+class Source(NamedTuple):
+    """The source of columns, and its valid samples."""
+
+    columns: tuple[str, ...]
+    name: str
+    time: Vector
+    values: Matrix
+    note: str = ""
+    remark: str = ""
+    # times [s] of resets that the log does not let correct
+    cuts: tuple[float, ...] = ()
+
+    @property
+    def rate(self) -> float:
+        """The usual rate [Hz], NaN of less than two samples."""
+        return 1.0 / usual_step(np.diff(self.time)) if len(self.time) > 1 else np.nan
+
+    @property
+    def origin(self) -> Origin:
+        """The description with its note, and the rate."""
+        words = f"{self.name} ({self.note})" if self.note else self.name
+        return Origin(words, self.rate)
+
+
 class Readings(NamedTuple):
-    """The readings of one instance, and which of them are valid."""
+    """The readings of one instance, which of them are valid, and the resets of an estimator."""
 
     instance: Instance
     time: Vector
     values: Matrix
     valid: Mask
     preferred: Mask
+    # 0 where resets are not logged
+    counter: Vector
+    # changes by the last reset, NaN where they are not logged
+    deltas: Matrix
 
     @property
     def health(self) -> tuple[bool, float, bool, float]:
@@ -51,17 +88,6 @@ class Readings(NamedTuple):
         share = float(self.valid.mean())
         moves = bool(np.ptp(self.values[self.valid]) > 0) if self.valid.any() else False
         return share > 0, round(share, 2), moves, float(self.preferred.mean())
-
-
-class Choice(NamedTuple):
-    """Samples of the instances that were chosen, by time, and the words for them."""
-
-    names: tuple[str, ...]
-    time: Vector
-    values: Matrix
-    note: str
-    remark: str
-    cuts: list[float]
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:
@@ -88,8 +114,8 @@ def validity_fields(log: Log, rule: Rule) -> list[str]:
     return list(dict.fromkeys(texts))
 
 
-def choose(log: Log, rule: Rule) -> Choice | None:
-    """Return the valid samples of a rule's source, or None if the log has none of its fields."""
+def choose(log: Log, rule: Rule) -> Source | None:
+    """Return the source of a rule's columns, or None if the log has none of its fields."""
     readings = []
     for instance in log.instances(rule.topic):
         if all(field in instance.topic for field in rule.fields):
@@ -97,98 +123,104 @@ def choose(log: Log, rule: Rule) -> Choice | None:
     if not readings:
         return None
     if rule.columns == ENGINES and len(readings) > 1:
-        return _mean_engine(log, readings)
+        return _mean_engine(log, rule, readings)
     if rule.columns == COMMANDS:
         readings = readings[:1]
     readings.sort(key=lambda each: each.health, reverse=True)
     times = np.unique(np.concatenate([each.time for each in readings]))
-    places, use = _used(log, rule, readings, times)
-    is_measurement = any(each.is_measurement for each in rule.used)
-    chosen = _chosen(readings, places, times, is_measurement)
-    time = []
-    values = []
-    counters = []
-    deltas = []
-    for place, each in enumerate(readings):
-        is_chosen = chosen[last_before(times, each.time)] == place
-        rows = each.valid & is_chosen
-        time.append(each.time[rows])
-        values.append(each.values[rows])
-        counters.append(_counter(each.instance.topic, rule)[rows] + COUNTERS * place)
-        deltas.append(_deltas(each.instance.topic, rule)[rows])
-    names = _names(readings, chosen)
+    used, use = _used(log, rule, readings, times)
+    chosen = _chosen(readings, used, times, any(each.is_measurement for each in rule.used))
     remarks = [_remark(readings, chosen, times, rule, use)]
     remarks += [_unmeasured(each, rule) for each in readings]
-    order = np.argsort(np.concatenate(time), kind="stable")
-    sorted_time = np.concatenate(time)[order]
-    samples = np.concatenate(values)[order]
-    cuts = []
+    time, values, counter, deltas = _merged(readings, chosen, times)
+    cuts: list[float] = []
     if rule.resets or rule.is_estimate or rule.switches:
-        counter = np.concatenate(counters)[order] + _switched(log, rule, sorted_time, samples)
-        resets = correct_resets(
-            " ".join(rule.columns),
-            sorted_time,
-            samples,
-            counter,
-            np.concatenate(deltas)[order] if rule.resets[1:] else None,
-            rule.columns == QUATERNION,
-        )
-        samples = resets.values
-        cuts = resets.cuts
-        remarks.append(resets.remark)
-    return Choice(
-        names,
-        sorted_time,
-        samples,
-        _note(readings, use),
-        "; ".join(filter(None, remarks)),
-        cuts,
-    )
+        counter += _switched(log, rule, time, values)
+        columns = " ".join(rule.columns)
+        is_attitude = rule.columns == QUATERNION
+        values, cuts, remark = correct_resets(columns, time, values, counter, deltas, is_attitude)
+        remarks.append(remark)
+    remark = "; ".join(filter(None, remarks))
+    names = _names(readings, chosen)
+    return _source(rule, names, time, values, _note(readings, use), remark, tuple(cuts))
 
 
-def _mean_engine(log: Log, readings: list[Readings]) -> Choice:
+def _merged(
+    readings: list[Readings], chosen: Indices, times: Vector
+) -> tuple[Vector, Matrix, Vector, Matrix]:
+    """Return times, values, counters and changes by resets of the chosen valid readings, in order of time."""
+    parts = []
+    for place, each in enumerate(readings):
+        rows = each.valid & (chosen[last_before(times, each.time)] == place)
+        counter = each.counter[rows] + COUNTERS * place
+        parts.append((each.time[rows], each.values[rows], counter, each.deltas[rows]))
+    time, values, counter, deltas = map(np.concatenate, zip(*parts, strict=True))
+    order = np.argsort(time, kind="stable")
+    return time[order], values[order], counter[order], deltas[order]
+
+
+def _source(
+    rule: Rule, names: list[str], time: Vector, values: Matrix, note: str, *others: Any
+) -> Source:
+    """Return the source of a rule's columns, named by its instances and fields."""
+    words = f"{' and '.join(names[:3])}.{_field_words(rule.fields)}"
+    notes = ", ".join(filter(None, (rule.note, note)))
+    return Source(rule.columns, words, time, values, notes, *others)
+
+
+def _field_words(fields: tuple[str, ...]) -> str:
+    """Return the names of fields, of an array q[0..3]."""
+    first, last = fields[0], fields[-1]
+    if len(fields) > 1 and first.endswith("[0]"):
+        return f"{first[:-1]}..{last.split('[')[1]}"
+    return " ".join(fields)
+
+
+def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     """Return the root mean square of the engines that drive: thrusts go with the square of the speed."""
+    readings = [each for each in readings if each.valid.any()] or readings[:1]
     speeds = []
     for each in readings:
         drives = each.valid & ~log.lifts(each.time)
         speeds.append(float(np.mean(np.abs(each.values[drives]))) if drives.any() else 0.0)
     least = LEAST_SPEED * max(speeds)
-    pairs = zip(readings, speeds, strict=True)
-    running = [each for each, speed in pairs if speed > least] or readings[:1]
+    runs = [speed > least for speed in speeds]
+    running = list(compress(readings, runs)) or readings[:1]
     time = running[0].time[running[0].valid]
     squares = np.zeros(len(time))
     for each in running:
         speed = each.values[each.valid, 0]
         squares += np.interp(time, each.time[each.valid], speed) ** 2
-    names = tuple(each.instance.name for each in running)
+    names = [each.instance.name for each in running]
     mean = np.sqrt(squares / len(running))[:, None]
-    note = f"root mean square of {len(running)} engines"
-    apart = float(np.ptp([np.mean(each.values[each.valid]) for each in running]))
+    note = engines_note(len(running))
+    speeds = list(compress(speeds, runs))
+    apart = max(speeds, default=0.0) - min(speeds, default=0.0)
     remark = ""
-    if apart > LARGEST_APART * float(np.mean(mean)):
+    if apart > LARGEST_APART * sum(speeds) / len(running):
         remark = (
             f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: their "
             "yawing moment is in no column"
         )
-    return Choice(names, time, mean, note, remark, [])
+    return _source(rule, names, time, mean, note, remark)
 
 
 def _readings(instance: Instance, rule: Rule) -> Readings:
     topic = instance.topic
+    n = len(topic)
     values = rule.convert(topic.columns(rule.fields))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
-    preferred = np.zeros(len(topic), bool)
+    preferred = np.zeros(n, bool)
     for field in rule.preferred:
         if field in topic:
             preferred |= topic[field] > 0
-    return Readings(instance, topic.time, values, valid, preferred)
-
-
-def _counter(topic: Topic, rule: Rule) -> Vector:
-    """Return the counter of the estimator's resets, 0 where it is not logged."""
-    if not rule.resets or rule.resets[0] not in topic:
-        return np.zeros(len(topic))
-    return topic[rule.resets[0]]
+    counter = np.zeros(n)
+    deltas = np.full((n, max(len(rule.resets[1:]), 1)), np.nan)
+    if rule.resets and rule.resets[0] in topic:
+        counter = topic[rule.resets[0]]
+        if all(field in topic for field in rule.resets):
+            deltas = topic.columns(rule.resets[1:])
+    return Readings(instance, topic.time, values, valid, preferred, counter, deltas)
 
 
 def _switched(log: Log, rule: Rule, time: Vector, values: Matrix) -> Vector:
@@ -208,14 +240,6 @@ def _switched(log: Log, rule: Rule, time: Vector, values: Matrix) -> Vector:
     return counter
 
 
-def _deltas(topic: Topic, rule: Rule) -> Matrix:
-    """Return the changes by the last reset, NaN where they are not logged."""
-    fields = rule.resets[1:]
-    if not fields or not all(field in topic for field in fields):
-        return np.full((len(topic), max(len(fields), 1)), np.nan)
-    return topic.columns(fields)
-
-
 def _used(
     log: Log, rule: Rule, readings: list[Readings], times: Vector
 ) -> tuple[Indices | None, str]:
@@ -227,6 +251,10 @@ def _used(
         places = np.full(len(times), NONE)
         for place, each in enumerate(readings):
             number: float = each.instance.number + use.first
+            if each.instance.number in use.instances:
+                number = use.instances.index(each.instance.number)
+            elif use.instances:
+                number = NONE
             if use.match in each.instance.topic:
                 number = float(each.instance.topic[use.match][0])
             places[numbers == number] = place
@@ -240,7 +268,7 @@ def _numbers(log: Log, use: Use, times: Vector) -> Vector | None:
     if not use.topic:
         value = log.parameters.get(use.field)
         return None if value is None else np.full(len(times), value)
-    for instance in log.instances(use.topic):
+    for instance in log.instances(use.topic, least=1):
         if use.field in instance.topic:
             return instance.topic[use.field][last_before(instance.topic.time, times)]
     return None
@@ -265,12 +293,12 @@ def _chosen(
     return chosen
 
 
-def _names(readings: list[Readings], chosen: Indices) -> tuple[str, ...]:
+def _names(readings: list[Readings], chosen: Indices) -> list[str]:
     """Return the names of the chosen instances, in the order of their first choice."""
     present, first = np.unique(chosen, return_index=True)
     order = np.argsort(first)
     places = [place for place in present[order] if place != NONE] or [0]
-    return tuple(readings[place].instance.name for place in places)
+    return [readings[place].instance.name for place in places]
 
 
 def _note(readings: list[Readings], use: str) -> str:

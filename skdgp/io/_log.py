@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
@@ -110,6 +110,8 @@ class Use(NamedTuple):
     match: str = ""
     #: Whether a number of no instance means that nothing was measured
     is_measurement: bool = False
+    #: Instances that the numbers 0, 1, ... stand for, where these are of estimators in place of sensors
+    instances: tuple[int, ...] = ()
 
     @property
     def words(self) -> str:
@@ -210,6 +212,8 @@ UP = (-1.0, 0.0, 1.0)
 DOWN = UP[::-1]
 # of one that moves to one side alone
 OPENING = (0.0, 1.0)
+# Topic, field and its limits while rotors carry a VTOL, or in transition
+Lifting: TypeAlias = tuple[tuple[str, str, float, float], ...]
 # Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
@@ -243,7 +247,7 @@ class Log:
     aliases : dict of str to tuple of str
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
     lifting : tuple of (str, str, float, float)
-        Topic, field and its limits while rotors carry a VTOL, or in transition.
+        Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
     commands : dict of str to Control
         Outputs that need no angles: the throttle of the left less the right engine.
     """
@@ -259,31 +263,29 @@ class Log:
     outputs: tuple[str, ...] = ()
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    lifting: tuple[tuple[str, str, float, float], ...] = ()
+    lifting: Lifting = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
 
-    def instances(self, name: str) -> list[Instance]:
-        """Return the instances of a topic that have messages, by number."""
+    def instances(self, name: str, least: int = 2) -> list[Instance]:
+        """Return the instances of a topic that have so many messages, by number."""
         instances = []
         further = self.aliases.get(name, ())
         for key, topic in self.topics.items():
             base, _, number = key.partition("#")
-            if len(topic) > 1 and base == name:
+            if len(topic) < least:
+                continue
+            if base == name:
                 instances.append(Instance(int(number or 0), key, topic))
-            elif len(topic) > 1 and key in further:
+            elif key in further:
                 instances.append(Instance(1 + further.index(key), key, topic))
         return sorted(instances)
 
     def lifts(self, time: Vector) -> Mask:
         """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
-        if self.vehicle != "VTOL":
-            return np.zeros(len(time), dtype=bool)
         return lifting_rows(self.topics, self.lifting, time)
 
 
-def lifting_rows(
-    topics: Mapping[str, Topic], lifting: Iterable[tuple[str, str, float, float]], time: Vector
-) -> Mask:
+def lifting_rows(topics: Mapping[str, Topic], lifting: Lifting, time: Vector) -> Mask:
     """Return where a field of ``lifting`` is within its limits, (n,)."""
     lifts = np.zeros(len(time), dtype=bool)
     for name, field_name, low, high in lifting:
@@ -294,25 +296,68 @@ def lifting_rows(
     return lifts
 
 
-def driving(topic: Topic, names: Iterable[str], lifts: Mask) -> tuple[str, ...]:
+def in_flight_axes(rules: Iterable[Rule]) -> tuple[Rule, ...]:
+    """Return rules of a tailsitter, whose body axes are those of hover, for its axes in forward flight.
+
+    Forward is then along -z, and down along x (FixedwingRateControl.cpp of PX4).
+    """
+    turned = []
+    for rule in rules:
+        turn = TURNS.get(rule.columns)
+        convert = partial(_turned, rule.convert, turn) if turn else rule.convert
+        turned.append(rule._replace(convert=convert))
+    return tuple(turned)
+
+
+def _turned(
+    convert: Callable[[Matrix], Matrix], turn: Callable[[Matrix], Matrix], fields: Matrix
+) -> Matrix:
+    """Return converted fields in other body axes."""
+    return turn(convert(fields))
+
+
+def _swapped(vectors: Matrix) -> Matrix:
+    """Return vectors (n, 3) in axes of hover in axes of forward flight."""
+    x, y, z = vectors.T
+    return np.column_stack([-z, y, x])
+
+
+def _pitched(quaternions: Matrix) -> Matrix:
+    """Return attitudes of the axes of hover as of the axes of forward flight, a turn by 90 degrees about y."""
+    w, x, y, z = quaternions.T
+    return np.column_stack([w - y, x - z, y + w, z + x]) / np.sqrt(2)
+
+
+TURNS = {RATES: _swapped, SPECIFIC_FORCE: _swapped, QUATERNION: _pitched}
+
+
+def driving(
+    topics: Mapping[str, Topic], name: str, fields: Iterable[str], lifting: Lifting
+) -> tuple[str, ...]:
     """Return the fields of engines that drive the aircraft forward: they run while no rotor lifts it.
 
-    ``lifts`` (n,) are the messages in hover and transition. A motor that only spins down after
-    these is slower on average than `LEAST_SPEED` times the fastest.
+    A motor that only spins down after hover and transition is slower on average than `LEAST_SPEED`
+    times the fastest.
     """
+    topic = topics.get(name, NOTHING)
+    lifts = lifting_rows(topics, lifting, topic.time)
     means = {}
-    for name in names:
-        if name in topic and not lifts.all():
-            speed = np.nan_to_num(topic[name][~lifts])
-            means[name] = float(np.mean(np.abs(speed)))
+    for field_name in fields:
+        if field_name in topic and not lifts.all():
+            speed = np.nan_to_num(topic[field_name][~lifts])
+            means[field_name] = float(np.mean(np.abs(speed)))
     least = LEAST_SPEED * max(means.values(), default=0.0)
-    return tuple(name for name, mean in means.items() if mean > least)
+    return tuple(field_name for field_name, mean in means.items() if mean > least)
 
 
 def engines_rule(topic: str, fields: tuple[str, ...]) -> Rule:
     """Return the rule for the propeller speed [rad/s] of engines whose speeds [rpm] are in fields of a topic."""
-    note = f"root mean square of {len(fields)} engines" if len(fields) > 1 else ""
-    return Rule(("propeller_speed",), topic, fields, mean_engine, note=note)
+    return Rule(("propeller_speed",), topic, fields, mean_engine, note=engines_note(len(fields)))
+
+
+def engines_note(n_engines: int) -> str:
+    """Return how the propeller speed follows from engines, nothing of one engine."""
+    return f"root mean square of {n_engines} engines" if n_engines > 1 else ""
 
 
 def scaling(factor: float) -> Callable[[Array], Array]:

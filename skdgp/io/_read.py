@@ -29,7 +29,7 @@ from skdgp._flight.faults import FlightDataWarning, find_faults
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
-from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
+from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, name_of, on_one_clock, read_log
 from skdgp.io._log import Topic, lacking_servos, reversed_of
 from skdgp.io._tables import (
     FlightReadError,
@@ -49,6 +49,8 @@ TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".parquet": read_parquet,
     ".pq": read_parquet,
 }
+TIME_OF_DAY = r"\d{1,2}:\d\d:\d\d(\.\d+)?"
+DAY = 86400.0  # [s]
 # of the printed summary of a log [characters]
 WIDTH = 110
 PathLike: TypeAlias = "str | os.PathLike[str]"
@@ -141,7 +143,7 @@ def read_flight(
 
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(path, servos=servos, airborne=airborne)
-    name = path.stem if flight is None else flight
+    name = name_of(path) if flight is None else flight
     with recorded_warnings() as record:
         if reversed_of(servos) is not None:  # parts of the full throw are no angles
             record.ignore(Code.LARGE_SURFACES)
@@ -155,6 +157,11 @@ def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) 
 
 
 def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.DataFrame:
+    if path.is_dir():
+        raise FlightReadError(
+            "Got a folder without tables of ulog2csv, such as vehicle_attitude_0.csv, but expected "
+            "these or a file: give the file of one flight."
+        )
     kind = path.suffix.lower()
     if kind not in TABLES:
         raise FlightReadError(
@@ -234,8 +241,14 @@ def _as_numbers(table: pd.DataFrame) -> dict[str, np.ndarray]:
 
 
 def _as_seconds(time: pd.Series) -> pd.Series:
-    """Return dates and durations as seconds, dates (ISO 8601) from the first row on; numbers as they are."""
+    """Return durations as seconds, dates (ISO 8601) and times of day from the first row on, numbers as they are."""
     if pd.api.types.is_object_dtype(time) or pd.api.types.is_string_dtype(time):
+        # ISO 8601 has either decimal mark
+        time = time.map(lambda cell: cell.replace(",", ".") if isinstance(cell, str) else cell)
+        if time.astype(str).str.fullmatch(TIME_OF_DAY).all():
+            seconds = pd.to_timedelta(time).dt.total_seconds()
+            days = (seconds.diff() < -0.5 * DAY).cumsum()
+            return seconds + DAY * days - seconds.iloc[0]
         try:
             time = pd.to_datetime(time, format="ISO8601", utc=True)
         except (ValueError, TypeError):
@@ -343,20 +356,19 @@ def inspect_log(
         return _of_table(path, read_flight(path, rename=rename))
     with reading(path):
         flown = on_one_clock(path, servos=servos)
-    longest = max(flown.parts, key=lambda part: len(part.table))
     lacking = [] if servos is not None or flown.log.controls else [lacking_servos(flown.log)]
     try:
-        table = flight_table(flown, path.stem, airborne=True)
+        table = flight_table(flown, name_of(path), airborne=True)
         faults = _faults(table)
     except FlightReadError as error:
-        table = longest.table[:0].assign(flight="")
+        table = flown.longest.table[:0].assign(flight="")
         faults = [str(error)]
     return LogSummary(
         path=str(path),
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
-        topics=_topics(longest.log.topics),
+        topics=_topics(flown.longest.log.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
         remarks=(*flown.remarks, *lacking, *faults),

@@ -38,7 +38,7 @@ def correct_resets(
     time: Vector,
     values: Matrix,
     counter: Vector,
-    deltas: Matrix | None,
+    deltas: Matrix,
     is_attitude: bool,
     settings: ResetSettings = RESETS,
 ) -> Resets:
@@ -58,7 +58,7 @@ def correct_resets(
         if sizes[k - 1] <= largest:
             continue
         before = values[:k]
-        if deltas is not None and np.isfinite(deltas[k]).all():
+        if np.isfinite(deltas[k]).all():
             moved = _turned(before, deltas[k]) if is_attitude else before + deltas[k]
             step = np.linalg.norm(values[k] - moved[-1])
             if is_attitude:

@@ -20,11 +20,12 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import commands_of, controls_of, mounting_remarks
+from skdgp.io._dataflash import outputs_of, vehicle_of
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
     QUATERNION,
+    Lifting,
     Log,
     Rule,
     Topic,
@@ -33,7 +34,9 @@ from skdgp.io._log import (
     density_at,
     driving,
     engines_rule,
+    in_flight_axes,
     instance_name,
+    lifting_rows,
     milli,
     numeric_fields,
     scaling,
@@ -51,6 +54,8 @@ MAVLINK_2 = 0xFD
 OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
 # MAV_AUTOPILOT
 PX4 = 12
+# MAV_TYPE of tailsitters, with two rotors, four, and any
+TAILSITTERS = (19, 20, 23)
 # MAV_MODE_FLAG_SAFETY_ARMED of base_mode
 ARMED = 128
 # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
@@ -60,6 +65,8 @@ CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 LARGEST_DIFFERENCE = 60.0
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
+# MAV_VTOL_STATE 1 to 3 are transitions and rotary wing
+HOVER = ("EXTENDED_SYS_STATE", "vtol_state", 1.0, 3.0)
 
 
 def _wind_from(values: Matrix) -> Matrix:
@@ -124,7 +131,13 @@ def read_tlog(path: Path) -> Log:
             "Got a file without a message ATTITUDE of MAVLink, but expected the "
             "telemetry of an aircraft: is it empty, or of another kind?"
         )
-    system, _ = Counter(flown).most_common(1)[0]
+    systems = Counter(flown)
+    system, _ = systems.most_common(1)[0]
+    others: tuple[str, ...] = ()
+    if len(systems) > 1:
+        others = (
+            f"of the vehicles {sorted(systems)} number {system} is read, with most attitudes",
+        )
     by_name = _by_name(messages, system)
     beats = by_name.get("HEARTBEAT", {}).values()
     is_px4 = any(beat.autopilot == PX4 for beat in beats)
@@ -132,33 +145,46 @@ def read_tlog(path: Path) -> Log:
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
-    channels = OUTPUTS + ".servo{}_raw"
     attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     if "HEARTBEAT" in topics:
         topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
-    outputs = topics.get(OUTPUTS, NOTHING)
+    outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
+    vehicle = _vehicle(topics, vehicles, parameters)
+    lifting = (HOVER, *outputs.lifting) if vehicle == "VTOL" else ()
+    rules = _rules(topics, lifting)
+    sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
-        rules=_rules(topics),
+        rules=in_flight_axes(rules) if sits_on_tail else rules,
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
-        vehicle=vehicles[0] if vehicles else None,
-        remarks=(*damage(skipped), *mounting_remarks(outputs, parameters, channels)),
+        vehicle=vehicle,
+        remarks=(*damage(skipped), *others, *outputs.remarks),
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
-        controls=controls_of(outputs, parameters, channels),
-        commands=commands_of(outputs, parameters, channels),
+        controls=outputs.controls,
+        lifting=lifting,
+        commands=outputs.commands,
     )
 
 
-def _rules(topics: dict[str, Topic]) -> tuple[Rule, ...]:
+def _vehicle(
+    topics: dict[str, Topic], vehicles: list[str], parameters: dict[str, float]
+) -> str | None:
+    """Return the kind of vehicle by heartbeats; of a plane with a state in hover or transition "VTOL"."""
+    vehicle = vehicle_of(vehicles[0] if vehicles else None, parameters)
+    states = topics.get(HOVER[0], NOTHING)
+    hovers = lifting_rows(topics, (HOVER,), states.time).any()
+    return "VTOL" if vehicle == "fixed wing" and hovers else vehicle
+
+
+def _rules(topics: dict[str, Topic], lifting: Lifting) -> tuple[Rule, ...]:
     """Return the rules with the engines that run."""
     rules = list(RULES)
     for name, fields in ENGINES.items():
-        topic = topics.get(name, NOTHING)
-        engines = driving(topic, fields, np.zeros(len(topic), bool))
+        engines = driving(topics, name, fields, lifting)
         if engines:
             rules.append(engines_rule(name, engines))
     return tuple(rules)

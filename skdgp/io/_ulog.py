@@ -26,6 +26,7 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
+    Lifting,
     Log,
     Rule,
     Servo,
@@ -35,8 +36,8 @@ from skdgp.io._log import (
     driving,
     engines_rule,
     from_rpm,
+    in_flight_axes,
     instance_name,
-    lifting_rows,
     milli,
     numeric_fields,
     whole,
@@ -81,11 +82,13 @@ def _xyz(name):
 
 
 QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in range(4)))
-VELOCITY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
+VXY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
+VZ_RESETS = ("vz_reset_counter", "delta_vz")
 POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
 HEADING_RESETS = (Use("vehicle_local_position", "heading_reset_counter"),)
 ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
+WIND = ("wind_north", "wind_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
 # -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
@@ -102,7 +105,28 @@ def _device(name):
     return tuple(Use(topic, f"{name}_device_id", match="device_id") for topic in topics)
 
 
-LOCAL = "estimator_local_position"
+def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
+    """Return the rules for the velocity of a local position."""
+    return (
+        Rule(HORIZONTAL, topic, ("vx", "vy"), valid=("v_xy_valid",), resets=VXY_RESETS, used=used),
+        Rule(("v_down",), topic, ("vz",), valid=("v_z_valid",), resets=VZ_RESETS, used=used),
+    )
+
+
+def _velocity(
+    topic: str, fields: tuple[str, str, str], valid: tuple[str, ...] = ()
+) -> tuple[Rule, Rule]:
+    """Return the rules for a velocity whose components are valid together."""
+    return (
+        Rule(HORIZONTAL, topic, fields[:2], valid=valid),
+        Rule(("v_down",), topic, fields[2:], valid=valid),
+    )
+
+
+def _wind(topic: str, used: tuple[Use, ...] = ()) -> Rule:
+    return Rule(WIND, topic, ("windspeed_north", "windspeed_east"), used=used)
+
+
 RULES = (
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
@@ -122,36 +146,13 @@ RULES = (
         valid=PITOT_VALID,
         within=MEASURED,
     ),
-    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT),
+    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred=("confidence",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    Rule(
-        HORIZONTAL,
-        "vehicle_local_position",
-        ("vx", "vy"),
-        valid=("v_xy_valid",),
-        resets=VELOCITY_RESETS,
-    ),
-    Rule(HORIZONTAL, LOCAL, ("vx", "vy"), valid=("v_xy_valid",), resets=VELOCITY_RESETS, used=LANE),
-    Rule(HORIZONTAL, "vehicle_global_position", ("vel_n", "vel_e")),
-    Rule(HORIZONTAL, "vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s"), valid=GPS_VALID),
-    Rule(
-        ("v_down",),
-        "vehicle_local_position",
-        ("vz",),
-        valid=("v_z_valid",),
-        resets=("vz_reset_counter", "delta_vz"),
-    ),
-    Rule(
-        ("v_down",),
-        LOCAL,
-        ("vz",),
-        valid=("v_z_valid",),
-        resets=("vz_reset_counter", "delta_vz"),
-        used=LANE,
-    ),
-    Rule(("v_down",), "vehicle_global_position", ("vel_d",)),
-    Rule(("v_down",), "vehicle_gps_position", ("vel_d_m_s",), valid=GPS_VALID),
+    *_local("vehicle_local_position"),
+    *_local("estimator_local_position", LANE),
+    *_velocity("vehicle_global_position", ("vel_n", "vel_e", "vel_d")),
+    *_velocity("vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), GPS_VALID),
     Rule(
         ("north", "east"),
         "vehicle_local_position",
@@ -176,14 +177,9 @@ RULES = (
     Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
     Rule(("altitude",), "vehicle_gps_position", ("alt",), milli),
     Rule(("density",), "vehicle_air_data", ("rho",)),
-    Rule(("wind_north", "wind_east"), "wind", ("windspeed_north", "windspeed_east")),
-    Rule(("wind_north", "wind_east"), "wind_estimate", ("windspeed_north", "windspeed_east")),
-    Rule(
-        ("wind_north", "wind_east"),
-        "estimator_wind",
-        ("windspeed_north", "windspeed_east"),
-        used=LANE,
-    ),
+    _wind("wind"),
+    _wind("wind_estimate"),
+    _wind("estimator_wind", LANE),
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
@@ -202,10 +198,13 @@ LIFTING = (
 # VT_TYPE of tailsitters and tiltrotors, whose thrust is along -z (tailsitter.cpp, tiltrotor.cpp)
 TILTING = (0, 1)
 TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+TAILSITTER = 0
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
 MOST_ENGINES = 8
+MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
+ENGINE_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
 MOST_SURFACES = 8  # of control allocation
 # By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 # against our signs.
@@ -220,6 +219,8 @@ AILERONS = (1, 2)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
+# The same of tailsitters, whose torques are about the axes of hover
+HOVER_TORQUES = {"aileron": ("Y", -1.0), "elevator": ("P", -1.0), "rudder": ("R", -1.0)}
 # Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
 CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
 # The flaps of actuator_controls, which open from zero
@@ -274,48 +275,48 @@ def px4_log(
     remarks: tuple[str, ...] = (),
 ) -> Log:
     """Return the log of topics and parameters of PX4."""
+    vehicle = _vehicle(topics, parameters)
+    is_vtol = vehicle == "VTOL"
+    lifting = LIFTING if is_vtol else ()
+    sits_on_tail = is_vtol and _sits_on_tail(topics, parameters)
+    tilts = sits_on_tail or (is_vtol and parameters.get("VT_TYPE") in TILTING)
+    rules = _rules(topics, lifting, tilts)
+    if sits_on_tail:
+        rules = in_flight_axes(rules)
     return Log(
         kind=kind,
         topics=topics,
-        rules=_rules(topics, parameters),
+        rules=rules,
         parameters=parameters,
         firmware=firmware,
-        vehicle=_vehicle(topics, parameters),
+        vehicle=vehicle,
         remarks=remarks,
         landed=("vehicle_land_detected", "landed", 1.0),
         outputs=OUTPUTS,
-        controls=_controls(topics, parameters),
-        lifting=LIFTING,
-        commands=_commands(topics, parameters),
+        controls=_controls(topics, parameters, sits_on_tail),
+        lifting=lifting,
+        commands={} if is_vtol else _commands(topics, parameters),
     )
 
 
-def _rules(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return the rules, with the thrust of tilted rotors and of the engines that drive forward."""
-    rules: tuple[Rule, ...] = RULES
-    if _vehicle(topics, parameters) == "VTOL" and parameters.get("VT_TYPE") in TILTING:
-        rules = (TILTED, *rules)
-    motors = _driving(topics, parameters, "actuator_motors", "control[{}]")
-    if motors:
-        note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
-        rules = (*rules, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note))
-    engines = _driving(topics, parameters, "esc_status", "esc[{}].esc_rpm")
-    if len(engines) > 1:
-        return (engines_rule("esc_status", engines), *rules)
-    if engines:
-        return (*rules, engines_rule("esc_status", engines))
+def _rules(topics: Mapping[str, Topic], lifting: Lifting, tilts: bool) -> tuple[Rule, ...]:
+    """Return the rules, with those of the motors and engines that drive forward.
+
+    Several motors come first: other sources are one number for all, also where one is switched off.
+    """
+    motors = driving(topics, "actuator_motors", MOTOR_FIELDS, lifting)
+    engines = driving(topics, "esc_status", ENGINE_FIELDS, lifting)
+    note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
+    rules: tuple[Rule, ...] = (TILTED, *RULES) if tilts else RULES
+    for fields, rule in (
+        (motors, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note)),
+        (engines, engines_rule("esc_status", engines)),
+    ):
+        if len(fields) > 1:
+            rules = (rule, *rules)
+        elif fields:
+            rules = (*rules, rule)
     return rules
-
-
-def _driving(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], name: str, field: str
-) -> tuple[str, ...]:
-    """Return the fields of a topic of motors that drive the aircraft forward."""
-    topic = topics.get(name, NOTHING)
-    lifts = np.zeros(len(topic), bool)
-    if _vehicle(topics, parameters) == "VTOL":
-        lifts = lifting_rows(topics, LIFTING, topic.time)
-    return driving(topic, (field.format(k) for k in range(MOST_ENGINES)), lifts)
 
 
 def _mean_motor(commands: Matrix) -> Matrix:
@@ -452,10 +453,21 @@ def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> st
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
 
 
-def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
+def _sits_on_tail(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> bool:
+    """Return whether a VTOL is a tailsitter, by its status or the parameter."""
+    status = topics.get("vehicle_status", NOTHING)
+    if "is_vtol_tailsitter" in status:
+        return bool(status["is_vtol_tailsitter"].any())
+    return parameters.get("VT_TYPE") == TAILSITTER
+
+
+def _controls(
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], sits_on_tail: bool
+) -> dict[str, Control]:
     """Return the servos of control allocation, else of a plane mixed by fixed rules.
 
     The torques of control allocation mix any number of surfaces in any way; elevons are then mixed.
+    The fixed rules of tailsitters changed with the version.
     """
     outputs = topics.get("actuator_servos", NOTHING)
     types = {}
@@ -463,8 +475,11 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
     for n in range(min(count, MOST_SURFACES)):
         if f"control[{n}]" in outputs:
             types[n] = whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
-    mixed = _mixed_controls(types, parameters) | _flaps(types, parameters)
-    controls = _single_controls(types) or _fixed_controls(topics)
+    axes = HOVER_TORQUES if sits_on_tail else TORQUES
+    mixed = _mixed_controls(types, parameters, axes) | _flaps(types, parameters)
+    controls = _single_controls(types)
+    if not controls and not sits_on_tail:
+        controls = _fixed_controls(topics)
     if mixed:
         for name in ELEVONS:
             controls.pop(name, None)
@@ -472,11 +487,13 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
 
 
 def _mixed_controls(
-    types: Mapping[int, int], parameters: Mapping[str, float]
+    types: Mapping[int, int],
+    parameters: Mapping[str, float],
+    axes: Mapping[str, tuple[str, float]],
 ) -> dict[str, Control]:
-    """Return the controls that several surfaces share, weighted by their torques."""
+    """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
     controls = {}
-    for control, (axis, sign) in TORQUES.items():
+    for control, (axis, sign) in axes.items():
         torques = {}
         for n, kind in types.items():
             torque = parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0)
@@ -553,12 +570,9 @@ def _turn_apart(types: Mapping[int, int], parameters: Mapping[str, float]) -> bo
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
     """Return the mean throttle of the left less that of the right engines of a fixed wing, by CA_ROTORn_PY."""
     outputs = topics.get("actuator_motors", NOTHING)
-    if _vehicle(topics, parameters) == "VTOL":
-        return {}
     sides: dict[bool, list[Servo]] = {True: [], False: []}
-    for n in range(MOST_ENGINES):
+    for n, channel in enumerate(MOTOR_FIELDS):
         place = parameters.get(f"CA_ROTOR{n}_PY", 0.0)
-        channel = f"control[{n}]"
         if place and channel in outputs and np.isfinite(outputs[channel]).any():
             servo = Servo(f"actuator_motors.{channel}", OPENING, OPENING)
             sides[place < 0].append(servo)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import re
 from pathlib import Path
 
@@ -11,45 +12,63 @@ from skdgp.io._log import Log, Topic, instance_name, numeric_fields
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import px4_log, sampled
 
-# one of these topics is in every log of a flight; what stands before its name are the log's name
-ANCHORS = ("sensor_combined", "vehicle_attitude", "vehicle_angular_velocity")
-ANCHOR = re.compile(rf"(.+_)?({'|'.join(ANCHORS)})_0\.csv")
+# one of these topics is in every log of a flight, and no other topic's name ends so: what stands
+# before it is the log's name
+ANCHORS = (
+    "vehicle_attitude", "vehicle_angular_velocity", "vehicle_acceleration", "sensor_combined",
+    "vehicle_local_position", "vehicle_global_position", "vehicle_gps_position",
+    "estimator_attitude", "estimator_local_position",
+)  # fmt: skip
+ANCHOR = re.compile(rf"(.+_)?({'|'.join(ANCHORS)})_\d+\.csv")
 TOPIC = re.compile(r"(.+)_(\d+)\.csv")
 
 
 def is_ulog_csv(path: Path) -> bool:
     """Return whether this is a folder with tables of ulog2csv, or the table of one of the anchors."""
     if path.is_dir():
-        return bool(_prefixes(path))
+        return bool(_anchors(path))
     return ANCHOR.fullmatch(path.name) is not None
 
 
-def _prefixes(folder: Path) -> list[str]:
-    """Return what stands before the topics of each log in a folder."""
-    matches = [ANCHOR.fullmatch(file.name) for file in folder.iterdir()]
-    return sorted({match[1] or "" for match in matches if match})
+def _anchors(folder: Path) -> dict[str, str]:
+    """Return a table of an anchor of each log in a folder, by what stands before the names of its topics."""
+    anchors: dict[str, str] = {}
+    for file in sorted(folder.iterdir()):
+        match = ANCHOR.fullmatch(file.name)
+        if match:
+            anchors.setdefault(match[1] or "", file.name)
+    return anchors
 
 
 def read_ulog_csv(path: Path) -> Log:
     """Return the log in a folder, or the one that a table is of; raise FlightReadError if there are several."""
     folder = path if path.is_dir() else path.parent
-    prefixes = _prefixes(folder)
+    anchors = _anchors(folder)
     match = ANCHOR.fullmatch(path.name)
-    if match:
-        prefixes = [match[1] or ""]
-    if len(prefixes) > 1:
+    if not match and len(anchors) > 1:
         raise FlightReadError(
-            f"Got a folder with the logs {prefixes}, but expected one: give its file "
-            f"{prefixes[0]}{ANCHORS[0]}_0.csv or move it to a folder of its own."
+            f"Got a folder with the logs {list(anchors)}, but expected one: give its file "
+            f"{next(iter(anchors.values()))} or move it to a folder of its own."
         )
+    log = (match[1] or "") if match else next(iter(anchors))
+    others = [prefix for prefix in anchors if len(prefix) > len(log)]
     topics = {}
-    for file in sorted(folder.iterdir()):
-        found = TOPIC.fullmatch(file.name.removeprefix(prefixes[0]))
-        if found and file.name.startswith(prefixes[0]):
+    for file in sorted(folder.glob(f"{glob.escape(log)}*.csv")):
+        found = TOPIC.fullmatch(file.name.removeprefix(log))
+        is_of_other = any(file.name.startswith(prefix) for prefix in others)
+        if found and not is_of_other:
             topic = _topic(found[1], file)
             if topic is not None:
                 topics[instance_name(found[1], int(found[2]))] = topic
     return px4_log(topics, {}, kind="PX4 ULog as CSV", firmware="PX4")
+
+
+def name_of_log(path: Path) -> str:
+    """Return the name of a log: what stands before a table's topic, else the folder's."""
+    match = ANCHOR.fullmatch(path.name)
+    if match is None:
+        return path.name
+    return match[1].removesuffix("_") if match[1] else path.parent.name
 
 
 def _topic(name: str, file: Path) -> Topic | None:

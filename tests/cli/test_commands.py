@@ -242,6 +242,11 @@ class TestFly:
         assert waiting == f"waiting for ArduPilot at 127.0.0.1:{port}; Ctrl-C ends"
         assert error.startswith(f"error: Got no packet at 127.0.0.1:{port} for {wait} s")
 
+    def test_full_deflections_are_checked_before_the_trim(self, refused):
+        """Which would not be found at this airspeed."""
+        words = shlex.split("--airspeed 1 --full elevator=0.4")
+        refused("Got no value of aileron, rudder.* at full output", "fly", *words)
+
 
 class TestDerivatives:
     def test_known_loads_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):

@@ -17,7 +17,7 @@ from skdgp._compute.messages import (
     warn,
     without_warnings,
 )
-from skdgp._compute.wording import REASONS, TEXTS, texts_of
+from skdgp._compute.wording import REASONS, TEXTS, reason_of, texts_of
 
 
 class Late(UserWarning):
@@ -30,6 +30,15 @@ def test_recorded_warnings_are_shown_and_kept_once():
             with pytest.warns(Late, match="^a  gap$"):
                 warn("a  gap", Late)
     assert texts_of(inner.findings) == texts_of(outer.findings) == ("a gap",)
+
+
+@pytest.mark.parametrize(
+    ("largest", "words"),
+    [(0.142, "error 0.14 of the spread"), (0.15, "errors 0.14 to 0.15 of the spread of the coeff")],
+)
+def test_errors_that_are_shown_alike_are_one_number(largest, words):
+    errors = {"smallest": 0.141, "largest": largest}
+    assert reason_of(Finding(Code.ERRORS_SMALL, numbers=errors)).startswith(words)
 
 
 def test_ignored_warnings_are_neither_shown_nor_recorded():

@@ -199,4 +199,5 @@ def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_min
     )
     (contradiction,) = [each for each in found.findings if each.code is Code.CONTRADICTION]
     assert contradiction.numbers["channels"] == ["aileron"]
+    assert contradiction.flight == "one"
     assert found.train["one"]["aileron"].equals(opposite["aileron"])

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, SearchSettings, fit_exact
+from skdgp.inference import Data, SearchSettings, fit_exact, held_out_error
 from skdgp.kernels import ConvolvedGaussian
 
 N = 60
@@ -23,15 +23,15 @@ def tables(request):
     return X, y, np.column_stack([y, rng.normal(size=(N, 2))])
 
 
-def start(Y, width):
+def start(Y, width, d=2):
     P = Y.shape[1]
-    return ConvolvedGaussian(0, amplitude=np.eye(P), length_scale=np.full((P, P, 2), width))
+    return ConvolvedGaussian(0, amplitude=np.eye(P), length_scale=np.full((P, P, d), width))
 
 
-def searched(X, Y, max_iter, width, settings=ERROR_ALONE):
+def searched(X, Y, max_iter, width, settings=ERROR_ALONE, **options):
     """Return the hyperparameters of a search from a start that no other stage changes."""
-    options = {"optimizer": "fmin_l_bfgs_b", "random_state": 0, "max_iter": max_iter}
-    return fit_exact(start(Y, width), X, Y, settings=settings, **options).learned
+    options |= {"optimizer": "fmin_l_bfgs_b", "random_state": 0, "max_iter": max_iter}
+    return fit_exact(start(Y, width, X.shape[1]), X, Y, settings=settings, **options).learned
 
 
 def error_of(learned, X, Y):
@@ -63,6 +63,30 @@ def test_has_not_converged_where_the_error_falls(tables):
     many = searched(X, y, 20, 0.05)
     assert error_of(many, X, y) < 0.5 * error_of(few, X, y)
     assert not few.converged
+
+
+def test_goes_on_as_long_as_the_error_falls(tables):
+    X, y, Y = tables
+    further = searched(X, y, 10, 0.05, further=4)
+    assert 10 < further.n_iter <= 50
+    assert further.converged
+    assert error_of(further, X, y) < 0.5 * error_of(searched(X, y, 10, 0.05), X, y)
+    assert searched(X, Y, 12, 0.5, further=4).n_iter == 12
+
+
+def test_of_a_time_series_the_errors_of_held_out_blocks_count():
+    """Of random walks, neighbours in time predict each value better and better; blocks are predicted as before."""
+    rng = default_rng(0)
+    X = np.cumsum(rng.normal(size=(N, 4)), axis=0)
+    X = (X - X.mean(axis=0)) / X.std(axis=0)
+    Y = np.cumsum(rng.normal(size=(N, 2)), axis=0)
+    settings = SearchSettings(irrelevant_rise=0.0, relevant_rise=np.inf, n_blocks=4)
+    few, many = (searched(X, Y, n, 3.0, settings, time_series=True) for n in (12, 40))
+    data = Data.from_table(X, Y)
+    errors = [held_out_error(each.kernel, each.noise, data, 4) for each in (few, many)]
+    assert_allclose(*errors, rtol=0.02)
+    assert few.converged
+    assert not searched(X, Y, 12, 3.0, settings).converged
 
 
 def test_has_not_converged_where_the_likelihood_rises_much(tables):

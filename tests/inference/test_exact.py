@@ -15,7 +15,7 @@ from skdgp.inference import (
     ExactPosterior,
     PosteriorSettings,
     TileSettings,
-    leave_one_out_error,
+    held_out_error,
     log_likelihood,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -55,17 +55,24 @@ class TestLikelihood:
         assert value == pytest.approx(at(theta))
         assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
 
-    def test_leave_one_out_error_is_that_of_leaving_one_value_out(self, problem):
-        """Over the spread of each output; the conditional mean of one value given the others."""
+    @pytest.mark.parametrize("n_blocks", [None, 3])
+    def test_held_out_error(self, problem, n_blocks):
+        """Over the spread of each output; the conditional mean of one value, or a block of rows, given the others."""
         outputs = np.repeat(np.arange(len(problem.data.y)), [len(y) for y in problem.data.y])
+        values = np.arange(len(problem.y))
+        blocks = values
+        if n_blocks is not None:
+            rows = np.concatenate(problem.data.sample)
+            blocks = np.floor(n_blocks * rows / (rows.max() + 1))
         errors = []
-        for k, value in enumerate(problem.y):
-            others = np.arange(len(problem.y)) != k
-            weights = np.linalg.solve(problem.K[np.ix_(others, others)], problem.K[others, k])
-            spread = np.std(problem.y[outputs == outputs[k]])
-            errors.append((value - weights @ problem.y[others]) / spread)
+        for block in np.unique(blocks):
+            out, others = values[blocks == block], values[blocks != block]
+            across = problem.K[np.ix_(out, others)]
+            mean = across @ np.linalg.solve(problem.K[np.ix_(others, others)], problem.y[others])
+            spreads = [np.std(problem.y[outputs == outputs[k]]) for k in out]
+            errors.extend((problem.y[out] - mean) / spreads)
         expected = np.sqrt(np.mean(np.square(errors)))
-        found = leave_one_out_error(problem.kernel, problem.noise, problem.data)
+        found = held_out_error(problem.kernel, problem.noise, problem.data, n_blocks)
         assert found == pytest.approx(expected)
 
     @pytest.mark.parametrize("silent", [0, 1, 2])

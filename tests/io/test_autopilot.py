@@ -405,3 +405,11 @@ class TestOnTheGround:
     def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, read, log):
         with pytest.warns(FlightDataWarning, match="never armed.*are not what flew"):
             assert len(read(log, airborne=6.0)) == len(self.t)
+
+    @pytest.mark.parametrize("given", [True, 30.0])
+    def test_the_proposed_speed_finds_the_flight(self, read, log, given):
+        with pytest.raises(FlightReadError, match="no flight was found") as refusal:
+            read(log, airborne=given)
+        proposed = re.search(r"airborne=([\d.]+) \(", str(refusal.value))[1]
+        with pytest.warns(FlightDataWarning, match="never armed"):
+            assert len(read(log, airborne=float(proposed))) == len(self.t)

@@ -67,6 +67,14 @@ CASES = {
         ["time,alpha\nms,deg\n0,1\n20,2\n", "time [ms],alpha\ns,deg\n0,1\n20,2\n"],
         "in column 'time' at row 0 .* are not numbers",
     ),
+    "dates": (
+        [
+            "time,alpha\n2024-05-01T23:59:59.99Z,.1\n2024-05-02T00:00:00.01Z,.2\n",
+            "time,alpha\n23:59:59.99,.1\n0:00:00.01,.2\n",
+            "time;alpha\n2024-05-01T12:00:00;0,1\n2024-05-01T12:00:00,02;0,2\n",
+        ],
+        RIGHT,
+    ),
     "decimal comma": (
         [
             "time;alpha\n0,00;0,1\n0,02;0,2\n",
@@ -153,7 +161,7 @@ def test_case(tmp_path, text, expected):
         if isinstance(values[0], str):
             assert found[name].tolist() == values
         else:
-            assert_allclose(found[name], values, rtol=1e-15)
+            assert_allclose(found[name], values, rtol=1e-15, atol=1e-10)
 
 
 def test_the_page_has_these_cases():

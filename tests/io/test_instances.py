@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from skdgp.preprocessing import FlightDataWarning
 
@@ -62,6 +63,28 @@ class TestArduPilot:
             table = read(log, "log.bin", airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
 
+    @pytest.mark.parametrize("kind", [0, 2, 3, 11])
+    def test_an_estimator_that_was_not_flown_by_is_no_source(self, read, dataflash, kind):
+        """AHRS_EKF_TYPE 0 and 11 are none of those that log a velocity: it is the one of the GPS."""
+        log = gyros(dataflash(AHRS_EKF_TYPE=float(kind)))
+        for name, speed in (("NKF1", 2.0), ("XKF1", 3.0)):
+            log.topic(name, SLOW, **dict.fromkeys(("VN", "VE", "VD"), ("f", speed)))
+        log.topic("GPS", SLOW, Status=("B", 3), Spd=("f", 9.0), GCrs=("f", 0.0), VZ=("f", 0.0))
+        table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.v_north.dropna(), kind if kind in (2, 3) else 9.0)
+
+    @pytest.mark.parametrize(("name", "ekf"), [("XKF4", "EK3"), ("NKF4", "EK2")])
+    def test_the_imu_of_a_lane_is_one_of_its_mask(self, read, dataflash, name, ekf):
+        """The mask 0b110 has lanes on IMU 1 and IMU 2 alone; the second lane is used."""
+        log = dataflash(**{f"{ekf}_IMU_MASK": 6.0})
+        for number in range(3):
+            rates = {f"Gyr{axis}": ("f", np.sin(T) + number) for axis in "XYZ"}
+            log.topic("IMU", T + number * 1e-3, I=("B", number), **rates)
+        log.topic(name, SLOW, PI=("B", 1))
+        with pytest.warns(FlightDataWarning, match=rf"p q r of 3 instances: IMU#2 \(as {name}.PI"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.p[10:-10], 2 + np.sin(table.time[10:-10]), atol=0.01)
+
 
 class TestPX4:
     @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
@@ -82,6 +105,42 @@ class TestPX4:
             table = read(log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
+
+    @pytest.mark.parametrize(
+        ("rates", "chosen"), [((2, 4), 1), ((4, 5), 1), ((4, 4.2), 0), ((6, 50), 0)]
+    )
+    def test_of_slow_sources_a_clearly_faster_one_counts(self, read, ulog, rates, chosen):
+        """Below 5 Hz, which is enough for the preferred one."""
+        log = ulog()
+        names = {"vehicle_angular_velocity": "xyz", "sensor_combined": "gyro_rad"}
+        for number, (topic, field) in enumerate(names.items()):
+            time = np.arange(10, 40, 1 / rates[number])
+            rate = np.full((len(time), 3), number + 0.1 * np.sin(time)[:, None])
+            log.topic(topic, time, **{field: rate})
+        table = read(log, airborne=False)
+        assert_allclose(table.p, chosen, atol=0.11)
+
+    def test_a_selection_that_is_logged_once(self, read, ulog):
+        log = ulog()
+        for number in range(2):
+            device = ("int32_t", np.full(len(T), 100 + number))
+            rates = {axis: np.sin(T) + number for axis in "xyz"}
+            log.topic("sensor_gyro", T, instance=number, device_id=device, **rates)
+        log.topic("sensor_selection", SLOW[:1], gyro_device_id=("int32_t", np.array([101])))
+        with pytest.warns(FlightDataWarning, match=r"sensor_gyro#1 \(as sensor_selection"):
+            table = read(log, airborne=False)
+        assert_allclose(table.p[10:-10], 1 + np.sin(table.time[10:-10]), atol=0.01)
+
+    def test_a_sensor_without_confidence(self, read, ulog):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+        fails = SLOW > 25
+        first = np.where(fails, 0.0, TRUE)
+        log.topic("airspeed", SLOW, true_airspeed_m_s=first, confidence=np.where(fails, 0.0, 1.0))
+        fields = {"true_airspeed_m_s": TRUE, "confidence": np.ones(len(SLOW))}
+        log.topic("airspeed", SLOW, instance=1, **fields)
+        with pytest.warns(FlightDataWarning, match=r"airspeed#1 \(the healthiest\)"):
+            table = read(log, airborne=False)
+        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
 
 
 class TestResets:
@@ -148,6 +207,35 @@ class TestVehicles:
             table = read(log)
         assert table.time.min() >= 19.9
         assert_allclose(table.throttle, 0.55, rtol=1e-6)
+        whole = read(log, airborne=False)  # without that warning
+        assert_allclose(whole.time.min(), T[0])
+
+    @pytest.mark.parametrize("by_status", [True, False])
+    def test_a_tailsitter_is_read_in_its_axes_of_forward_flight(self, read, ulog, by_status):
+        """Its topics are in axes of hover, a turn by 90 degrees about y; more of the left elevon rolls it left."""
+        angles = 0.2 * np.sin(T), 0.05 + 0.1 * np.cos(T), 0.3 + 0.05 * T
+        rates = np.column_stack([0.4 * np.sin(T), 0.2 * np.cos(T), 0.1 * np.sin(2 * T)])
+        force = np.column_stack([1 + 0.1 * np.sin(T), 0.2 * np.cos(T), -9.8 + np.sin(T)])
+        flies = Rotation.from_euler("ZYX", np.column_stack(angles[::-1]))
+        to_hover = Rotation.from_euler("y", 90, degrees=True)
+        q = np.roll((flies * to_hover.inv()).as_quat(), 1, axis=1)
+        sides = {"CA_SV_CS0_TRQ_P": 0.5, "CA_SV_CS1_TRQ_P": 0.5}
+        sides |= {"CA_SV_CS0_TRQ_Y": 0.5, "CA_SV_CS1_TRQ_Y": -0.5}
+        kinds = {"CA_SV_CS0_TYPE": 5, "CA_SV_CS1_TYPE": 6}
+        log = ulog(**({} if by_status else {"VT_TYPE": 0}), **kinds, **sides)
+        log.topic("vehicle_angular_velocity", T, xyz=to_hover.apply(rates))
+        log.topic("vehicle_acceleration", T, xyz=to_hover.apply(force))
+        log.topic("vehicle_attitude", T, q=q)
+        status = {"is_vtol_tailsitter": np.ones(len(SLOW), bool)} if by_status else {}
+        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool), **status)
+        up, right = 0.3 * np.cos(T), 0.2 * np.sin(T)
+        log.topic("actuator_servos", T, control=np.column_stack([up - right, up + right]))
+        table = read(log, servos="full throw", airborne=False)
+        for names, values in (("phi theta psi", np.column_stack(angles)), ("p q r", rates)):
+            assert_allclose(table[names.split()], values[: len(table)], atol=1e-3)
+        assert_allclose(table[["ax", "ay", "az"]], force[: len(table)], atol=1e-3)
+        assert_allclose(table.aileron, right[: len(table)], atol=1e-3)
+        assert_allclose(table.elevator, -up[: len(table)], atol=1e-3)
 
     def test_thrust_goes_with_the_squares_of_all_engines(self, read, dataflash):
         log = gyros(dataflash())
@@ -158,6 +246,28 @@ class TestVehicles:
             table = read(log, "log.bin", airborne=False)
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
+
+    def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, dataflash):
+        log = gyros(dataflash())
+        for number, speed in enumerate((9000.0, 6000.0)):
+            message = {"I": ("B", number), "RPM": ("f", speed), "H": ("B", number)}
+            log.topic("RPM", SLOW + number * 1e-3, **message)
+        table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
+
+    def test_an_engine_that_is_switched_off(self, read, ulog):
+        """The right one of two gets no number from 25 s on; the thrust that was asked for stays."""
+        log = ulog(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log.topic("vehicle_thrust_setpoint", SLOW, xyz=np.outer(np.ones(len(SLOW)), [0.6, 0, 0]))
+        right = np.where(SLOW < 25, 0.6, np.nan)
+        motors = np.column_stack([np.full(len(SLOW), 0.6), right])
+        log.topic("actuator_motors", SLOW, control=motors)
+        table = read(log, airborne=False)
+        early, late = table[table.time < 24.8], table[table.time > 25.2]
+        assert_allclose(early[["throttle", "differential_throttle"]], [[0.6, 0.0]] * len(early))
+        late = late[["throttle", "differential_throttle"]].dropna()
+        assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
 
     def test_engines_that_lift_a_vtol_do_not_drive_it(self, read, dataflash):
         """Four lift until 20 s, then the fifth pushes."""

@@ -57,6 +57,47 @@ def test_a_vehicle_that_was_never_armed(tlog, read):
         read(b"".join(log), "log.tlog")
 
 
+def test_of_two_vehicles_one_is_read(tlog, read):
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    attitude = mavlink.MAVLink_attitude_message(15000, 0, 0, 0, 0, 0, 0)
+    second = attitude.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1))
+    log = [*tlog, tlog[-1][:8] + second]
+    with pytest.warns(FlightDataWarning, match=r"vehicles \[1, 7\] number 1 is read"):
+        table = read(b"".join(log), "log.tlog")
+    assert_frame_equal(table, read(b"".join(tlog), "log.tlog"))
+
+
+@pytest.mark.parametrize("told_by", ["state", "motors"])
+def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
+    """It hovers until 20 s, by MAV_VTOL_STATE or by the pulse of a motor that lifts."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    log = []
+    parameters = {b"Q_ENABLE": 1.0, b"SERVO5_FUNCTION": 33.0} if told_by == "motors" else {}
+    for name, value in parameters.items():
+        message = mavlink.MAVLink_param_value_message(name, value, 9, 2, 0)
+        log.append(tlog[0][:8] + message.pack(plane))
+    for message in tlog:
+        is_output = is_of(message, mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW)
+        if is_output:
+            sent = plane.decode(bytearray(message[8:]))
+            hovers = sent.time_usec < 20e6
+            state = mavlink.MAVLink_extended_sys_state_message(3 if hovers else 4, 2)
+            pulse = 1600 if hovers else 1000
+            pulses = [sent.servo1_raw, sent.servo2_raw, sent.servo3_raw, sent.servo4_raw, pulse]
+            output = (sent.time_usec, 0, *pulses, 1500, 1500, 1500)
+            if told_by == "motors":
+                message = message[:8] + mavlink.MAVLink_servo_output_raw_message(*output).pack(
+                    plane
+                )
+            else:
+                log.append(message[:8] + state.pack(plane))
+        log.append(message)
+    with pytest.warns(FlightDataWarning, match="rotors lift"):
+        table = read(b"".join(log), "log.tlog")
+    assert 19.8 < table.time.min() < 20.5
+
+
 def is_of(message, number):
     """Return whether a stamped message of MAVLink 2 is of a type."""
     return int.from_bytes(message[15:18], "little") == number

@@ -20,7 +20,7 @@ from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import interpolate, ndimage, optimize, signal
 
 from skdgp._compute.messages import warn
@@ -206,7 +206,7 @@ def _low_pass(
     runs: list[slice],
     cutoff: float | str | None,
     joint: bool,
-    shrinks: Array,
+    shrinks: NDArray[np.bool_],
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
     if cutoff is None:
@@ -371,7 +371,7 @@ def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
     return gain
 
 
-def _is_beyond(gain: Matrix) -> Array:
+def _is_beyond(gain: Matrix) -> NDArray[np.bool_]:
     """Return whether a frequency lies beyond the last at which gains (m, k) are 1/2, signal as strong as noise."""
     is_strong = gain >= 0.5
     last = len(gain) - 1 - np.argmax(is_strong[::-1], axis=0)

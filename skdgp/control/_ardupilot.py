@@ -29,6 +29,7 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import as_floats, check_number
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, body_to_ned, ned_to_body, standard_density
+from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.dynamics import (
     ATTITUDE,
     RATES,
@@ -53,17 +54,35 @@ from skdgp.dynamics import (
 
 # Number of pulses of a packet by its first word
 PULSES = {18458: 16, 29569: 32}
-# Weights of the outputs of servos in a control, by SERVOn_FUNCTION: elevons and V-tails are mixed
-# by the autopilot, left = pitch - roll, right = pitch + roll; left = pitch + yaw, right = pitch - yaw
+# Weights of the outputs of servos in a control: elevons and V-tails are mixed by the autopilot,
+# left = pitch - roll, right = pitch + roll; left = pitch + yaw, right = pitch - yaw
 WEIGHTS = {
-    "aileron": {4: 1.0, 77: -0.5, 78: 0.5},
-    "elevator": {19: 1.0, 77: 0.5, 78: 0.5, 79: 0.5, 80: 0.5},
-    "rudder": {21: 1.0, 79: 0.5, 80: -0.5},
-    "throttle": {70: 1.0},
+    "aileron": {
+        ServoFunction.AILERON: 1.0,
+        ServoFunction.ELEVON_LEFT: -0.5,
+        ServoFunction.ELEVON_RIGHT: 0.5,
+    },
+    "elevator": {
+        ServoFunction.ELEVATOR: 1.0,
+        ServoFunction.ELEVON_LEFT: 0.5,
+        ServoFunction.ELEVON_RIGHT: 0.5,
+        ServoFunction.VTAIL_LEFT: 0.5,
+        ServoFunction.VTAIL_RIGHT: 0.5,
+    },
+    "rudder": {
+        ServoFunction.RUDDER: 1.0,
+        ServoFunction.VTAIL_LEFT: 0.5,
+        ServoFunction.VTAIL_RIGHT: -0.5,
+    },
+    "throttle": {ServoFunction.THROTTLE: 1.0},
 }
-# ArduPilot's default functions of servos 1 to 4, and default pulses [us]
-USUAL_FUNCTIONS = {1: 4, 2: 19, 3: 70, 4: 21}
-LOW, MIDDLE, HIGH = 1100.0, 1500.0, 1900.0
+# ArduPilot's default functions of servos 1 to 4
+USUAL_FUNCTIONS = {
+    1: ServoFunction.AILERON,
+    2: ServoFunction.ELEVATOR,
+    3: ServoFunction.THROTTLE,
+    4: ServoFunction.RUDDER,
+}
 # Rate that a positive output of a surface raises
 RAISED = {"aileron": "p", "elevator": "q", "rudder": "r"}
 
@@ -153,9 +172,8 @@ def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
 
 
 def _servo(parameters: Mapping[str, float], n: int, weight: float) -> Servo:
-    low = parameters.get(f"SERVO{n}_MIN", LOW)
-    middle = parameters.get(f"SERVO{n}_TRIM", MIDDLE)
-    high = parameters.get(f"SERVO{n}_MAX", HIGH)
+    pulses = [parameters.get(f"SERVO{n}_{end}", usual) for end, usual in USUAL_PULSES.items()]
+    low, middle, high = pulses
     if not low <= middle <= high or low == high:
         raise ValueError(
             f"Got SERVO{n}_MIN {low:g}, TRIM {middle:g} and MAX {high:g}, but expected pulses that increase."

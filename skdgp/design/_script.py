@@ -12,6 +12,7 @@ import pandas as pd
 
 from skdgp._excitation import ROUNDING, Steps, Wavetrain
 from skdgp._flight.checks import check_names, check_number
+from skdgp._flight.servo_functions import ServoFunction
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 
@@ -19,7 +20,7 @@ SCRIPT = Path(__file__).with_name("replay.lua")
 class Servo(NamedTuple):
     """ArduPilot's commands of a servo function."""
 
-    function: int  # SERVOn_FUNCTION
+    function: ServoFunction
     sign: float  # of a command that moves the control as in docs/notation.md
     is_range: bool = False  # from 0 to 1, not from -1 to 1
     scale: float = (
@@ -30,14 +31,14 @@ class Servo(NamedTuple):
 # ArduPilot's positive commands raise the nose, roll and yaw right, move elevons and halves of a
 # V-tail up
 ARDUPILOT = {
-    "elevator": Servo(19, -1.0),
-    "aileron": Servo(4, 1.0),
-    "rudder": Servo(21, -1.0),
-    "throttle": Servo(70, 1.0, is_range=True, scale=100.0),
-    "elevon_left": Servo(77, -1.0),
-    "elevon_right": Servo(78, -1.0),
-    "vtail_left": Servo(79, -1.0),
-    "vtail_right": Servo(80, -1.0),
+    "elevator": Servo(ServoFunction.ELEVATOR, -1.0),
+    "aileron": Servo(ServoFunction.AILERON, 1.0),
+    "rudder": Servo(ServoFunction.RUDDER, -1.0),
+    "throttle": Servo(ServoFunction.THROTTLE, 1.0, is_range=True, scale=100.0),
+    "elevon_left": Servo(ServoFunction.ELEVON_LEFT, -1.0),
+    "elevon_right": Servo(ServoFunction.ELEVON_RIGHT, -1.0),
+    "vtail_left": Servo(ServoFunction.VTAIL_LEFT, -1.0),
+    "vtail_right": Servo(ServoFunction.VTAIL_RIGHT, -1.0),
 }
 # Surfaces that several axes move
 MIXES = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
+from enum import IntFlag
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_quaternion
+from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
@@ -133,34 +135,44 @@ RULES = (
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
-# By SERVOn_FUNCTION; flaps are moved by the pilot alone or by the autopilot, and 110 are airbrakes
-SURFACES = {
-    4: "aileron", 19: "elevator", 21: "rudder", 77: "elevon_left", 78: "elevon_right",
-    2: "flap", 3: "flap", 110: "spoiler",
-}  # fmt: skip
+SURFACES: dict[int, str] = {
+    ServoFunction.AILERON: "aileron",
+    ServoFunction.ELEVATOR: "elevator",
+    ServoFunction.RUDDER: "rudder",
+    ServoFunction.ELEVON_LEFT: "elevon_left",
+    ServoFunction.ELEVON_RIGHT: "elevon_right",
+    ServoFunction.FLAP: "flap",
+    ServoFunction.AUTOMATIC_FLAP: "flap",
+    ServoFunction.AIRBRAKE: "spoiler",
+}
 # functions whose command turns a surface against our sign
-TURNED = (19, 21, 77, 78)
+TURNED = (
+    ServoFunction.ELEVATOR,
+    ServoFunction.RUDDER,
+    ServoFunction.ELEVON_LEFT,
+    ServoFunction.ELEVON_RIGHT,
+)
 MOST_SERVOS = 32
 # messages of outputs 15 to 18 and 19 to 32, which follow RCOU
 FURTHER_OUTPUTS = ("RCO2", "RCO3")
 # speeds [rpm] of a message of two engines
 ENGINES = ("rpm1", "rpm2")
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
-TWIN = (73, 74)
+TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
 # fraction of the range of pulses above which a motor runs; a guess
 RUNNING = 0.05
-# differential spoilers, outer and inner, left and right, and bits of DSPOILER_OPTS
-SPOILERS = (16, 17, 86, 87)
-FLYING_WING = 1
-FULL_SPAN = 2
-FLAPERONS = (24, 25)
-# Weights by SERVOn_FUNCTION: of a V-tail left = elevator + rudder, right = elevator - rudder of
-# commands that go up and right (ArduPlane/servos.cpp)
-MIXES = {"elevator": {79: -0.5, 80: -0.5}, "rudder": {79: -0.5, 80: 0.5}}
-# Pulses [us] at the ends and at trim of a servo that has no parameters
-USUAL_PULSES = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0}
+# differential spoilers
+OUTER = (ServoFunction.OUTER_SPOILER_LEFT, ServoFunction.OUTER_SPOILER_RIGHT)
+INNER = (ServoFunction.INNER_SPOILER_LEFT, ServoFunction.INNER_SPOILER_RIGHT)
+FLAPERONS = (ServoFunction.FLAPERON_LEFT, ServoFunction.FLAPERON_RIGHT)
+# Weights of a V-tail, left = elevator + rudder, right = elevator - rudder of commands that go up and
+# right (ArduPlane/servos.cpp)
+MIXES = {
+    "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
+    "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
+}
 
 
 def read_dataflash(path: Path) -> Log:
@@ -482,6 +494,13 @@ class _File:
         return dict(sorted(topics.items()))
 
 
+class SpoilerOption(IntFlag):
+    """Bits of DSPOILER_OPTS."""
+
+    FLYING_WING = 1
+    FULL_SPAN = 2
+
+
 class Outputs(NamedTuple):
     """What the parameters say of the outputs of an autopilot, see `Log`."""
 
@@ -563,24 +582,25 @@ def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> d
 
     Outer spoilers are -+ aileron + rudder of one side, inner ones the rudder against it.
     """
-    if not servos.keys() >= {*SPOILERS[:2]}:
+    if not servos.keys() >= {*OUTER}:
         return {}
-    left, right, *inner = (servos[function] for function in SPOILERS if function in servos)
+    left, right = (servos[function] for function in OUTER)
     aileron = [(-0.5, left), (0.5, right)]
     controls: dict[str, Control] = {}
-    options = whole(parameters.get("DSPOILER_OPTS", 3.0))
-    if len(inner) == 2:
-        factor = 0.5 if options & FULL_SPAN else 1.0
-        inner_left, inner_right = inner
+    options = SpoilerOption(whole(parameters.get("DSPOILER_OPTS", 3.0)))
+    is_full_span = SpoilerOption.FULL_SPAN in options
+    if servos.keys() >= {*INNER}:
+        factor = 0.5 if is_full_span else 1.0
+        inner_left, inner_right = (servos[function] for function in INNER)
         aileron += [(-0.5, inner_left), (0.5, inner_right)]
         aileron = [(factor * weight, servo) for weight, servo in aileron]
-        if options & FULL_SPAN:
+        if is_full_span:
             yaw = [(0.5, left), (-0.5, right), (-0.5, inner_left), (0.5, inner_right)]
         else:
             yaw = [(-1.0, inner_left), (1.0, inner_right)]
         controls["rudder"] = tuple(yaw)
     controls["aileron"] = tuple(aileron)
-    if options & FLYING_WING:
+    if SpoilerOption.FLYING_WING in options:
         controls["elevator"] = ((-0.5, left), (-0.5, right))
     return controls
 

@@ -1,0 +1,32 @@
+"""Servos of ArduPilot: what an output moves, by the number of SERVOn_FUNCTION (SRV_Channel.h)."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+# pulses [us] at the ends and at trim of a servo that has no parameters SERVOn_MIN, _TRIM and _MAX
+USUAL_PULSES = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0}
+
+
+class ServoFunction(IntEnum):
+    """Function of an output. Flaps are moved by the pilot alone or by the autopilot."""
+
+    FLAP = 2
+    AUTOMATIC_FLAP = 3
+    AILERON = 4
+    OUTER_SPOILER_LEFT = 16
+    OUTER_SPOILER_RIGHT = 17
+    ELEVATOR = 19
+    RUDDER = 21
+    FLAPERON_LEFT = 24
+    FLAPERON_RIGHT = 25
+    THROTTLE = 70
+    THROTTLE_LEFT = 73
+    THROTTLE_RIGHT = 74
+    ELEVON_LEFT = 77
+    ELEVON_RIGHT = 78
+    VTAIL_LEFT = 79
+    VTAIL_RIGHT = 80
+    INNER_SPOILER_LEFT = 86
+    INNER_SPOILER_RIGHT = 87
+    AIRBRAKE = 110

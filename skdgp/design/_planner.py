@@ -166,7 +166,7 @@ def plan(
     :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights, and at most
     the present one. More rows lower the errors of the posterior and those correlated in time.
     Biases by gusts and by noise of the regressors fall as far as the regressors vary more. The
-    discrepancy stays: see :class:`skdgp.inference.ExpectedErrors`.
+    model discrepancy shows more clearly: see :class:`skdgp.inference.ExpectedErrors`.
 
     :func:`skdgp.listening` shows the progress.
 

@@ -34,6 +34,8 @@ from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
 from skdgp.inference._likelihood import leave_one_out_error as leave_one_out_error
+from skdgp.inference._misfit import Misfit as Misfit
+from skdgp.inference._misfit import misfit_of as misfit_of
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings

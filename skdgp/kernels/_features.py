@@ -20,7 +20,7 @@ from scipy.stats.qmc import Sobol
 from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import MultiOutputKernel, Rescaled, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian
+from skdgp.kernels._convolved import ConvolvedGaussian, Filters
 from skdgp.kernels._gaussian_filters import GaussianBasis
 from skdgp.kernels._trend import LinearTrend
 
@@ -619,6 +619,38 @@ def draw_waves(
     return Waves(omega, phase, drawn, along), np.array(latents)
 
 
+def draw_waves_of_one_width(
+    kernel: ConvolvedGaussian, n_paths: int, n_frequencies: int, random_state: Any
+) -> Waves:
+    """Return sample paths of independent outputs whose filters have one width, with the frequencies of `draw_waves`.
+
+    Outputs share F frequencies, and each has cosines and sines of its own normal weights. So each is
+    distributed as with frequencies of its own, no two correlate, and P outputs need 2 F waves, not P F.
+    """
+    along = np.flatnonzero(~kernel.without_effect(kernel.n_features))
+    filters = kernel.filters.of_regressors(along)
+    amplitude = np.sum(filters.amplitude, axis=0, where=filters.feeds)
+    width = filters.length_scale[filters.feeds][0]
+    shape = (n_paths, n_frequencies)
+    omega = random_state.standard_normal((*shape, len(along))) / width
+    phase = random_state.uniform(0.0, 2 * np.pi, shape)
+    normal = random_state.standard_normal((n_paths, len(amplitude), 2 * n_frequencies))
+    return Waves(
+        np.concatenate([omega, omega], axis=1).swapaxes(1, 2).copy(),
+        np.concatenate([phase, phase - 0.5 * np.pi], axis=1)[:, None],
+        amplitude[:, None] / np.sqrt(n_frequencies) * normal,
+        along,
+    )
+
+
+def _has_one_width(filters: Filters) -> bool:
+    """Return whether each latent feeds one output, each output is fed by one, and all widths are equal."""
+    feeds = filters.feeds
+    is_private = (feeds.sum(axis=0) == 1).all() and (feeds.sum(axis=1) == 1).all()
+    widths = filters.length_scale[feeds]
+    return bool(is_private and (widths == widths[0]).all())
+
+
 def _stratified_normal(n_paths: int, component: Indices, random_state: Any) -> Array:
     """Return absolute values of normal numbers, (n_paths, F, 1), stratified over each ``component`` (F,)."""
     place = np.empty(len(component))
@@ -673,8 +705,11 @@ def has_prior_paths(kernel: MultiOutputKernel) -> bool:
 
 @prior_paths.register
 def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
+    filters = kernel.filters
+    if _has_one_width(filters) and len(kernel.term_regressors()[0]) > 1:
+        return draw_waves_of_one_width(kernel, n_paths, n_frequencies, random_state)
     waves, latent = draw_waves(kernel, n_paths, n_frequencies, random_state)
-    return waves.of_outputs(kernel.filters.feeds, latent)
+    return waves.of_outputs(filters.feeds, latent)
 
 
 @prior_paths.register

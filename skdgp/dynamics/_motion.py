@@ -350,6 +350,8 @@ class Motion:
         """Return the model's coefficients (..., 6) at regressors (..., d), NaN where a state has diverged."""
         # models refuse infinite values
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        if finite.all():
+            return self.aerodynamics(X)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
     def tangent(self, X: Array, coefficients: Array, reach: float) -> Tangent:

@@ -29,8 +29,8 @@ class PromiseSettings:
         quantiles of eight aircraft hold 79 % of the ninth (tests/benchmarks/plans.py).
     """
 
-    low: float = 0.7
-    high: float = 2.0
+    low: float = 0.65
+    high: float = 1.9
 
 
 PROMISE = PromiseSettings()

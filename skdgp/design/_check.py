@@ -26,7 +26,7 @@ class PromiseSettings:
     ----------
     low, high : float
         10 and 90 % of found over promised, of nine simulated aircraft in light and rough air. The
-        quantiles of eight aircraft hold 79 % of the ninth (tests/benchmarks/plans.py).
+        quantiles of eight aircraft hold 80 % of the ninth (tests/benchmarks/plans.py).
     """
 
     low: float = 0.65

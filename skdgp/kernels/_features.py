@@ -575,8 +575,7 @@ def draw_waves(
     so a quarter of them makes paths as Gaussian.
     """
     along = np.flatnonzero(~kernel.without_effect(kernel.n_features))
-    is_single = len(along) == 1
-    if is_single:
+    if len(along) == 1:
         n_frequencies = n_frequencies // 4
     filters = kernel.filters.of_regressors(along)
     unit = np.eye(filters.feeds.shape[1])
@@ -588,12 +587,8 @@ def draw_waves(
         amplitude = filters.amplitude[m, i]
         shift = filters.shift[m, i]
         lengths = filters.length_scale[m, i]
-        c, d = shift.shape
-        component = np.arange(F) % c
-        if is_single:
-            omega = _stratified_normal(S, component, random_state) / lengths[component]
-        else:
-            omega = random_state.standard_normal((S, F, d)) / lengths[component]
+        component = np.arange(F) % len(i)
+        omega = _frequencies(S, component, lengths, random_state)
         log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
         counts = np.bincount(component)
         log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
@@ -649,6 +644,15 @@ def _has_one_width(filters: Filters) -> bool:
     is_private = (feeds.sum(axis=0) == 1).all() and (feeds.sum(axis=1) == 1).all()
     widths = filters.length_scale[feeds]
     return bool(is_private and (widths == widths[0]).all())
+
+
+def _frequencies(n_paths: int, component: Indices, lengths: Matrix, random_state: Any) -> Array:
+    """Return frequencies (n_paths, F, k) of the ``component`` (F,) of filters with these lengths (c, k)."""
+    if lengths.shape[1] == 1:
+        normal = _stratified_normal(n_paths, component, random_state)
+    else:
+        normal = random_state.standard_normal((n_paths, len(component), lengths.shape[1]))
+    return normal / lengths[component]
 
 
 def _stratified_normal(n_paths: int, component: Indices, random_state: Any) -> Array:

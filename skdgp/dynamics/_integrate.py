@@ -55,7 +55,7 @@ STAGE_LIMIT = 1e9
 class TangentSettings:
     """Settings of steps with one evaluation of the paths."""
 
-    # Time for which slopes are kept [s]: errors of the states are then at most twice those of Runge
+    # Time for which slopes are kept [s]: errors of the states are then at most four times those of Runge
     # and Kutta at steps of 0.02 s, and 2 % of the spread of the paths of the example aircraft
     interval: float = 0.2
     # Largest change of a control in a step, over its training range, that slopes account for

@@ -50,6 +50,17 @@ def test_shapes_and_the_ways_to_ask_agree(model):
     assert paths.gradient(X[0]).shape == (7, 5, 2, 2)
 
 
+@pytest.mark.parametrize("structure", ["average", "joint", "additive"])
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_rounded_paths_are_the_same_functions_to_single_precision(structure, inference):
+    paths = fitted(inference, structure=structure).sample_paths(5, random_state=1)
+    X = default_rng(2).normal(size=(5, 6, 2))
+    spread = paths.each(X).std(axis=(0, 1))
+    assert_allclose(paths.rounded().each(X) / spread, paths.each(X) / spread, atol=1e-4)
+    slopes = paths.gradient(X) / spread[:, None]
+    assert_allclose(paths.rounded().gradient(X) / spread[:, None], slopes, atol=1e-3)
+
+
 def test_one_output_has_no_axis_of_outputs():
     model = fitted(y=0)
     paths, X = model.sample_paths(3), table()[0]

@@ -169,12 +169,27 @@ def components(vector: ArrayLike) -> tuple[Any, ...]:
     return tuple([vector[..., k] for k in range(vector.shape[-1])])  # faster than moveaxis
 
 
+def empty_vectors(shape: tuple[int, ...], size: int) -> np.ndarray:
+    """Return vectors (*shape, size) without values, whose components are contiguous in memory.
+
+    Operations on the components of some hundred vectors are then twice as fast.
+    """
+    vectors = np.empty((size, *shape))
+    return vectors.transpose(*range(1, vectors.ndim), 0)
+
+
+def by_components(vectors: np.ndarray) -> np.ndarray:
+    """Return the vectors (..., k), with components contiguous in memory."""
+    arranged = empty_vectors(vectors.shape[:-1], vectors.shape[-1])
+    arranged[:] = vectors
+    return arranged
+
+
 def _vector(*components: ArrayLike) -> np.ndarray:
     """Return the components as vectors (..., k)."""
     if all(isinstance(component, float) for component in components):
         return np.array(components)
-    shape = np.broadcast(*components).shape
-    vector = np.empty((*shape, len(components)))
+    vector = empty_vectors(np.broadcast(*components).shape, len(components))
     for k, component in enumerate(components):
         vector[..., k] = component
     return vector
@@ -267,6 +282,17 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
             f"{HIGHEST:g} m, where the standard atmosphere is given: use metres above the sea, "
             f"upward, or density from elsewhere."
         )
+    return _density(altitude)
+
+
+def density_or_nan(altitude: np.ndarray) -> np.ndarray:
+    """Return the density of `standard_density` [kg/m^3], NaN outside of the atmosphere."""
+    is_inside = (altitude > LOWEST) & (altitude < HIGHEST)
+    return _density(np.where(is_inside, altitude, np.nan))
+
+
+def _density(altitude: np.ndarray) -> np.ndarray:
+    """Return the density [kg/m^3] at geopotential altitudes [m] up to 20 km."""
     sea_level_temperature = 288.15  # [K]
     tropopause = 11000.0  # [m]
     lapse = 0.0065  # [K/m] up to the tropopause, zero above

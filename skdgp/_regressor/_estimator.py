@@ -23,13 +23,14 @@ from skdgp.inference import (
     ExpectedErrors,
     FunctionErrors,
     KnownSlopes,
+    Misfit,
     Paths,
     PosteriorWithErrors,
     check_spread,
     expected_errors,
     function_errors,
     mean_errors,
-    misfit_variance,
+    misfit_of,
     residual_drift,
 )
 from skdgp.kernels import as_multi_output, has_prior_paths
@@ -428,12 +429,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _set_noise(self, fit, X, Z, clock, known):
         """Set noise, drift and model discrepancy of the outputs."""
         noise = fit.learned.noise
-        misfit = np.zeros(len(noise))
+        found = Misfit(np.zeros(len(noise)), np.zeros(len(noise)))
         variance = np.zeros(len(noise))
         self.drift_memory_ = np.zeros(len(noise))
         if clock is not None:
             _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
-            misfit = misfit_variance(fit.posterior, X, Z, clock)
+            found = misfit_of(fit.posterior, X, Z, clock)
+        misfit = found.variance
         # The search took the discrepancy for noise, of outputs or of regressors: subtract it, and keep
         # at least a lower bound.
         least = self.settings.least_white * noise
@@ -442,6 +444,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         white = np.where(known.is_learned, np.maximum(noise - misfit, least), noise)
         if known.loading is not None:
             white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
+        self._misfit = found
         self.misfit_variance_ = misfit * self.scale_**2
         self.noise_variance_ = white * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
@@ -648,7 +651,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
         In units of the outputs; see :class:`skdgp.inference.ExpectedErrors`.
         """
-        expected = expected_errors(self.posterior_, self._check_regressors(added))
+        expected = expected_errors(self.posterior_, self._check_regressors(added), self._misfit)
         d = self.n_features_in_
         return expected._replace(
             errors=expected.errors.in_units(np.zeros(d), np.ones(d), self.scale_)

@@ -28,7 +28,7 @@ from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import as_floats, check_number
-from skdgp._flight.frames import SEA_LEVEL_DENSITY, body_to_ned, ned_to_body, standard_density
+from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
 from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.dynamics import (
     ATTITUDE,
@@ -330,7 +330,7 @@ class ModelInFlight:
         self._gusts: Any = None
         self.ended = ""
         self._specific_force = np.array([0.0, 0.0, -self.motion.gravity])
-        self._met: LocalAir | None = None
+        self._wind: Array | None = None  # of the air at the last stage, north, east, down
 
     def advance(self, commands: Mapping[str, float], duration: float) -> None:
         """Fly for a ``duration`` [s] with constant commands."""
@@ -394,23 +394,24 @@ class ModelInFlight:
         if gusts is not None:
             local = GustyAir(self._wind_at, gusts)(0, state)
         forward = state[3]
-        if local is not None:
-            forward = forward - ned_to_body(state[ATTITUDE], local.wind)[0]
-        self._met = local
+        velocity = None if local is None else local.velocity(state[ATTITUDE])
+        if velocity is not None:
+            forward = forward - ned_to_body(state[ATTITUDE], velocity)[0]
+        self._wind = velocity
         lacking = self.settings.least_airspeed - forward
         if lacking <= 0.0:
             return local
-        behind = LocalAir(np.zeros(3)) if local is None else local
-        ahead = body_to_ned(state[ATTITUDE], np.array([lacking, 0.0, 0.0]))
-        return behind._replace(wind=behind.wind - ahead)
+        behind = LocalAir() if local is None else local
+        gust = np.zeros(3) if behind.gust is None else behind.gust
+        return behind._replace(gust=gust - np.array([lacking, 0.0, 0.0]))
 
     def _wind_at(self, stage: int, state: Vector) -> LocalAir | None:
         return None if self.wind is None else LocalAir(self.wind)
 
     def channels(self) -> dict[str, float]:
         """Return the channels of the present state by name, with accelerometers and density."""
-        wind = None if self._met is None else self._met.wind
-        seen = {name: float(value) for name, value in channels(self.state, wind).items()}
+        columns = channels(self.state, self._wind)
+        seen = {name: float(value) for name, value in columns.items()}
         seen |= zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True)
         seen["density"] = float(standard_density(seen["altitude"]))
         return {"time": self.time, **seen}
@@ -581,7 +582,7 @@ def fly(
     full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
     if path is not None:
-        motion.aerodynamics = motion.aerodynamics.sample(1, path)
+        motion.aerodynamics = motion.aerodynamics.sample(1, path, rounded=True)
     flight = ModelInFlight(motion, steady, height, wind, gusts, random_state, settings)
     with Link(address, port) as link:
         if ready is not None:

@@ -127,7 +127,8 @@ def _promise(plan: Plan) -> str:
     """Return the promised standard deviations."""
     caption = (
         f"Standard deviations of derivatives at the trim: before the flight, and promised of a model "
-        f"learned from this flight too. Geometric mean of what is left: "
+        f"learned from this flight too; 80 % of those found lie between low and high. Geometric mean "
+        f"of what is left: "
         f"{percent(plan.remaining, '.0f')} %."
     )
     if not plan.remaining < 1.0:

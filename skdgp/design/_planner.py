@@ -18,7 +18,7 @@ from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp.design._check import std_at
+from skdgp.design._check import std_at, with_range
 from skdgp.design._choice import Choice, information
 from skdgp.design._envelope import (
     OPTIONS,
@@ -68,8 +68,8 @@ class Plan:
     errors : DataFrame
         Standard deviations of the derivatives of the goal at the trim, as of
         :func:`skdgp.dynamics.stability_derivatives`: ``before`` the flight, and ``promised`` of a
-        model learned from this flight too. NaN where the model has no posterior, or does not hold
-        its rows.
+        model learned from this flight too, with ``low`` and ``high`` ends that hold 80 % of what is
+        found. NaN where the model has no posterior, or does not hold its rows.
     limits : DataFrame
         ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
@@ -166,7 +166,7 @@ def plan(
     :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights, and at most
     the present one. More rows lower the errors of the posterior and those correlated in time.
     Biases by gusts and by noise of the regressors fall as far as the regressors vary more. The
-    discrepancy stays: see :class:`skdgp.inference.ExpectedErrors`.
+    model discrepancy shows more clearly: see :class:`skdgp.inference.ExpectedErrors`.
 
     :func:`skdgp.listening` shows the progress.
 
@@ -429,7 +429,7 @@ def _errors(
     promised = pd.Series(dtype=float)
     if as_aerodynamics(model).training_rows is not None and len(before):
         promised = std_at(model, aircraft, point, thrust, added)
-    return pd.DataFrame({"before": before, "promised": promised}, dtype=float)
+    return with_range(pd.DataFrame({"before": before, "promised": promised}, dtype=float))
 
 
 def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataFrame:

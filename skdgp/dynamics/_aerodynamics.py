@@ -73,8 +73,9 @@ class Aerodynamics:
         Regressors (n, d) to slopes (n, 6, d); by default central differences.
     sampler : callable, optional
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients
-        (n_paths, n, 6) and to slopes (n_paths, n, 6, d), of functions drawn from the posterior.
-        Without it the model has no uncertainty.
+        (n_paths, n, 6) and to slopes (n_paths, n, 6, d), of functions drawn from the posterior;
+        perhaps followed by the same two as simulations evaluate them, faster and less exact.
+        Without a sampler the model has no uncertainty.
     drift : Drift, optional
         Errors along a flight: what regressors and posterior leave unexplained.
     turbulence : Turbulence, optional
@@ -231,11 +232,11 @@ class Aerodynamics:
             averaged=None,
         )
 
-    def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
+    def sample(self, n_paths: int, random_state: Any = 0, *, rounded: bool = False) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
         The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors
-        of its own.
+        of its own. ``rounded`` functions are as simulations evaluate them.
         """
         if self.sampler is None:
             raise ValueError(
@@ -243,7 +244,9 @@ class Aerodynamics:
                 "functions: a pipeline that ends in DependentGPRegressor, or "
                 "Aerodynamics(..., sampler=...)."
             )
-        values, slopes = self.sampler(n_paths, random_state)
+        values, slopes, *faster = self.sampler(n_paths, random_state)
+        if rounded and faster:
+            values, slopes = faster
         return replace(self, function=values, slopes=slopes, sampler=None, n_paths=n_paths)
 
     def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
@@ -496,22 +499,23 @@ class _LearnedCoefficients:
 
     def sample(
         self, n_paths: int, random_state: Any, spread: Array | None = None
-    ) -> tuple[Callable, Callable]:
+    ) -> tuple[Callable, ...]:
         """Return values and slopes of functions drawn from the posterior, slopes as of `slopes`.
 
-        Values, which simulations need at every step, are of waves of single precision: errors are
-        far below those of the integration.
+        Then both as simulations evaluate them, whose errors are far below those of the integration.
         """
         paths = self.regressor.sample_paths(n_paths, random_state)
-        rounded = paths.rounded()
 
-        def values(X: Array) -> Array:
-            return rounded.each(self.scaled(X))[..., self.order]
+        def functions(paths: Any) -> tuple[Callable, Callable]:
+            def values(X: Array) -> Array:
+                return paths.each(self.scaled(X))[..., self.order]
 
-        def slopes(X: Array) -> Array:
-            return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale
+            def slopes(X: Array) -> Array:
+                return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale
 
-        return values, slopes
+            return values, slopes
+
+        return *functions(paths), *functions(paths.rounded())
 
     def expected_errors(self, added: Array) -> Any:
         """Return the errors that are expected of a fit to further rows (k, d) too."""

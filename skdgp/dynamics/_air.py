@@ -10,9 +10,8 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import as_floats, check_choice, check_number
-from skdgp._flight.frames import STANDARD_GRAVITY, body_to_ned, cross
+from skdgp._flight.frames import STANDARD_GRAVITY, body_to_ned
 from skdgp.dynamics._dryden import Gusts
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES
 from skdgp.dynamics._turbulence import Turbulence
 
 # From a time or a stage, and states (..., 13), to the air there; None where it is at rest.
@@ -92,12 +91,21 @@ def as_air(air: Any) -> Air:
 
 
 class LocalAir(NamedTuple):
-    """Motion of the air at the aircraft."""
+    """Motion of the air at the aircraft: a wind, and gusts that turn with the aircraft."""
 
-    wind: Array  #: Velocity, north, east, down, (..., 3) [m/s]
+    wind: Array | None = None  #: Velocity, north, east, down, (..., 3) [m/s]
     wind_rate: Array | None = None  #: Its rate of change along the flight, (..., 3) [m/s^2]
+    gust: Array | None = None  #: Velocity besides the wind, body axes, (..., 3) [m/s]
+    gust_rate: Array | None = None  #: Its rate of change, body axes, (..., 3) [m/s^2]
     #: Rates of the air, body axes, (..., 3) [rad/s]: p, q, r as regressors are relative to it
     rotation: Array | None = None
+
+    def velocity(self, attitude: Array) -> Array | None:
+        """Return the velocity of wind and gust, north, east, down, (..., 3), at quaternions; None at rest."""
+        if self.gust is None:
+            return self.wind
+        gust = body_to_ned(attitude, self.gust)
+        return gust if self.wind is None else self.wind + gust
 
 
 @dataclass(frozen=True)
@@ -106,21 +114,11 @@ class GustyAir:
 
     wind: AirAt
     gusts: Gusts  #: At each stage, (n_stages, ..., 3)
-    #: Whether anything follows from the rate of change of the wind; it is None else
-    with_rate: bool = True
 
     def __call__(self, stage: Any, state: Array) -> LocalAir:
         """Return the air at a stage, or at several, and states (..., 13)."""
         velocity, acceleration, rotation = (part[stage] for part in self.gusts)
         steady = self.wind(stage, state)
-        attitude = state[..., ATTITUDE]
-        wind = body_to_ned(attitude, velocity)
-        if steady is not None:
-            wind = steady.wind + wind
-        if not self.with_rate:
-            return LocalAir(wind, None, rotation)
-        # a gust turns with the aircraft
-        rate = body_to_ned(attitude, acceleration + cross(state[..., RATES], velocity))
-        if steady is not None and steady.wind_rate is not None:
-            rate = steady.wind_rate + rate
-        return LocalAir(wind, rate, rotation)
+        if steady is None:
+            steady = LocalAir()
+        return steady._replace(gust=velocity, gust_rate=acceleration, rotation=rotation)

@@ -27,14 +27,12 @@ from skdgp._flight.channels import (
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_names
 from skdgp._flight.frames import (
-    HIGHEST,
-    LOWEST,
     air_data,
     air_data_slopes,
     cross,
+    density_or_nan,
     ned_to_body,
     quaternion_to_euler,
-    standard_density,
 )
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
@@ -148,7 +146,7 @@ class Flow(NamedTuple):
     """The air that an aircraft meets, at states (..., 13)."""
 
     velocity: Array  #: Through the air, body axes, (..., 3) [m/s]
-    wind: Array | None  #: Body axes, (..., 3) [m/s]; None: at rest
+    wind: Array | None  #: Without gusts, body axes, (..., 3) [m/s]; None: none
     airspeed: Array
     alpha: Array
     beta: Array
@@ -318,17 +316,17 @@ class Motion:
         """Return the air that the aircraft meets."""
         velocity = state[..., VELOCITY]
         wind = None
-        if air is not None:
+        if air is not None and air.wind is not None:
             wind = ned_to_body(state[..., ATTITUDE], air.wind)
             velocity = velocity - wind
+        if air is not None and air.gust is not None:
+            velocity = velocity - air.gust
         altitude = -state[..., 2]
         density = self._density
         if callable(density):
             density = density(altitude)
         elif density is None:
-            # the standard atmosphere, NaN outside
-            is_inside = (altitude > LOWEST) & (altitude < HIGHEST)
-            density = standard_density(np.where(is_inside, altitude, np.nan))
+            density = density_or_nan(altitude)
         return Flow(velocity, wind, *air_data(velocity), altitude, density)
 
     def _explicit(self, state: Array, controls: Mapping, flow: Flow, air: LocalAir | None) -> Array:
@@ -352,6 +350,8 @@ class Motion:
         """Return the model's coefficients (..., 6) at regressors (..., d), NaN where a state has diverged."""
         # models refuse infinite values
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        if finite.all():
+            return self.aerodynamics(X)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
     def tangent(self, X: Array, coefficients: Array, reach: float) -> Tangent:
@@ -387,11 +387,13 @@ class Motion:
     def _follow(self, state: Array, now: Instant, flow: Flow, air: LocalAir | None) -> Array:
         """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`."""
         acceleration = now.derivative[..., VELOCITY]
-        if air is not None and flow.wind is not None:
+        if flow.wind is not None:
             # a wind that is constant over the earth turns against the aircraft in body axes
             acceleration = acceleration + cross(state[..., RATES], flow.wind)
-            if air.wind_rate is not None:
-                acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
+        if air is not None and air.wind_rate is not None:
+            acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
+        if air is not None and air.gust_rate is not None:
+            acceleration = acceleration - air.gust_rate
         air_rates = air_data_slopes(flow.velocity) @ acceleration[..., None]
         angle_rates = air_rates[..., 1:, 0]
         specific_force = now.force / self.aircraft.mass

@@ -10,7 +10,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
-from skdgp._flight.frames import ned_to_body
+from skdgp._flight.frames import by_components, ned_to_body
 from skdgp.dynamics._aerodynamics import Drift, separate_generator
 from skdgp.dynamics._air import Air, AirAt, GustyAir
 from skdgp.dynamics._dryden import Gusts, dryden_gusts, dryden_system
@@ -125,10 +125,12 @@ def gusty_air(
         separate_generator(seed, 5),
         n_draws=n_paths,
     )
-    velocity, acceleration, rates = (part.reshape(n_stages, -1, n_starts, 3) for part in drawn)
+    velocity, acceleration, rates = (
+        by_components(part.reshape(n_stages, -1, n_starts, 3)) for part in drawn
+    )
     if tables_of(described.wind):
         velocity = acceleration = np.zeros_like(rates)
-    return GustyAir(air, Gusts(velocity, acceleration, rates), with_rate=bool(motion.implicit))
+    return GustyAir(air, Gusts(velocity, acceleration, rates))
 
 
 def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:
@@ -208,7 +210,7 @@ def airspeeds(states: Array, air: AirAt) -> Vector:
     """Return the airspeed of starts (n, 13)."""
     local = air(0, states)
     velocity = states[:, VELOCITY]
-    if local is not None:
+    if local is not None and local.wind is not None:
         wind = np.broadcast_to(local.wind, velocity.shape)
         velocity = velocity - ned_to_body(states[:, ATTITUDE], wind)
     return np.linalg.norm(velocity, axis=-1)

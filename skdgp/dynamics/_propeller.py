@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -120,7 +121,12 @@ class Propeller:
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
-        idle, full = check_numbers("speed_range", self.speed_range, 2)
+        if self.speed_range is None:
+            raise ValueError(
+                "Got a throttle, but the propeller has no speed_range=(idle, full) [rad/s]: give it, or "
+                "propeller_speed."
+            )
+        idle, full = self.speed_range
         return idle + (full - idle) * np.asarray(throttle, dtype=float)
 
     def thrust(
@@ -356,6 +362,11 @@ class ThrustLine:
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "direction", direction)
 
+    @cached_property
+    def lever(self) -> Array:
+        """The moment of a unit force, r_T x d, (3,) [m]."""
+        return cross(self.position, self.direction)
+
     def loads(self, thrust: ArrayLike, torque: ArrayLike = 0.0) -> tuple[Array, Array]:
         """Return force (..., 3) [N] and moment (..., 3) [N m] about the centre of gravity.
 
@@ -366,5 +377,5 @@ class ThrustLine:
         T = np.asarray(thrust, dtype=float)[..., None]
         Q = np.asarray(torque, dtype=float)[..., None]
         force = T * self.direction
-        moment = T * cross(self.position, self.direction) + Q * self.direction
+        moment = T * self.lever + Q * self.direction
         return force, moment

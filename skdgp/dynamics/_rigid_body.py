@@ -18,7 +18,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import STANDARD_GRAVITY, components, cross
+from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
 
@@ -77,7 +77,7 @@ def rigid_body_derivative(
     down = rows[2]
     turning = (q * w - r * v, r * u - p * w, p * v - q * u)  # omega x v
     shape = np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1])
-    derivative = np.empty((*shape, len(STATE_NAMES)))
+    derivative = empty_vectors(shape, len(STATE_NAMES))
     for k, (x, y, z) in enumerate(rows):
         derivative[..., k] = x * u + y * v + z * w
     for k, f in enumerate(components(force)):

@@ -23,7 +23,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._integrate import REASONS, Record, channels
+from skdgp.dynamics._integrate import FLYING, REASONS, Record, channels
 from skdgp.dynamics._motion import Motion, by_name
 
 BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
@@ -42,7 +42,7 @@ def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.D
     shape = record.ended.shape
     n_times = len(record.time)
 
-    def column(values: Array) -> Array:
+    def column(values: Any) -> Array:
         """Return values (n_times, ...) of all trajectories, one after the other."""
         return np.moveaxis(np.broadcast_to(values, (n_times, *shape)), 0, -1).ravel()
 
@@ -52,11 +52,18 @@ def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.D
     table: dict[str, Any] = {"time": column(times), **_identity(shape, n_times)}
     for name, values in _columns(record).items():
         table[name] = column(values)
+    farthest = column(farthest_beyond(motion, record.regressors))
+    table["beyond"] = _named(farthest, ["", *motion.regressors])
+    reasons, ended = np.unique(np.append(FLYING, record.ended), return_inverse=True)
     is_over = np.isnan(record.states).any(axis=-1)
-    farthest = column(beyond(motion, record.regressors))
-    table["beyond"] = pd.Categorical(farthest, ["", *motion.regressors])
-    table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, "")))
+    ended = np.where(is_over, ended[1:].reshape(shape), ended[0])
+    table["ended"] = _named(column(ended), reasons.tolist())
     return pd.DataFrame(table)
+
+
+def _named(codes: Any, names: list[str]) -> Any:
+    """Return the names of codes (n,): many rows share few texts."""
+    return pd.Categorical.from_codes(codes, pd.Index(names))
 
 
 def _columns(record: Record) -> dict[str, Array]:
@@ -82,22 +89,28 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
         columns[label] = np.repeat(numbers, n_times)
         parts.append([f"{label} {k}" for k in numbers])
     names = list(map(", ".join, zip(*parts, strict=True)))
-    return {"flight": pd.Categorical(np.repeat(names, n_times), names), **columns}
+    flights = np.repeat(np.arange(len(names)), n_times)
+    return {"flight": _named(flights, names), **columns}
 
 
-def beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> np.ndarray:
-    """Return the name of the regressor (..., d) farthest outside its training range, "" if none is outside.
+def farthest_beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> np.ndarray:
+    """Return the 1-based index of the regressor (..., d) farthest outside its training range, 0 if none is outside.
 
     ``margin`` is the largest excess that counts as inside, as a fraction of the range.
     """
     limits = motion.aerodynamics.limits
     if limits is None:
-        return np.full(regressors.shape[:-1], "", dtype=object)
+        return np.zeros(regressors.shape[:-1], dtype=int)
     low, high = limits
     width = np.maximum(high - low, np.finfo(float).tiny)
     outside = np.nan_to_num(np.maximum(low - regressors, regressors - high) / width, posinf=0.0)
-    farthest = np.array(motion.regressors, dtype=object)[outside.argmax(axis=-1)]
-    return np.where(outside.max(axis=-1) > margin, farthest, "")
+    return np.where(outside.max(axis=-1) > margin, 1 + outside.argmax(axis=-1), 0)
+
+
+def beyond(motion: Motion, regressors: Array) -> np.ndarray:
+    """Return the name of the regressor (..., d) farthest outside its training range, "" if none is outside."""
+    names = np.array(["", *motion.regressors], dtype=object)
+    return names[farthest_beyond(motion, regressors)]
 
 
 def warn_of(record: Record, motion: Motion) -> None:
@@ -125,13 +138,12 @@ def _ended_message(record: Record) -> str:
 def _beyond_message(record: Record, motion: Motion) -> str:
     """Return a sentence on trajectories that left the training ranges, "" without any."""
     model = motion.aerodynamics
-    farthest = beyond(motion, record.regressors).reshape(len(record.time), -1)
-    outside = farthest != ""
+    farthest = farthest_beyond(motion, record.regressors).reshape(len(record.time), -1)
+    outside = farthest > 0
     if not outside.any():
         return ""
     first = int(np.argmax(outside.any(axis=1)))
-    name = farthest[first][outside[first]][0]
-    k = motion.regressors.index(name)
+    k = farthest[first][outside[first]][0] - 1
     low, high = model.limits[:, k]
     values = record.regressors[..., k]
     return (

@@ -33,6 +33,8 @@ from skdgp.inference._further_rows import ExpectedErrors, expected_errors
 from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, held_out_error, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
+from skdgp.inference._misfit import Misfit as Misfit
+from skdgp.inference._misfit import misfit_of as misfit_of
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings

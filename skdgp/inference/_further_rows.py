@@ -18,6 +18,7 @@ from skdgp.inference._errors import (
     mean_errors,
     mean_noise,
 )
+from skdgp.inference._misfit import Misfit
 from skdgp.inference._posterior import Posterior
 
 # Functions drawn for the covariance of slopes: standard deviations within 5 %
@@ -34,7 +35,7 @@ class ExpectedErrors(NamedTuple):
 
     (Bishop 2006, section 3.3). Of the other errors those that are correlated in time fall as of least
     squares, biases by gusts and by noise of the regressors as the inverse of the covariance of the
-    regressors. The discrepancy stays, with the width of all rows.
+    regressors. More rows show more of the discrepancy, by `Misfit.expected`, with the width of all rows.
     """
 
     #: Standard deviations of the posterior's slopes over those without the rows, (P, d)
@@ -45,11 +46,27 @@ class ExpectedErrors(NamedTuple):
 
 @one_blas_thread()
 def expected_errors(
-    posterior: Posterior, added: Matrix, settings: ErrorSettings = SETTINGS
+    posterior: Posterior,
+    added: Matrix,
+    misfit: Misfit | None = None,
+    settings: ErrorSettings = SETTINGS,
 ) -> ExpectedErrors:
     """Return the errors that are expected of a posterior that has learned from further rows too.
 
-    ``added`` (k, d) are the regressors of these rows. With too few rows for a line nothing changes.
+    With too few rows for a line nothing changes.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    added : ndarray (k, d)
+        Regressors of the further rows.
+    misfit : Misfit or None
+        That the present rows show, from which the discrepancy follows; None: it stays.
+    settings : ErrorSettings
+
+    Returns
+    -------
+    ExpectedErrors
     """
     errors = mean_errors(posterior)
     if isinstance(posterior, PosteriorWithErrors):
@@ -79,7 +96,12 @@ def expected_errors(
         is_biased = np.any(biases != 0, axis=0)
         method[:, 1:, i] = is_biased * (biases @ _bias_ratio(x, added, settings).T)
     width = column_scale(np.vstack([longest, added]))
-    later = errors._replace(random=random, method=method, length_scale=width)
+    discrepancy = errors.discrepancy
+    if misfit is not None:
+        discrepancy = np.maximum(discrepancy, misfit.expected(1.0 + len(added) / len(longest)))
+    later = errors._replace(
+        random=random, method=method, discrepancy=discrepancy, length_scale=width
+    )
     return ExpectedErrors(narrowing, later)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -30,6 +30,25 @@ class MisfitSettings:
 
 
 SETTINGS = MisfitSettings()
+
+
+class Misfit(NamedTuple):
+    """Mean square error of the function that residuals show, and its standard error, (P,) each."""
+
+    mean: Vector
+    std_error: Vector
+
+    @property
+    def variance(self) -> Vector:
+        """The least that the residuals show, zero where chance explains them."""
+        return np.maximum(0.0, self.mean - self.std_error)
+
+    def expected(self, times: float) -> Vector:
+        """Return the ``variance`` that is expected of ``times`` as many samples.
+
+        The mean stays and its standard error falls, so more of the error shows.
+        """
+        return np.maximum(0.0, self.mean - self.std_error / np.sqrt(times))
 
 
 def misfit_variance(
@@ -84,6 +103,23 @@ def misfit_variance(
     >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
     (0.3, 0.3)
     """
+    return misfit_of(posterior, X, Y, clock, settings).variance
+
+
+def misfit_of(
+    posterior: Predictor,
+    X: Matrix,
+    Y: Matrix,
+    clock: Matrix,
+    settings: MisfitSettings = SETTINGS,
+) -> Misfit:
+    """Return the mean m and the standard error s of `misfit_variance`, zero where too few samples have neighbours.
+
+    Parameters
+    ----------
+    posterior, X, Y, clock, settings
+        As for `misfit_variance`.
+    """
     rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
     rows = rows[:: -(-len(rows) // settings.rows)]
     X = X[rows]
@@ -94,13 +130,14 @@ def misfit_variance(
     error = np.where(observed, residual, 0.0)
     total = neighbours @ error
     count = neighbours @ observed.astype(float)
-    variance = np.zeros(Y.shape[1])
+    mean, std_error = np.zeros((2, Y.shape[1]))
     for i in range(Y.shape[1]):
         paired = observed[:, i] & (count[:, i] > 0)
         if paired.sum() >= settings.parts:
             products = error[paired, i] * total[paired, i] / count[paired, i]
-            variance[i] = max(0.0, products.mean() - _standard_error(products, settings.parts))
-    return variance
+            mean[i] = products.mean()
+            std_error[i] = _standard_error(products, settings.parts)
+    return Misfit(mean, std_error)
 
 
 def _neighbours(X: Matrix, clock: Matrix, settings: MisfitSettings) -> Any:

@@ -18,9 +18,9 @@ from scipy.special import logsumexp, ndtri
 from scipy.stats.qmc import Sobol
 
 from skdgp._compute.linalg import consecutive
-from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import MultiOutputKernel, Rescaled, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian
+from skdgp.kernels._convolved import ConvolvedGaussian, Filters
 from skdgp.kernels._gaussian_filters import GaussianBasis
 from skdgp.kernels._trend import LinearTrend
 
@@ -51,7 +51,10 @@ class PathBundle(ABC):
         """Return the working memory for one point of each function, in doubles."""
 
     def rounded(self) -> PathBundle:
-        """Return the functions with waves of single precision: twice as fast, errors 1e-6 of the prior."""
+        """Return the functions as simulations evaluate them, with errors 1e-6 of the prior.
+
+        Waves are of single precision, and the Gaussian functions of all terms one basis.
+        """
         return self
 
     def averaged(self, spread: Vector) -> PathBundle:
@@ -168,7 +171,7 @@ class SumPaths(PathBundle):
         return SumPaths([part.take(index) for part in self.parts])
 
     def rounded(self):
-        return SumPaths([part.rounded() for part in self.parts])
+        return SumPaths(_with_one_basis([part.rounded() for part in self.parts]))
 
     def averaged(self, spread):
         return SumPaths([part.averaged(spread) for part in self.parts])
@@ -221,9 +224,12 @@ class LinearPaths(PathBundle):
 
 
 def summed(parts: Sequence[PathBundle]) -> PathBundle:
-    """Return the sums of functions; linear ones are a single bundle, which is the first."""
+    """Return the sums of functions: linear ones first, as one bundle, then waves along single regressors."""
     linear = [part for part in parts if isinstance(part, LinearPaths)]
-    others = [part for part in parts if not isinstance(part, LinearPaths)]
+    single = [part for part in parts if isinstance(part, SingleWaves)]
+    others = [part for part in parts if not isinstance(part, LinearPaths | SingleWaves)]
+    if single:
+        others.insert(0, SingleWaves.joined(single))
     if linear:
         centre = linear[0].centre
         weights = [part.about(centre).weights for part in linear]
@@ -344,6 +350,34 @@ class BasisPaths(PathBundle):
         return self._basis.slopes(X, self._weights, self._columns)
 
 
+def _with_one_basis(parts: Sequence[PathBundle]) -> list[PathBundle]:
+    """Return the parts of a sum, where those of Gaussian functions are one bundle."""
+    based: list[BasisPaths] = []
+    others: list[PathBundle] = []
+    for part in parts:
+        if isinstance(part, BasisPaths) and isinstance(part._basis, GaussianBasis):
+            based.append(part)
+        else:
+            others.append(part)
+    if len(based) > 1:
+        others.append(_joined_bases(based))
+        return others
+    return list(parts)
+
+
+def _joined_bases(parts: Sequence[BasisPaths]) -> BasisPaths:
+    """Return the sum of functions of several Gaussian bases, with the functions of each output side by side."""
+    bases: list[GaussianBasis] = []
+    weights: list[Matrix] = []
+    for i in range(len(parts[0]._columns)):
+        for part in parts:
+            basis = cast(GaussianBasis, part._basis)
+            bases.append(basis.part(part._columns[i]))
+        weights.append(np.concatenate([part._weights[i] for part in parts], axis=1))
+    joined = GaussianBasis.joined(bases[0].centres.shape[1], bases)
+    return BasisPaths(joined, weights, consecutive([w.T for w in weights]))
+
+
 class FeaturePaths(BasisPaths):
     """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
 
@@ -376,59 +410,156 @@ def contract(A: Array, c: Matrix) -> Array:
 class Waves(PathBundle):
     """Sums of waves: each cosine is computed once for all outputs of its latent.
 
-    ``omega`` is (S, d, C), ``phase`` (S, 1, C), ``weights`` (S, P, C).
+    ``omega`` is (S, k, C), ``phase`` (S, 1, C), ``weights`` (S, P, C). Waves run along the k
+    regressors with the numbers ``along``.
     """
 
-    def __init__(self, omega, phase, weights):
+    def __init__(self, omega: Any, phase: Any, weights: Any, along: Indices) -> None:
         self.omega = omega
         self.phase = phase
         self.weights = weights
+        self.along = along
         self._half_omega = 0.5 * omega
         self._half_phase = 0.5 * phase
         self._sum = weights.sum(axis=2)[:, None]
 
     def take(self, index):
-        return Waves(self.omega[index], self.phase[index], self.weights[index])
+        return Waves(self.omega[index], self.phase[index], self.weights[index], self.along)
 
     def rounded(self):
-        arrays = (self.omega, self.phase, self.weights)
-        return Waves(*(array.astype(np.float32) for array in arrays))
+        omega = self.omega.astype(np.float32)
+        phase = self.phase.astype(np.float32)
+        return Waves(omega, phase, self.weights.astype(np.float32), self.along)
 
     def averaged(self, spread):
         # the characteristic function of the normal distribution
-        damping = np.exp(-0.5 * spread**2 @ self.omega**2).astype(self.omega.dtype)
-        return Waves(self.omega, self.phase, self.weights * damping[:, None])
+        damping = np.exp(-0.5 * spread[self.along] ** 2 @ self.omega**2).astype(self.omega.dtype)
+        return Waves(self.omega, self.phase, self.weights * damping[:, None], self.along)
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
 
     def _tangents(self, X):
-        """Return tan(x / 2) of the arguments x of the waves, (S, n, C).
-
-        It is vectorised in NumPy, and ten times as fast as its sine and cosine.
-        """
-        half = X.astype(self.omega.dtype) @ self._half_omega
+        """Return tan(x / 2) of the arguments x of the waves, (S, n, C)."""
+        half = X[..., self.along].astype(self.omega.dtype) @ self._half_omega
         half += self._half_phase
         return np.tan(half, out=half)
 
     def each(self, X):
-        square = self._tangents(X)
-        square *= square
-        square += 1.0
-        wave = np.divide(2.0, square, out=square)  # cos(x) + 1 = 2 / (1 + tan(x / 2)^2)
+        wave = _raised_cosine(self._tangents(X))
         values = (self.weights @ wave.swapaxes(1, 2)).swapaxes(1, 2)
         return (values - self._sum).astype(float)
 
     def gradient(self, X):
-        tangent = self._tangents(X)
-        wave = -2.0 * tangent / (1.0 + tangent * tangent)  # -sin(x)
+        wave = _negative_sine(self._tangents(X))
         of_outputs = wave[:, :, None] * self.weights[:, None]
-        turned = self.omega.swapaxes(1, 2)[:, None]
-        return (of_outputs @ turned).astype(float)
+        slopes = np.zeros((*of_outputs.shape[:3], X.shape[-1]))
+        slopes[..., self.along] = of_outputs @ self.omega.swapaxes(1, 2)[:, None]
+        return slopes
+
+    def of_outputs(self, feeds: Mask, latent: Indices) -> PathBundle:
+        """Return the paths of the first P outputs, which latents feed, (M, P), of waves of these latents (C,).
+
+        Waves along a single regressor that each feed a single output need less memory.
+        """
+        weights = self.weights[:, : feeds.shape[1]]
+        fed = feeds[latent]
+        n_waves = fed.sum(axis=0)
+        is_private = fed.sum(axis=1).max() == 1 and n_waves.min() == n_waves.max()
+        if len(self.along) > 1 or not is_private:
+            return Waves(self.omega, self.phase, weights, self.along)
+        places = np.stack([np.flatnonzero(of_output) for of_output in fed.T])
+        outputs = np.arange(len(places))[:, None]
+        return SingleWaves(
+            self.omega[:, 0, places],
+            self.phase[:, 0, places],
+            weights[:, outputs, places],
+            np.repeat(self.along, places.shape[1]),
+        )
 
 
-def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
-    r"""Return sample paths of a ConvolvedGaussian: F waves for each of S paths of every latent, A_i = 2 L_i^-2.
+class SingleWaves(PathBundle):
+    """Sums of waves along single regressors, W for each output.
+
+    ``omega``, ``phase`` and ``weights`` are (S, P, W), ``along`` (W,) the numbers of the regressors.
+    """
+
+    def __init__(self, omega: Any, phase: Any, weights: Any, along: Indices) -> None:
+        self.omega = omega
+        self.phase = phase
+        self.weights = weights
+        self.along = along
+        self._half_omega = 0.5 * omega
+        self._half_phase = 0.5 * phase
+        self._sum = weights.sum(axis=2)[:, None]
+
+    @classmethod
+    def joined(cls, parts: Sequence[SingleWaves]) -> SingleWaves:
+        """Return the sums of functions."""
+        return cls(
+            np.concatenate([part.omega for part in parts], axis=2),
+            np.concatenate([part.phase for part in parts], axis=2),
+            np.concatenate([part.weights for part in parts], axis=2),
+            np.concatenate([part.along for part in parts]),
+        )
+
+    def take(self, index):
+        return SingleWaves(self.omega[index], self.phase[index], self.weights[index], self.along)
+
+    def rounded(self):
+        omega = self.omega.astype(np.float32)
+        phase = self.phase.astype(np.float32)
+        return SingleWaves(omega, phase, self.weights.astype(np.float32), self.along)
+
+    def averaged(self, spread):
+        # the characteristic function of the normal distribution
+        damping = np.exp(-0.5 * (spread[self.along] * self.omega) ** 2).astype(self.omega.dtype)
+        return SingleWaves(self.omega, self.phase, self.weights * damping, self.along)
+
+    def doubles(self, same_points):
+        return self.omega.size
+
+    def _tangents(self, X):
+        """Return tan(x / 2) of the arguments x of the waves, (S, n, P, W)."""
+        x = X.astype(self.omega.dtype)[..., None, self.along]
+        half = x * self._half_omega[:, None]
+        half += self._half_phase[:, None]
+        return np.tan(half, out=half)
+
+    def each(self, X):
+        wave = _raised_cosine(self._tangents(X))
+        values = np.einsum("snpw,spw->snp", wave, self.weights)
+        return (values - self._sum).astype(float)
+
+    def gradient(self, X):
+        slopes = _negative_sine(self._tangents(X))
+        slopes *= (self.weights * self.omega)[:, None]
+        is_along = np.equal.outer(self.along, np.arange(X.shape[-1]))
+        return (slopes @ is_along.astype(slopes.dtype)).astype(float)
+
+
+def _raised_cosine(tangent: Array) -> Array:
+    """Return cos(x) + 1 = 2 / (1 + tan(x / 2)^2) in the memory of tan(x / 2).
+
+    NumPy's tangent is vectorised in both precisions, and of double precision ten times as fast as
+    its sine and cosine.
+    """
+    tangent *= tangent
+    tangent += 1.0
+    return np.divide(2.0, tangent, out=tangent)
+
+
+def _negative_sine(tangent: Array) -> Array:
+    """Return -sin(x) of tan(x / 2)."""
+    return -2.0 * tangent / (1.0 + tangent * tangent)
+
+
+def draw_waves(
+    kernel: ConvolvedGaussian, n_paths: int, n_frequencies: int, random_state: Any
+) -> tuple[Waves, Indices]:
+    r"""Return sample paths of a ConvolvedGaussian and the latent of each wave, (C,).
+
+    There are F waves for each of S paths of every latent, A_i = 2 L_i^-2.
 
     The spectral density of h_i * x is the Gaussian N_i = N(0, L_i^-2), so samples are
 
@@ -440,21 +571,24 @@ def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
     mixture of the N_i of all c outputs of the latent. Frequencies are stratified over its
     components, so the weights are bounded (the balance heuristic of Veach & Guibas 1995). Every
     path has new frequencies, so paths have the moments of the prior for any number of
-    frequencies, at least c.
+    frequencies, at least c. Those of functions of a single regressor are stratified in size too,
+    so a quarter of them makes paths as Gaussian.
     """
-    filters = kernel.filters
+    along = np.flatnonzero(~kernel.without_effect(kernel.n_features))
+    if len(along) == 1:
+        n_frequencies = n_frequencies // 4
+    filters = kernel.filters.of_regressors(along)
     unit = np.eye(filters.feeds.shape[1])
     S = n_paths
     F = max(n_frequencies, int(filters.feeds.sum(axis=1).max()))
-    omegas, phases, weights = [], [], []
+    omegas, phases, weights, latents = [], [], [], []
     for m, feeds in enumerate(filters.feeds):
         i = np.flatnonzero(feeds)
         amplitude = filters.amplitude[m, i]
         shift = filters.shift[m, i]
         lengths = filters.length_scale[m, i]
-        c, d = shift.shape
-        component = np.arange(F) % c
-        omega = random_state.standard_normal((S, F, d)) / lengths[component]
+        component = np.arange(F) % len(i)
+        omega = _frequencies(S, component, lengths, random_state)
         log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
         counts = np.bincount(component)
         log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
@@ -468,13 +602,69 @@ def draw_waves(kernel, n_paths, n_frequencies, random_state) -> Waves:
         omegas.append(omega)
         phases.append(phase)
         weights.append((gain * np.cos(turn)) @ unit[i])
+        latents += [m] * F
         if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
             omegas.append(omega)
             phases.append(phase - 0.5 * np.pi)
             weights.append((gain * np.sin(turn)) @ unit[i])
+            latents += [m] * F
     omega = np.concatenate(omegas, axis=1).swapaxes(1, 2).copy()
     phase = np.concatenate(phases, axis=1)[:, None]
-    return Waves(omega, phase, np.concatenate(weights, axis=1).swapaxes(1, 2).copy())
+    drawn = np.concatenate(weights, axis=1).swapaxes(1, 2).copy()
+    return Waves(omega, phase, drawn, along), np.array(latents)
+
+
+def draw_waves_of_one_width(
+    kernel: ConvolvedGaussian, n_paths: int, n_frequencies: int, random_state: Any
+) -> Waves:
+    """Return sample paths of independent outputs whose filters have one width, with the frequencies of `draw_waves`.
+
+    Outputs share F frequencies, and each has cosines and sines of its own normal weights. So each is
+    distributed as with frequencies of its own, no two correlate, and P outputs need 2 F waves, not P F.
+    """
+    along = np.flatnonzero(~kernel.without_effect(kernel.n_features))
+    filters = kernel.filters.of_regressors(along)
+    amplitude = np.sum(filters.amplitude, axis=0, where=filters.feeds)
+    width = filters.length_scale[filters.feeds][0]
+    shape = (n_paths, n_frequencies)
+    omega = random_state.standard_normal((*shape, len(along))) / width
+    phase = random_state.uniform(0.0, 2 * np.pi, shape)
+    normal = random_state.standard_normal((n_paths, len(amplitude), 2 * n_frequencies))
+    return Waves(
+        np.concatenate([omega, omega], axis=1).swapaxes(1, 2).copy(),
+        np.concatenate([phase, phase - 0.5 * np.pi], axis=1)[:, None],
+        amplitude[:, None] / np.sqrt(n_frequencies) * normal,
+        along,
+    )
+
+
+def _has_one_width(filters: Filters) -> bool:
+    """Return whether each latent feeds one output, each output is fed by one, and all widths are equal."""
+    feeds = filters.feeds
+    is_private = (feeds.sum(axis=0) == 1).all() and (feeds.sum(axis=1) == 1).all()
+    widths = filters.length_scale[feeds]
+    return bool(is_private and (widths == widths[0]).all())
+
+
+def _frequencies(n_paths: int, component: Indices, lengths: Matrix, random_state: Any) -> Array:
+    """Return frequencies (n_paths, F, k) of the ``component`` (F,) of filters with these lengths (c, k)."""
+    if lengths.shape[1] == 1:
+        normal = _stratified_normal(n_paths, component, random_state)
+    else:
+        normal = random_state.standard_normal((n_paths, len(component), lengths.shape[1]))
+    return normal / lengths[component]
+
+
+def _stratified_normal(n_paths: int, component: Indices, random_state: Any) -> Array:
+    """Return absolute values of normal numbers, (n_paths, F, 1), stratified over each ``component`` (F,)."""
+    place = np.empty(len(component))
+    size = np.empty(len(component))
+    for c in np.unique(component):
+        of_component = component == c
+        size[of_component] = of_component.sum()
+        place[of_component] = np.arange(of_component.sum())
+    above = size - place - random_state.uniform(size=(n_paths, len(component)))
+    return -ndtri(0.5 * above / size)[..., None]
 
 
 # -- paths of a kernel
@@ -517,7 +707,13 @@ def has_prior_paths(kernel: MultiOutputKernel) -> bool:
     return True
 
 
-prior_paths.register(ConvolvedGaussian, draw_waves)
+@prior_paths.register
+def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
+    filters = kernel.filters
+    if _has_one_width(filters) and len(kernel.term_regressors()[0]) > 1:
+        return draw_waves_of_one_width(kernel, n_paths, n_frequencies, random_state)
+    waves, latent = draw_waves(kernel, n_paths, n_frequencies, random_state)
+    return waves.of_outputs(filters.feeds, latent)
 
 
 @prior_paths.register
@@ -671,6 +867,10 @@ class ValueFeatures(Features):
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
+        return paths, self._values_of(paths, random_state)
+
+    def _values_of(self, paths: PathBundle, random_state: Any) -> Matrix:
+        """Return the variables (S, K) of paths of ``joint``, with white noise of variance JITTER."""
         blocks = list(zip(self.outputs, self.Z, strict=True))
         # blocks with the same inputs share the values of all outputs there
         # single precision is exact enough beside the noise of variance JITTER
@@ -678,8 +878,7 @@ class ValueFeatures(Features):
         values = {id(z): rounded.values(z[None]) for z in {id(z): z for z in self.Z}.values()}
         u = np.hstack([values[id(z)][..., f] for f, z in blocks])
         variance = np.concatenate([self.joint.block_diag(f, z) for f, z in blocks])
-        u += np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)
-        return paths, u
+        return u + np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)
 
     def basis(self) -> tuple[Basis, list[Indices]]:
         if not isinstance(self.joint, ConvolvedGaussian):
@@ -721,7 +920,7 @@ class LatentFeatures(ValueFeatures):
             added = np.zeros((len(width), len(width), *value.shape[2:]))
             added[:] = further.get(name, 0.0)
             arrays[name] = np.concatenate([value, added], axis=1)
-        super().__init__(kernel, Z, ConvolvedGaussian(**arrays))
+        super().__init__(kernel, Z, ConvolvedGaussian(regressors=kernel.regressors, **arrays))
         self.arguments = Z, width
         self.blocks = [np.flatnonzero(fed).tolist() for fed in filters.feeds.T]
 
@@ -739,9 +938,9 @@ class LatentFeatures(ValueFeatures):
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
-        paths, u = super().prior_paths(n_paths, n_frequencies, random_state)
-        waves = cast(Waves, paths)
-        return Waves(waves.omega, waves.phase, waves.weights[:, : self.kernel.n_outputs]), u
+        waves, latent = draw_waves(self.joint, n_paths, n_frequencies, random_state)
+        u = self._values_of(waves, random_state)
+        return waves.of_outputs(self.kernel.filters.feeds, latent), u
 
 
 class TrendFeatures(Features):

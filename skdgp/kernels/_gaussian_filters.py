@@ -71,6 +71,10 @@ class GaussianBasis:
             np.concatenate([none, *(part.centres for part in parts)]),
         )
 
+    def part(self, columns: slice) -> GaussianBasis:
+        """Return some of the functions."""
+        return GaussianBasis(self.gain[columns], self.precision[columns], self.centres[columns])
+
     def __call__(self, X: Matrix) -> Matrix:
         """Return all functions at X (n, d), (n, C)."""
         if self._far:

@@ -5,8 +5,9 @@
 The aircraft of small_uav.py, with vanes, make a gentle first flight of 40 s under an autopilot in
 Dryden turbulence. A linear trend is learned, a flight of 60 s is planned for all derivatives, flown
 by the true aircraft, and the trend is learned from both flights. The table has for each aircraft
-the ratio of found to promised standard deviations, their fraction between 0.7 and 1.4, the fraction
-of goals that promise more than before, and the geometric means of promised and found over before.
+the ratio of found to promised standard deviations, their fraction between 0.7 and 1.4 and within the
+range of the promise, the fraction of goals that promise more than before, and the geometric means of
+promised and found over before.
 """
 
 import warnings
@@ -133,6 +134,8 @@ def loop(plane, wind_at_6m, seed):
         "goal": list(goal),
         "before": chosen.errors["before"].tolist(),
         "promised": chosen.errors["promised"].tolist(),
+        "low": chosen.errors["low"].tolist(),
+        "high": chosen.errors["high"].tolist(),
         "found": found.tolist(),
     }
 
@@ -141,6 +144,7 @@ def row_of(name, goals):
     """Return a row of the table for the goals of some loops."""
     ratio = goals["found"] / goals["promised"]
     kept = ratio.between(*PROMISED)
+    within = goals["found"].between(goals["low"], goals["high"])
     worse = goals["promised"] > goals["before"]
     left = np.exp(np.log(goals[["promised", "found"]].div(goals["before"], axis=0)).mean())
     low, median, high = ratio.quantile([0.1, 0.5, 0.9])
@@ -148,6 +152,7 @@ def row_of(name, goals):
         "aircraft": name,
         "found over promised: 10, 50, 90 %": f"{low:.2f}, {median:.2f}, {high:.2f}",
         "between 0.7 and 1.4": f"{kept.mean():.0%}",
+        "within the range": f"{within.mean():.0%}",
         "worse than before": f"{worse.mean():.0%}",
         "promised over before": f"{left['promised']:.2f}",
         "found over before": f"{left['found']:.2f}",
@@ -168,8 +173,9 @@ def main(words=None):
                 key = {"aircraft": name, "wind": wind, "seed": seed}
                 kept.run(key, loop, AIRCRAFT[name], wind, seed)
     runs = pd.DataFrame([*kept.memory.values()])
-    goals = runs.explode(["goal", "before", "promised", "found"])
-    goals[["before", "promised", "found"]] = goals[["before", "promised", "found"]].astype(float)
+    columns = ["before", "promised", "low", "high", "found"]
+    goals = runs.explode(["goal", *columns])
+    goals[columns] = goals[columns].astype(float)
     rows = [row_of(name, some) for name, some in goals.groupby("aircraft", sort=False)]
     rows.append(row_of("all", goals))
     finish(options, "plans", promises=rows)

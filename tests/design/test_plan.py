@@ -196,6 +196,10 @@ def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tm
     pd.testing.assert_frame_equal(check.errors[[*errors]], errors)
     expected = np.exp(np.log(errors["found"] / errors["before"]).mean())
     assert check.remaining["found"] == pytest.approx(expected)
+    is_within = errors["found"].between(check.errors["low"], check.errors["high"])
+    assert check.n_within == is_within.sum() > 0
+    assert (check.errors["low"] < errors["promised"]).all()
+    assert (errors["promised"] < check.errors["high"]).all()
     other = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "q_hat", "elevator"])
     with pytest.raises(ValueError, match="the regressors that the plan was made with"):
         PlanCheck.from_file(path, other, uav)

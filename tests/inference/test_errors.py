@@ -264,7 +264,7 @@ def test_biases_of_slopes_fall_with_the_variance_of_the_regressors(model_of_nois
 def test_more_rows_do_not_lower_the_discrepancy(model_of_noisy_regressors):
     model, x = model_of_noisy_regressors
     later = model.expected_errors(x).errors
-    assert_allclose(later.discrepancy, model.function_errors().discrepancy)
+    assert (later.discrepancy >= model.function_errors().discrepancy).all()
 
 
 @pytest.mark.parametrize("spread", [None, [0.5, 2.0]])

@@ -21,6 +21,7 @@ from skdgp.kernels import (
     MultiOutputKernel,
     Sum,
     covariance_paths,
+    independent_processes,
     inducing_features,
     prior_paths,
 )
@@ -76,6 +77,7 @@ KERNELS = {
     ),
     "additive": trend()
     + (convolved(0, regressors=[0]) + (convolved(0, seed=3, regressors=[1]) + convolved(1))),
+    "independent outputs of one width": independent_processes([1.0, 4.0, 0.3], [0.7, 1.5]),
     "everything fixed": convolved(parameter_bounds={"amplitude": "fixed", "length_scale": "fixed"}),
     "bounds for each entry": convolved(
         parameter_bounds={

@@ -77,10 +77,8 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
         )),
 ]  # fmt: skip
 REFUSED_QUESTIONS = [
-    *((quick(), lambda model, X, call=call: getattr(model, call)(np.zeros((4, 3))),
-       "X has 3 features, but DependentGPRegressor is expecting 2")
-      for call in ("predict", "predict_gradient")),
-    *((quick(), lambda model, X, v=v: model.predict(with_value(X, v)), "Input X") for v in (np.nan, np.inf)),
+    (quick(), lambda model, X: model.predict_gradient(np.zeros((4, 3))),
+     "X has 3 features, but DependentGPRegressor is expecting 2"),
     (quick(), lambda model, X: model.predict(X * [1e150, 1.0]), r"'x0'.*StandardScaler"),
     (quick(), lambda model, X: model.predict(X, return_std=True, return_cov=True), r"return_cov=True.*at most one"),
     (quick(), lambda model, X: model.predict(np.zeros((200_000, 2)), return_cov=True),
@@ -212,18 +210,10 @@ class TestParameters:
     @pytest.mark.parametrize(
         ("parameters", "message"),
         [
-            ({"kernel": "RBF"}, "kernel.*Kernel.*Got 'RBF'"),
             ({"kernel": ConvolvedGaussian}, "kernel.*Kernel.*Got <class"),
-            ({"n_latent": -1}, "n_latent"),
             ({"n_latent": 1.5}, "n_latent"),
-            ({"trend": "Linear"}, "trend.*'linear'"),
-            ({"inference": "approximate"}, "inference.*'sparse'"),
-            ({"n_inducing": 0}, "n_inducing"),
             ({"optimizer": "adam"}, "optimizer.*fmin_l_bfgs_b"),
-            ({"max_iter": 0}, "max_iter"),
             ({"structure": "auto"}, "structure.*'average'"),
-            ({"input_noise": "white"}, "input_noise.*'learned'"),
-            ({"random_state": "seed"}, "random_state"),
         ],
         ids=lambda p: ", ".join(p) if isinstance(p, dict) else "",
     )

@@ -242,6 +242,16 @@ def case(request, case_of):
     return case_of(request.param)
 
 
+# Mixtures, terms that share entries, no functions, no slopes, and little noise: what a writer can meet
+WRITTEN = [IDENTIFIED, "widened", "additive", "trend", "sparse-constant", "precise"]
+
+
+@pytest.fixture(params=WRITTEN)
+def written(request, case_of):
+    """Return the `Case` of each kind whose arrays differ in shape, for writers and readers of these."""
+    return case_of(request.param)
+
+
 @pytest.fixture(params=KINDS)
 def kind(request):
     return request.param

@@ -71,12 +71,12 @@ def of_aircraft(model, **changes):
     return replace(model, aircraft=Aircraft.from_dict(model.aircraft.to_dict() | changes))
 
 
-def test_coefficients_are_those_of_the_pipeline(case, load):
-    fdm = load(case.model)
-    found = np.array([placed(fdm, case.model, x) for x in case.X])
-    case.assert_mean(found, 1e-7)
+def test_coefficients_are_those_of_the_pipeline(written, load):
+    fdm = load(written.model)
+    found = np.array([placed(fdm, written.model, x) for x in written.X])
+    written.assert_mean(found, 1e-7)
     assert fdm["aero/regressor/q_hat"] == pytest.approx(
-        case.X[-1][case.model.regressor_names.index("q_hat")], abs=1e-8
+        written.X[-1][written.model.regressor_names.index("q_hat")], abs=1e-8
     )
 
 

@@ -141,7 +141,7 @@ class TestShapesAndNames:
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
         X, Y = data
-        model = DependentGPRegressor(max_iter=5, random_state=0)
+        model = DependentGPRegressor(structure="joint", n_latent=1, max_iter=5, random_state=0)
         expected = model.fit(X, Y).predict(new)
         model.fit(np.vstack([X, X[:9] + 5.0]), np.vstack([Y, np.full((9, 2), np.nan)]))
         assert_allclose(model.predict(new), expected, rtol=1e-6, atol=1e-9)

@@ -193,7 +193,7 @@ class TestRegressors:
         model = Aerodynamics(coefficients, names)
         controls = {"elevator": -0.02, "thrust": 14.0}
         step = 0.005
-        flown = fly(aircraft, model, controls=controls, dt=step, duration=1.0, air=gust)
+        flown = fly(aircraft, model, controls=controls, dt=step, duration=0.5, air=gust)
         for name in ("alpha", "beta"):
             flown[f"{name}_dot"] = np.gradient(flown[name], step, edge_order=2)
         flown["alpha_dot_hat"] = flown["alpha_dot"] * aircraft.chord / (2 * flown["airspeed"])

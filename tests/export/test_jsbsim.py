@@ -136,8 +136,6 @@ def deflections(fdm, model):
             {"rudder": 0.0},
             r"Got full deflection of the rudder=0.0, but expected a number > 0 \[rad\]",
         ),
-        ({"rudder": -0.3}, "full deflection of the rudder=-0.3"),
-        ({"rudder": np.nan}, "full deflection of the rudder=nan"),
     ],
 )
 def test_a_full_deflection_that_cannot_be_is_refused(portable_of, tmp_path, full, message):

@@ -1,4 +1,7 @@
-"""What users do wrong: each gets what was got, what was expected, what to do."""
+"""What users do wrong: each gets what was got, what was expected, what to do.
+
+Beyond what scikit-learn's check_estimator states: NaN, infinity, other numbers of features, no fit.
+"""
 
 import warnings
 from dataclasses import replace
@@ -42,12 +45,6 @@ def tables(X, Y):
     return pd.DataFrame(X, columns=["alpha", "q"]), pd.DataFrame(Y, columns=["CZ", "Cm"])
 
 
-def with_value(table, value):
-    table = table.copy()
-    table[3, 1] = value
-    return table
-
-
 def observed(Y, column, n):
     Y = Y.copy()
     Y[n:, column] = np.nan
@@ -55,11 +52,7 @@ def observed(Y, column, n):
 
 
 REFUSED_FITS = [  # parameters, X and Y of others, what is said
-    *(({}, lambda X, Y, v=v: (with_value(X, v), Y), f"Input X.*{words}") for v, words in (
-        (np.nan, "contains NaN"), (np.inf, "infinity"), (-np.inf, "infinity"))),
-    *(({}, lambda X, Y, v=v: (X, with_value(Y, v)), "Input y contains infinity") for v in (np.inf, -np.inf)),
     ({}, lambda X, Y: (X, Y[:-1]), r"inconsistent numbers of samples: \[30, 29\]"),
-    ({}, lambda X, Y: (X, Y.T), r"inconsistent numbers of samples: \[30, 2\]"),
     ({}, lambda X, Y: (X * [1e150, 1.0], Y), r"'x0': '.*e\+1\d\d'.*StandardScaler"),
     ({}, lambda X, Y: (X * [1.0, 1e-150], Y), r"'x1'.*StandardScaler"),
     *(({}, lambda X, Y, size=size: (X, Y * [1.0, size]), r"targets of magnitudes \{'y1': .*StandardScaler")
@@ -100,10 +93,9 @@ def test_what_cannot_be_asked(X, Y, model, ask, match):
 
 
 class TestRegressors:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient"])
-    def test_by_other_names_or_in_another_order(self, tables, call):
+    def test_by_other_names_or_in_another_order(self, tables):
         X, Y = tables
-        ask = getattr(quick().fit(X, Y), call)
+        ask = quick().fit(X, Y).predict_gradient
         with pytest.raises(ValueError, match="same order"):
             ask(X[["q", "alpha"]])
         with pytest.raises(ValueError, match=r"(?s)unseen at fit time.*beta"):
@@ -222,12 +214,9 @@ class TestParameters:
             quick(**parameters).fit(X, Y)
 
 
-class TestQuestions:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "score"])
-    def test_before_fit(self, X, Y, call):
-        arguments = (X, Y) if call == "score" else (X,)
-        with pytest.raises(NotFittedError, match="not fitted yet"):
-            getattr(quick(), call)(*arguments)
+def test_slopes_before_fit(X):
+    with pytest.raises(NotFittedError, match="not fitted yet"):
+        quick().predict_gradient(X)
 
 
 class TestMemory:
@@ -334,11 +323,8 @@ class TestPlainRows:
     @pytest.mark.parametrize(
         ("X", "says"),
         [
-            (np.ones((1, 3)), "3 features.*expecting 2"),
             (np.ones((0, 2)), "0 sample"),
-            (np.ones(2), "Expected 2D array"),
             (np.ones((1, 2, 1)), "dim 3"),
-            (np.array([[1.0, np.nan]]), "NaN"),
             (np.array([[1.0, -np.inf]]), "infinity"),
             (np.array([[1.0, 1j]]), "Complex"),
             (np.array([["a", "b"]]), "could not convert"),

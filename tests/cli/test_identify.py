@@ -248,6 +248,7 @@ class TestBadInput:
                 lambda table: table.drop(columns="airspeed"),
                 "lacks the columns 'airspeed'.*pitot tube.*less an estimated wind: give a column",
             ),
+            (lambda table: table.assign(beta=np.nan), "no row in which all of .*'beta': 400"),
             (lambda table: table.iloc[:1], "1 usable rows, none beside another"),
         ],
     )

@@ -16,7 +16,8 @@ def waves(n=40, seed=0):
 
 
 def quick(**options):
-    return DependentGPRegressor(**{"max_iter": 10, "random_state": 0} | options)
+    short = {"structure": "joint", "max_iter": 10, "random_state": 0}
+    return DependentGPRegressor(**short | options)
 
 
 class TestRefusedFit:

@@ -23,7 +23,6 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.design import Envelope, doublet, plan, wavetrain
 from skdgp.dynamics import (
-    Aerodynamics,
     FlightComputer,
     aerodynamic_coefficients,
     dryden_wind,
@@ -91,9 +90,7 @@ def main(arguments=None):
 
     example = load_example_flights(turbulence=0.0)
     aircraft = example.aircraft
-    rates = {"p", "q", "r", "alpha_dot", "beta_dot"}
-    names = [f"{name}_hat" if name in rates else name for name in example.regressor_names]
-    truth = Aerodynamics(example.aerodynamics, names)
+    truth = example.truth
 
     gentle = [{axis: doublet(0.5, 0.4 * limit)} for axis, limit in AXES.items()] * 2
     flights = [fly(truth, aircraft, wavetrain(gentle, pause=PAUSE), 32.0, 0)]

@@ -79,7 +79,7 @@ class Glider(NamedTuple):
 
 @pytest.fixture(scope="session")
 def glider():
-    inertia = np.diag([1.1, 2.3, 3.1])
+    inertia = [[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]]
     aircraft = Aircraft(
         name="glider", mass=12, inertia=inertia, wing_area=1.3, span=2.6, chord=0.55
     )

@@ -82,37 +82,6 @@ def dotted(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-@cache
-def nodes(code):
-    """Every node of some code, and whether it runs later, in a function."""
-    found, open_ = [], [(ast.parse(code), False)]
-    while open_:
-        node, later = open_.pop()
-        found.append((node, later))
-        later = later or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        open_ += [(child, later) for child in ast.iter_child_nodes(node)]
-    return found
-
-
-def imports_in(code, package):
-    """Every import of some code that stands in a package, relative ones resolved."""
-    found = []
-    for node, later in nodes(code):
-        if isinstance(node, ast.Import):
-            found += [Import(alias.name, (), not later, node.lineno) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            module = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-            found.append(
-                Import(module, tuple(alias.name for alias in node.names), not later, node.lineno)
-            )
-    return found
-
-
-@cache
-def text(path):
-    return path.read_text(encoding="utf-8")
-
-
 def offenders(rule, paths=MODULES):
     """What a rule finds wrong, by file."""
     return {ids(path): found for path in paths if (found := rule(path))}
@@ -120,9 +89,20 @@ def offenders(rule, paths=MODULES):
 
 @cache
 def imports(path):
-    """Every import of a file."""
+    """Every import of a file, relative ones resolved."""
     package = dotted(path) if path.name == "__init__.py" else dotted(path.parent / "__init__.py")
-    return imports_in(text(path), package)
+    found, open_ = [], [(ast.parse(path.read_text(encoding="utf-8")), False)]
+    while open_:
+        node, later = open_.pop()
+        if isinstance(node, ast.Import):
+            found += [Import(alias.name, (), not later, node.lineno) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            module = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            names = tuple(alias.name for alias in node.names)
+            found.append(Import(module, names, not later, node.lineno))
+        later = later or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        open_ += [(child, later) for child in ast.iter_child_nodes(node)]
+    return found
 
 
 def own_imports(path):
@@ -161,6 +141,10 @@ def test_leaves_are_imported_by_the_command_line_alone():
         return found if own not in MAY_IMPORT_LEAVES else set()
 
     assert not offenders(leaf)
+
+
+def is_private(name):
+    return name.startswith("_") and not name.startswith("__")
 
 
 def test_rooms_show_each_other_their_faces():
@@ -235,73 +219,6 @@ def test_nothing_but_the_dependencies_is_imported():
         return found
 
     assert not offenders(others)
-
-
-COMPAT = PACKAGE / "_compute" / "sklearn_compat.py"
-WATCHED = {"sklearn", "joblib", "argparse", "numpy", "scipy", "pandas"}
-# Of named tuples and os, for users
-DOCUMENTED = {"_replace", "_fields", "_asdict", "_make", "_exit"}
-
-
-def is_private(name):
-    return name.startswith("_") and not name.startswith("__")
-
-
-@cache
-def defined_here():
-    """Return every private name that the package itself defines or assigns."""
-    found = set(DOCUMENTED)
-    for path in MODULES:
-        for node, _ in nodes(text(path)):
-            if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                found.add(node.name)
-            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                found.add(node.id)
-            elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-                if ast.unparse(node.value) in ("self", "cls"):
-                    found.add(node.attr)
-            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(".__setattr__"):
-                found.add(getattr(node.args[1], "value", None))
-    return found
-
-
-def private_names(code):
-    """Return the private names of other packages that some code imports or reads as attributes, with their lines."""
-    found = {}
-    for item in imports_in(code, "skdgp"):
-        if item.module.split(".")[0] in WATCHED:
-            found |= {
-                part: item.line
-                for part in (*item.module.split("."), *item.names)
-                if is_private(part)
-            }
-    for node, _ in nodes(code):
-        if isinstance(node, ast.Attribute) and is_private(node.attr):
-            found |= {node.attr: node.lineno} if node.attr not in defined_here() else {}
-    return found
-
-
-def test_private_names_of_other_packages_stand_in_one_file():
-    """Import them from skdgp._compute.sklearn_compat."""
-    others = [path for path in MODULES if path != COMPAT]
-    assert not offenders(lambda path: private_names(text(path)), others)
-
-
-@pytest.mark.parametrize(
-    ("code", "name"),
-    [
-        ("from sklearn.base import _fit_context", "_fit_context"),
-        ("from sklearn.utils._param_validation import Interval", "_param_validation"),
-        ("import numpy as np\nnp.core._methods", "_methods"),
-        ("def later():\n    import joblib._store_backends", "_store_backends"),
-        (
-            "def options(parser):\n    return parser._option_string_actions",
-            "_option_string_actions",
-        ),
-    ],
-)
-def test_each_private_name_is_seen(code, name):
-    assert name in private_names(code)
 
 
 def test_extras_are_not_loaded_by_the_package():

@@ -34,7 +34,7 @@ def script(monkeypatch):
     ("name", "methods"),
     [
         ("likelihood", []),
-        ("coverage", []),
+        ("bands", []),
         ("dependence", []),
         ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),
         ("published", [".", "--methods", "skdgp, `impute`"]),

@@ -45,7 +45,9 @@ def alone(X):
     return np.moveaxis(np.array(of_outputs), -1, 0).swapaxes(1, 2)
 
 
-SEARCH = SearchSettings(values=(300, 300), trial_iterations=2, single_iterations=2)
+SEARCH = SearchSettings(
+    values=(300, 300), structure_values=150, trial_iterations=2, single_iterations=2
+)
 
 
 def quick(**options):

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.spatial.distance import cdist
 
 from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -188,28 +187,6 @@ def test_slopes_are_those_of_the_mean(central_difference, seed, inference):
     expected = central_difference(moved, np.zeros(len(size)), 1e-3)
     slopes = model.predict_gradient(X[:4]).reshape(expected.shape)
     close(slopes * size, expected, spread[:, None], 1e-5)
-
-
-@EXAMPLES
-@given(SEEDS, st.floats(0, 8), st.sampled_from(["diag", "tied"]))
-def test_covariances_are_right_however_far_points_are_from_each_other(
-    seed, decades, covariance_type
-):
-    """In length scales, against differences one by one: nothing cancels."""
-    rng = default_rng(seed)
-    d = int(rng.integers(1, 4))
-    base = np.zeros((6, d))
-    base[:4] = 10.0**decades * rng.normal(size=(4, d))
-    X, Z = base + rng.normal(size=(2, 6, d))
-    kernel = ConvolvedGaussian(
-        1,
-        private_latents=False,
-        amplitude=[[1.0, 2.0]],
-        length_scale=np.ones(d),
-        covariance_type=covariance_type,
-    )
-    expected = np.exp(-0.5 * cdist(X, Z, "sqeuclidean"))
-    assert_allclose(kernel(X, Z), np.kron([[1, 2], [2, 4]], expected), rtol=2e-6, atol=1e-9)
 
 
 @FEW

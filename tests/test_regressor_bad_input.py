@@ -1,4 +1,7 @@
-"""What users do wrong: each gets what was got, what was expected, what to do."""
+"""What users do wrong: each gets what was got, what was expected, what to do.
+
+Beyond what scikit-learn's check_estimator states: NaN, infinity, other numbers of features, no fit.
+"""
 
 import warnings
 from dataclasses import replace
@@ -34,18 +37,13 @@ TIED = ConvolvedGaussian(1, covariance_type="tied")
 
 def quick(**more):
     one = {} if "kernel" in more else {"n_latent": 1}
-    return DependentGPRegressor(**(one | {"max_iter": 3, "random_state": 0} | more))
+    short = {"structure": "joint", "max_iter": 3, "random_state": 0}
+    return DependentGPRegressor(**one | short | more)
 
 
 @pytest.fixture
 def tables(X, Y):
     return pd.DataFrame(X, columns=["alpha", "q"]), pd.DataFrame(Y, columns=["CZ", "Cm"])
-
-
-def with_value(table, value):
-    table = table.copy()
-    table[3, 1] = value
-    return table
 
 
 def observed(Y, column, n):
@@ -55,11 +53,7 @@ def observed(Y, column, n):
 
 
 REFUSED_FITS = [  # parameters, X and Y of others, what is said
-    *(({}, lambda X, Y, v=v: (with_value(X, v), Y), f"Input X.*{words}") for v, words in (
-        (np.nan, "contains NaN"), (np.inf, "infinity"), (-np.inf, "infinity"))),
-    *(({}, lambda X, Y, v=v: (X, with_value(Y, v)), "Input y contains infinity") for v in (np.inf, -np.inf)),
     ({}, lambda X, Y: (X, Y[:-1]), r"inconsistent numbers of samples: \[30, 29\]"),
-    ({}, lambda X, Y: (X, Y.T), r"inconsistent numbers of samples: \[30, 2\]"),
     ({}, lambda X, Y: (X * [1e150, 1.0], Y), r"'x0': '.*e\+1\d\d'.*StandardScaler"),
     ({}, lambda X, Y: (X * [1.0, 1e-150], Y), r"'x1'.*StandardScaler"),
     *(({}, lambda X, Y, size=size: (X, Y * [1.0, size]), r"targets of magnitudes \{'y1': .*StandardScaler")
@@ -77,10 +71,8 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
         )),
 ]  # fmt: skip
 REFUSED_QUESTIONS = [
-    *((quick(), lambda model, X, call=call: getattr(model, call)(np.zeros((4, 3))),
-       "X has 3 features, but DependentGPRegressor is expecting 2")
-      for call in ("predict", "predict_gradient")),
-    *((quick(), lambda model, X, v=v: model.predict(with_value(X, v)), "Input X") for v in (np.nan, np.inf)),
+    (quick(), lambda model, X: model.predict_gradient(np.zeros((4, 3))),
+     "X has 3 features, but DependentGPRegressor is expecting 2"),
     (quick(), lambda model, X: model.predict(X * [1e150, 1.0]), r"'x0'.*StandardScaler"),
     (quick(), lambda model, X: model.predict(X, return_std=True, return_cov=True), r"return_cov=True.*at most one"),
     (quick(), lambda model, X: model.predict(np.zeros((200_000, 2)), return_cov=True),
@@ -102,10 +94,9 @@ def test_what_cannot_be_asked(X, Y, model, ask, match):
 
 
 class TestRegressors:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient"])
-    def test_by_other_names_or_in_another_order(self, tables, call):
+    def test_by_other_names_or_in_another_order(self, tables):
         X, Y = tables
-        ask = getattr(quick().fit(X, Y), call)
+        ask = quick().fit(X, Y).predict_gradient
         with pytest.raises(ValueError, match="same order"):
             ask(X[["q", "alpha"]])
         with pytest.raises(ValueError, match=r"(?s)unseen at fit time.*beta"):
@@ -179,12 +170,12 @@ class TestTargets:
         Y[::2, 0] = np.nextafter(value, 2 * value)
         said = r"\['y0'\] are constant.*nothing can be learned.*check the log"
         with pytest.warns(UserWarning, match=said) as caught:
-            model = quick(trend=trend).fit(X, Y)
+            model = quick(structure="average", trend=trend).fit(X, Y)
         assert caught[0].filename == __file__
         mean, std = model.predict(X, return_std=True)
         assert_allclose(mean[:, 0], value, rtol=0.3 if trend is None else 1e-3)
         assert (std[:, 0] < 0.5 * abs(value)).all()
-        alone = quick(trend=trend).fit(X, Y[:, 1])
+        alone = quick(structure="average", trend=trend).fit(X, Y[:, 1])
         assert_allclose(mean[:, 1], alone.predict(X), atol=0.5)
 
 
@@ -212,18 +203,10 @@ class TestParameters:
     @pytest.mark.parametrize(
         ("parameters", "message"),
         [
-            ({"kernel": "RBF"}, "kernel.*Kernel.*Got 'RBF'"),
             ({"kernel": ConvolvedGaussian}, "kernel.*Kernel.*Got <class"),
-            ({"n_latent": -1}, "n_latent"),
             ({"n_latent": 1.5}, "n_latent"),
-            ({"trend": "Linear"}, "trend.*'linear'"),
-            ({"inference": "approximate"}, "inference.*'sparse'"),
-            ({"n_inducing": 0}, "n_inducing"),
             ({"optimizer": "adam"}, "optimizer.*fmin_l_bfgs_b"),
-            ({"max_iter": 0}, "max_iter"),
             ({"structure": "auto"}, "structure.*'average'"),
-            ({"input_noise": "white"}, "input_noise.*'learned'"),
-            ({"random_state": "seed"}, "random_state"),
         ],
         ids=lambda p: ", ".join(p) if isinstance(p, dict) else "",
     )
@@ -232,12 +215,9 @@ class TestParameters:
             quick(**parameters).fit(X, Y)
 
 
-class TestQuestions:
-    @pytest.mark.parametrize("call", ["predict", "predict_gradient", "score"])
-    def test_before_fit(self, X, Y, call):
-        arguments = (X, Y) if call == "score" else (X,)
-        with pytest.raises(NotFittedError, match="not fitted yet"):
-            getattr(quick(), call)(*arguments)
+def test_slopes_before_fit(X):
+    with pytest.raises(NotFittedError, match="not fitted yet"):
+        quick().predict_gradient(X)
 
 
 class TestMemory:
@@ -344,11 +324,8 @@ class TestPlainRows:
     @pytest.mark.parametrize(
         ("X", "says"),
         [
-            (np.ones((1, 3)), "3 features.*expecting 2"),
             (np.ones((0, 2)), "0 sample"),
-            (np.ones(2), "Expected 2D array"),
             (np.ones((1, 2, 1)), "dim 3"),
-            (np.array([[1.0, np.nan]]), "NaN"),
             (np.array([[1.0, -np.inf]]), "infinity"),
             (np.array([[1.0, 1j]]), "Complex"),
             (np.array([["a", "b"]]), "could not convert"),

@@ -36,7 +36,8 @@ def flights():
 
 
 def quick(**more):
-    return DependentGPRegressor(**({"n_latent": 1, "max_iter": 8, "random_state": 0} | more))
+    short = {"structure": "joint", "n_latent": 1, "max_iter": 8, "random_state": 0}
+    return DependentGPRegressor(**short | more)
 
 
 class TestScikitLearn:

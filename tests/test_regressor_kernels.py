@@ -174,19 +174,15 @@ class TestUnits:
 
 
 class TestBounds:
-    def test_of_the_amplitude_are_in_the_unit_of_the_output_and_told(self):
-        X, Y = waves()
-        kernel = ConvolvedGaussian(
-            1, private_latents=False, parameter_bounds={"amplitude": (-20.0, 20.0)}
-        )
-        told = r"of the kernel: amplitude\[0, 0\] = -?20 \((lower|upper) bound -?20\)\. Widen"
-        with pytest.warns(ConvergenceWarning, match=told):
-            model = quick(kernel, trend="constant").fit(X, Y[:, 0])
-        assert np.abs(model.kernel_.amplitude) == pytest.approx(20.0)
-
     @pytest.mark.parametrize(
         ("kernel", "told"),
         [
+            (
+                ConvolvedGaussian(
+                    1, private_latents=False, parameter_bounds={"amplitude": (-20.0, 20.0)}
+                ),
+                r"of the kernel: amplitude\[0, 0\] = -?20 \((lower|upper) bound -?20\)\. Widen",
+            ),
             (
                 LinearTrend(parameter_bounds={"slope_scale": (0.01, 0.02)}),
                 r"slope_scale\[0, 0\] = 0.02 \(upper bound 0.02\)",
@@ -201,7 +197,7 @@ class TestBounds:
             ),
         ],
     )
-    def test_of_every_hyperparameter_are_told(self, kernel, told):
+    def test_of_every_hyperparameter_are_told_in_the_unit_of_the_output(self, kernel, told):
         X, Y = waves()
         with pytest.warns(ConvergenceWarning, match=told) as caught:
             quick(kernel, trend="constant").fit(X, Y[:, 0] + X[:, 0])
@@ -264,7 +260,7 @@ class TestKernelsOfScikitLearn:
     def test_sums_are_of_both_kinds(self):
         X, Y = waves()
         for kernel in (RBF() + LinearTrend(), LinearTrend() + RBF()):
-            fitted = quick(kernel).fit(X, Y).kernel_
+            fitted = quick(kernel, max_iter=3).fit(X, Y).kernel_
             assert {type(term) for term in fitted.summands()} == {LinearTrend, Coregionalized}
 
     @pytest.mark.parametrize(

@@ -87,10 +87,12 @@ def test_bounds_hold_a_learned_variance(data, log):
 def test_known_noise_of_regressors_is_kept(data):
     X, y = data
     time = np.arange(60.0)
-    model = DependentGPRegressor(input_noise=[0.03], random_state=0).fit(X, y, time=time)
+    options = {"structure": "joint", "max_iter": 15, "random_state": 0}
+    model, exact, none = (
+        DependentGPRegressor(input_noise=std, **options).fit(X, y, time=time)
+        for std in ([0.03], [0.0], None)
+    )
     assert_allclose(model.input_covariance_, [[0.03**2]])
-    exact = DependentGPRegressor(input_noise=[0.0], random_state=0).fit(X, y, time=time)
-    none = DependentGPRegressor(input_noise=None, random_state=0).fit(X, y, time=time)
     assert_allclose(exact.predict(X), none.predict(X), atol=2e-3)
 
 
@@ -104,8 +106,6 @@ def test_an_interrupt_keeps_the_kernel_that_was_given(data):
         model.fit(*data)
     assert model.interrupted_
     assert_allclose(model.kernel_.length_scale, [[[0.8]]])
-    with listening(press), pytest.raises(KeyboardInterrupt):
-        model.fit(*data)
 
 
 def test_outputs_with_gaps_have_noise_of_their_own(data):

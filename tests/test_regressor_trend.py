@@ -40,19 +40,6 @@ class TestStructure:
             )
         assert errors["additive"] < 0.5 * errors["joint"]
 
-    @pytest.mark.parametrize("trend", ["linear", "constant"])
-    def test_goes_with_any_trend(self, sample, trend):
-        X, y = sample
-        model = DependentGPRegressor(
-            structure="additive", trend=trend, n_latent=0, optimizer=None
-        ).fit(X, y)
-        parts = [
-            part
-            for part in model.kernel_.get_params().values()
-            if isinstance(part, ConvolvedGaussian)
-        ]
-        assert sorted(part.regressors for part in parts if part.regressors) == [[0], [1], [2], [3]]
-
     @pytest.mark.parametrize(
         "options", [{"kernel": ConvolvedGaussian(1)}, {"trend": "constant"}, {"trend": None}]
     )

@@ -39,13 +39,7 @@ def margins(run: Run) -> None:
     run.console.stage("reading")
     loops = autopilot_loops(options.params, dict(options.full))
     model, thrust = read_model_to_fly(options)
-    flight = None
-    if options.flight:
-        named = named_flights(options.flight, **opt.reading(options, model))
-        flight = pd.concat(usable_flights_of_model(model.pipeline, named).values())
-        mixer = model.pipeline.named_steps.get("elevonsplitter", "passthrough")
-        if not isinstance(mixer, str):
-            flight = mixer.transform(flight)
+    flight = _logged(options, model) if options.flight else None
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude, thrust)
     run.console.stage("margins")
@@ -59,11 +53,6 @@ def margins(run: Run) -> None:
         delay=options.delay,
     )
     now = margins_of(linear, loops, flight=flight)
-    wanted = {
-        "gain_margin": options.gain_margin,
-        "phase_margin": options.phase_margin,
-        "probability": options.probability,
-    }
     texts = [f"margins now, at {options.airspeed:g} m/s", _margin_text(now)]
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
@@ -72,22 +61,42 @@ def margins(run: Run) -> None:
         "margins": _records(now),
     }
     try:
-        suggested = suggest_gains(linear, loops, **wanted)
+        suggested = suggest_gains(
+            linear,
+            loops,
+            gain_margin=options.gain_margin,
+            phase_margin=options.phase_margin,
+            probability=options.probability,
+        )
     except ValueError as error:
         texts += ["", f"no gains are suggested: {error}"]
     else:
         gains = _gains_of(loops, suggested)
         then = margins_of(linear, suggested, flight=flight)
-        asked = f"{options.gain_margin:g} dB and {options.phase_margin:g} deg"
-        share = f"{options.probability:.0%} of the aircraft"
-        texts += ["", f"largest gains with {asked} in {share}", gains.to_string(index=False)]
-        texts += ["", "margins with these gains", _margin_text(then)]
+        texts += _suggestion_texts(options, gains, then)
         files["suggested.csv"] = csv_writer(gains)
         numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
     if run.folder is not None:
         written = run.write(files, "margins.json", numbers)
         texts.append(f"wrote {', '.join(map(str, written))}")
     run.print("\n".join(texts), numbers)
+
+
+def _logged(options: Any, model: Any) -> pd.DataFrame:
+    """Return the logs, with the controls of the model in place of elevons."""
+    named = named_flights(options.flight, **opt.reading(options, model))
+    flight = pd.concat(usable_flights_of_model(model.pipeline, named).values())
+    mixer = model.pipeline.named_steps.get("elevonsplitter", "passthrough")
+    return flight if isinstance(mixer, str) else mixer.transform(flight)
+
+
+def _suggestion_texts(options: Any, gains: pd.DataFrame, then: pd.DataFrame) -> list[str]:
+    """Return suggested gains and their margins as text."""
+    asked = f"{options.gain_margin:g} dB and {options.phase_margin:g} deg"
+    share = f"{options.probability:.0%} of the aircraft"
+    wanted = f"largest gains with {asked} in {share}"
+    table = gains.to_string(index=False)
+    return ["", wanted, table, "", "margins with these gains", _margin_text(then)]
 
 
 def _records(table: pd.DataFrame) -> Any:
@@ -193,23 +202,14 @@ def _gusts_of(options: Any, model: Any) -> Turbulence | None:
 COMMANDS: opt.Commands = {
     margins: {
         "": {
-            **opt.shared("model", "--aircraft", "--seed", "--output", *opt.LOG),
+            **opt.shared("model", "--aircraft", "--airspeed", "--altitude", "--paths"),
+            **opt.shared("--seed", "--output", *opt.LOG),
             "--params": {
                 "metavar": "FILE",
                 "required": True,
                 "help": "parameters of PX4 or ArduPilot Plane, as a ground station saves them",
             },
-            "--airspeed": {
-                "metavar": "V",
-                "type": opt.positive("m/s"),
-                "required": True,
-                "help": "of the trim [m/s]",
-            },
-            "--full": {
-                **opt.AXIS_VALUES,
-                "required": True,
-                "help": "deflections [rad] at an output of 1",
-            },
+            **opt.shared("--full", required=True, help="deflections [rad] at an output of 1"),
             "--delay": {
                 "metavar": "S",
                 "type": opt.from_zero(),
@@ -220,18 +220,6 @@ COMMANDS: opt.Commands = {
                 "metavar": "LOG",
                 "nargs": "+",
                 "help": "logs that tell whether the crossovers were excited",
-            },
-            "--altitude": {
-                "metavar": "M",
-                "type": opt.number(),
-                "default": 0.0,
-                "help": "of the trim [m] (default: 0)",
-            },
-            "--paths": {
-                "metavar": "N",
-                "type": opt.n_paths,
-                "default": 200,
-                "help": "aircraft of the posterior (default: 200)",
             },
             "--gain-margin": {
                 "metavar": "DB",
@@ -255,17 +243,7 @@ COMMANDS: opt.Commands = {
     },
     fly: {
         "": {
-            **opt.shared("model", "--aircraft", "--seed", "--output"),
-            "--airspeed": {
-                "metavar": "V",
-                "type": opt.positive("m/s"),
-                "required": True,
-                "help": "of the trim [m/s]",
-            },
-            "--full": {
-                **opt.AXIS_VALUES,
-                "help": "deflections [rad] at full output (default: of the aircraft file)",
-            },
+            **opt.shared("model", "--aircraft", "--airspeed", "--full", "--seed", "--output"),
             "--params": {
                 "metavar": "FILE",
                 "help": "parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
@@ -282,12 +260,7 @@ COMMANDS: opt.Commands = {
                 "default": 0.0,
                 "help": "of a start in the air [m] (default: 0, on the wheels)",
             },
-            "--altitude": {
-                "metavar": "M",
-                "type": opt.number(),
-                "default": 0.0,
-                "help": "of the ground [m] (default: 0)",
-            },
+            **opt.shared("--altitude", help="of the ground [m] (default: 0)"),
             "--wind": {
                 "metavar": ("NORTH", "EAST", "DOWN"),
                 "type": opt.number(),

@@ -172,9 +172,24 @@ SHARED: dict[str, dict[str, Any]] = {
     "--airspeed": {
         "metavar": "V",
         "type": positive("m/s"),
-        "nargs": "+",
         "required": True,
-        "help": "of the trims [m/s]",
+        "help": "of the trim [m/s]",
+    },
+    "--altitude": {
+        "metavar": "M",
+        "type": number(),
+        "default": 0.0,
+        "help": "of the trim [m] (default: 0)",
+    },
+    "--paths": {
+        "metavar": "N",
+        "type": n_paths,
+        "default": 200,
+        "help": "aircraft of the posterior (default: 200)",
+    },
+    "--full": {
+        **AXIS_VALUES,
+        "help": "deflections [rad] at full output (default: of the aircraft file)",
     },
     "--thrust": {
         "choices": ["auto", "none"],

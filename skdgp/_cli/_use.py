@@ -385,31 +385,18 @@ COMMANDS: opt.Commands = {
     },
     derivatives: {
         "": {
-            **opt.shared("model", "--aircraft", "--airspeed", "--seed", "--output"),
-            "--altitude": {
-                "metavar": "M",
-                "type": opt.number(),
-                "default": 0.0,
-                "help": "of the trims [m] (default: 0)",
-            },
-            "--paths": {
-                "metavar": "N",
-                "type": opt.n_paths,
-                "default": 200,
-                "help": "functions of the posterior for the standard deviations; 0: none (default: 200)",
-            },
+            **opt.shared("model", "--aircraft", "--altitude", "--seed", "--output"),
+            **opt.shared("--airspeed", nargs="+", help="of the trims [m/s]"),
+            **opt.shared(
+                "--paths", help="of the posterior; 0: no standard deviations (default: 200)"
+            ),
         },
     },
     plan: {
         "": {
             **opt.shared("model", "--aircraft"),
             **opt.shared("--output", required=True),
-            "--airspeed": {
-                "metavar": "V",
-                "type": opt.positive("m/s"),
-                "required": True,
-                "help": "of the trim [m/s]",
-            },
+            **opt.shared("--airspeed"),
             "--seconds": {
                 "metavar": "S",
                 "type": opt.positive("seconds"),
@@ -422,15 +409,12 @@ COMMANDS: opt.Commands = {
                 "nargs": "+",
                 "help": "derivatives such as Cm_q Cn_rudder (default: all)",
             },
-            "--altitude": {
-                "metavar": "M",
-                "type": opt.number(),
-                "help": "[m] (default: the highest that was flown)",
-            },
-            "--full": {
-                **opt.AXIS_VALUES,
-                "help": "deflections [rad] at the ends of the servos' ranges, for the script",
-            },
+            **opt.shared(
+                "--altitude", default=None, help="[m] (default: the highest that was flown)"
+            ),
+            **opt.shared(
+                "--full", help="deflections [rad] at the ends of the servos' ranges, for the script"
+            ),
         },
         "limits": {
             "--limits": {
@@ -472,11 +456,11 @@ COMMANDS: opt.Commands = {
                 "type": opt.positive("kB"),
                 "help": "largest size of the code, or of the portable form (default: whole model)",
             },
-            "--full": {
-                **opt.AXIS_VALUES,
-                "help": "of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
+            **opt.shared(
+                "--full",
+                help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
                 "file, else the largest that were flown)",
-            },
+            ),
         },
     },
 }

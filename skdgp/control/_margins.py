@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import detrend, welch
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
 from skdgp.dynamics import UNUSED, LinearModel, transfer
@@ -58,7 +58,7 @@ SETTINGS = MarginSettings()
 
 
 class Margins(NamedTuple):
-    """Of one loop, for each path, (n_paths,): gain [dB], phase [deg], sensitivity, and crossovers [rad/s]."""
+    """Of one loop: gain [dB], phase [deg], sensitivity, and crossovers [rad/s]; of the mean, then of each path."""
 
     gain: Vector
     phase: Vector
@@ -128,20 +128,16 @@ def margins(
     _check(linear, loops)
     s = 1j * _frequencies(settings)
     responses = _responses(linear, loops, s)
-    of_mean = _of_loops(responses.mean, linear, loops, s)
-    of_paths = _of_loops(responses.paths, linear, loops, s) if responses.paths is not None else None
+    transfer = _of_loops(responses, linear, loops, s)
     unstable = _Stability.of(linear, loops, settings).unstable(linear, loops)
     rows = []
     for k, loop in enumerate(loops):
-        value = _marked(_margins_of(of_mean[..., k], s.imag), unstable.mean)
-        paths = None
-        if of_paths is not None:
-            paths = _marked(_margins_of(of_paths[..., k], s.imag), unstable.paths)
+        found = _marked(_margins_of(transfer[..., k], s.imag), unstable)
         excited = None
         if flight is not None:
-            rate = responses.mean[..., linear.C.index.get_loc(LOOP_AXES[loop.name][0]), k]
-            excited = _excited(loop, value, rate[0], s.imag, flight, settings)
-        rows += _rows(loop, value, paths, excited, settings)
+            rate = responses[0, :, linear.C.index.get_loc(LOOP_AXES[loop.name][0]), k]
+            excited = _excited(loop, found, rate, s.imag, flight, settings)
+        rows += _rows(loop, found, excited, settings)
     return pd.DataFrame(rows).set_index(["loop", "quantity"])
 
 
@@ -187,7 +183,18 @@ def suggest_gains(
         )
     if not 0 < probability < 1:
         raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
-    search = _GainSearch.of(linear, loops, gain_margin, phase_margin, probability, settings)
+    searched = replace(settings, n_frequencies=settings.n_searched)
+    s = 1j * _frequencies(searched)
+    search = _GainSearch(
+        linear=linear,
+        s=s,
+        responses=_responses(linear, loops, s)[1:],
+        stability=_Stability.of(linear, loops, searched),
+        gain_margin=gain_margin,
+        phase_margin=phase_margin,
+        probability=probability,
+        settings=settings,
+    )
     chosen = list(loops)
     for k in [*range(len(chosen))] * settings.rounds:
         decibels = search.largest(chosen, k)
@@ -200,25 +207,16 @@ class _GainSearch(NamedTuple):
 
     linear: LinearModel
     s: Vector
-    responses: _OfModel
+    responses: Array  # (n_paths, n, n_outputs, n_loops)
     stability: _Stability
     gain_margin: float
     phase_margin: float
     probability: float
     settings: MarginSettings
 
-    @classmethod
-    def of(cls, linear, loops, gain_margin, phase_margin, probability, settings):
-        searched = replace(settings, n_frequencies=settings.n_searched)
-        s = 1j * _frequencies(searched)
-        responses = _responses(linear, loops, s)
-        stability = _Stability.of(linear, loops, searched)
-        wanted = gain_margin, phase_margin, probability
-        return cls(linear, s, responses, stability, *wanted, settings)
-
     def largest(self, loops: list[Loop], k: int) -> float:
         """Return the largest rise [dB] of the gains of loop k with the margins; ValueError if there is none."""
-        transfer = _of_loops(self.responses.paths, self.linear, loops, self.s)[..., k]
+        transfer = _of_loops(self.responses, self.linear, loops, self.s)[..., k]
         largest = self.settings.largest_factor
         coarse, fine = self.settings.steps
         best = None
@@ -247,19 +245,12 @@ class _GainSearch(NamedTuple):
             return False
         risen = [*loops]
         risen[k] = loops[k].scaled(_factor(decibels))
-        unstable = np.asarray(self.stability.unstable(self.linear, risen).paths, dtype=bool)
+        unstable = self.stability.unstable(self.linear, risen)[1:]
         return bool(np.mean(is_good & ~unstable) >= self.probability)
 
 
 def _factor(decibels):
     return float(10 ** (decibels / 20))
-
-
-class _OfModel(NamedTuple):
-    """Arrays of the model of the mean, first axis of length one, and of its paths or None."""
-
-    mean: Array
-    paths: Array | None
 
 
 def _check(linear, loops):
@@ -297,18 +288,15 @@ def _signs(linear, loops):
     return np.where(np.array(effects) < 0, -1.0, 1.0)
 
 
-def _responses(linear, loops, s) -> _OfModel:
-    """Return the responses (n_paths, n, n_outputs, n_loops) to commands with their delay and signs."""
+def _responses(linear, loops, s) -> Array:
+    """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first."""
     late = _signs(linear, loops) * np.exp(-s * linear.delay)[:, None, None]
-    mean = _of_matrices(linear, linear, loops, s)[None] * late
-    if linear.paths is None:
-        return _OfModel(mean, None)
-    p = linear.paths
-    of_paths = []
+    models = [linear]
+    if linear.paths is not None:
+        p = linear.paths
+        models += [LinearModel(*each) for each in zip(p.A, p.B, p.C, p.D, strict=True)]
     # one by one: the resolvents of all would fill the memory
-    for each in zip(p.A, p.B, p.C, p.D, strict=True):
-        of_paths.append(_of_matrices(LinearModel(*each), linear, loops, s) * late)
-    return _OfModel(mean, np.array(of_paths))
+    return np.array([_of_matrices(model, linear, loops, s) * late for model in models])
 
 
 def _of_matrices(
@@ -332,7 +320,7 @@ def _gains(linear, loops, s):
 
 
 def _of_loops(responses, linear, loops, s):
-    """Return the loop transfer functions, each with the other loops closed, (n_paths, n, n_loops)."""
+    """Return the loop transfer functions, each with the other loops closed, (n_models, n, n_loops)."""
     M = -_gains(linear, loops, s) @ responses
     n_loops = len(loops)
     transfer = np.empty(M.shape[:-1], dtype=complex)
@@ -350,44 +338,35 @@ class _Stability(NamedTuple):
     r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
 
     :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
-    the right of the line s = bound + j w, as it is one at infinity. ``aircraft`` are the first factor
-    over the last, (n_paths, n), of the mean and of the paths.
+    the right of the line s = bound + j w, as it is one at infinity. ``aircraft`` (1 + n_paths, n) are
+    the first factor over the last, of the mean and of the paths.
     """
 
     s: Vector
-    aircraft: _OfModel
-    responses: _OfModel
+    aircraft: Array
+    responses: Array
 
     @classmethod
     def of(cls, linear, loops, settings):
         s = settings.growth + 1j * np.concatenate([[0.0], _frequencies(settings)])
         kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
-
-        def factors(A):
-            roots = np.linalg.eigvals(np.asarray(A)[..., kept, :][..., kept])
-            return np.prod((s[:, None] - roots[..., None, :]) / (s[:, None] + 1.0), axis=-1)
-
-        paths = None if linear.paths is None else factors(linear.paths.A)
-        aircraft = _OfModel(factors(np.asarray(linear.A)[None]), paths)
+        A = np.asarray(linear.A)[None]
+        if linear.paths is not None:
+            A = np.concatenate([A, linear.paths.A])
+        roots = np.linalg.eigvals(A[:, kept, :][..., kept])
+        aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
         return cls(s, aircraft, _responses(linear, loops, s))
 
-    def unstable(self, linear, loops) -> _OfModel:
-        """Return which of the mean and of the paths are unstable, (1,) and (n_paths,)."""
+    def unstable(self, linear, loops) -> Mask:
+        """Return whether the mean and each path are unstable, (1 + n_paths,)."""
         K = _gains(linear, loops, self.s)
-
-        def found(aircraft, response):
-            if aircraft is None:
-                return None
-            value = aircraft * np.linalg.det(np.eye(len(loops)) - K @ response)
-            angle = np.unwrap(np.angle(value), axis=-1)
-            return np.round((angle[..., 0] - angle[..., -1]) / np.pi) > 0
-
-        mean = found(self.aircraft.mean, self.responses.mean)
-        return _OfModel(mean, found(self.aircraft.paths, self.responses.paths))
+        value = self.aircraft * np.linalg.det(np.eye(len(loops)) - K @ self.responses)
+        angle = np.unwrap(np.angle(value), axis=-1)
+        return np.round((angle[:, 0] - angle[:, -1]) / np.pi) > 0
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> Margins:
-    """Return the margins of loop transfer functions (n_paths, n) at frequencies w [rad/s].
+    """Return the margins of loop transfer functions (n_models, n) at frequencies w [rad/s].
 
     Of several crossings the smallest phase margin counts, and the smallest rise of the gain. Without a
     crossing the margin is infinite, and the frequency unknown.
@@ -449,8 +428,8 @@ def _marked(found: Margins, unstable) -> Margins:
     )
 
 
-def _rows(loop, value, paths, excited, settings):
-    """Return the rows of one loop."""
+def _rows(loop, found, excited, settings):
+    """Return the rows of one loop from the margins of the mean and of the paths."""
     required = {
         "gain": lambda x: x >= settings.gain,
         "phase": lambda x: x >= settings.phase,
@@ -459,35 +438,31 @@ def _rows(loop, value, paths, excited, settings):
     }
     rows = []
     for quantity, meets in required.items():
-        row = {
-            "loop": loop.name,
-            "quantity": quantity,
-            "value": float(value._asdict()[quantity][0]),
-        }
+        value, *paths = found._asdict()[quantity].tolist()
+        values = np.array(paths)
+        row = {"loop": loop.name, "quantity": quantity, "value": value}
         row |= {"lower": np.nan, "upper": np.nan, "probability": np.nan}
-        if paths is not None:
-            values = paths._asdict()[quantity]
-            known = values[~np.isnan(values)]
-            if len(known):
-                low, high = np.quantile(known, settings.interval, method="nearest")
-                row |= {"lower": float(low), "upper": float(high)}
-            if meets is not None:
-                row["probability"] = float(np.mean(meets(values)))
+        known = values[~np.isnan(values)]
+        if len(known):
+            low, high = np.quantile(known, settings.interval, method="nearest")
+            row |= {"lower": float(low), "upper": float(high)}
+        if paths and meets is not None:
+            row["probability"] = float(np.mean(meets(values)))
         row["excited"] = None if excited is None else excited[quantity]
         rows.append(row)
     return rows
 
 
-def _excited(loop, value, response, w, flight, settings):
+def _excited(loop, found, response, w, flight, settings):
     """Return for each quantity whether the flight excited its crossover."""
     power = _response_over_noise(loop, response, w, flight, settings)
 
     def is_excited(frequency):
         return bool(power(frequency) > settings.excited) if np.isfinite(frequency) else None
 
-    of_crossover = is_excited(value.crossover[0])
-    found = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
-    return found | {"gain": is_excited(value.phase_crossover[0])}
+    of_crossover = is_excited(found.crossover[0])
+    others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
+    return others | {"gain": is_excited(found.phase_crossover[0])}
 
 
 def _response_over_noise(loop, response, w, flight, settings):

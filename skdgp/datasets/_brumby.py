@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import HAT, RATE_LENGTHS, RATES
-from skdgp.dynamics import Aerodynamics, Aircraft, Motion, Propeller
+from skdgp.dynamics import Aerodynamics, Aircraft, Propeller
 
 # Columns of the regressors: angles [rad]; rates times b/2V (p, r, beta_dot) or c/2V (q, alpha_dot)
 REGRESSORS = ("alpha", "beta", *RATES, "alpha_dot", "beta_dot", "elevator", "aileron", "rudder")
@@ -43,7 +42,7 @@ def brumby_coefficients(regressors: ArrayLike) -> Array:
         Dihedral effect, roll due to yaw and yaw due to roll grow with wing normal force; roll
         damping falls.
 
-    Analytic in every argument: complex steps give exact derivatives (`brumby_derivatives`).
+    Analytic in every argument: complex steps give exact derivatives.
     """
     columns = np.moveaxis(np.asarray(regressors), -1, 0)
     alpha, beta, p, q, r, alpha_dot, beta_dot, elevator, aileron, rudder = columns
@@ -118,15 +117,7 @@ def _soft(angle: Array, limit: float) -> Array:
     return angle / np.sqrt(1.0 + (angle / limit) ** 2)
 
 
-def brumby_derivatives(regressors: ArrayLike) -> Array:
-    """Return d coefficients / d regressors, (..., 6, 10), exact to rounding (complex steps, 1e-30)."""
-    points = np.asarray(regressors, dtype=float)[..., None, :]
-    steps = 1e-30j * np.eye(len(REGRESSORS))
-    derivatives = brumby_coefficients(points + steps).imag / 1e-30
-    return np.swapaxes(derivatives, -1, -2)
-
-
-def brumby_motion(coefficients: Callable[[Array], Array] = brumby_coefficients) -> Motion:
-    """Return how the Brumby moves; alpha_dot and beta_dot lag by one call, as in the steps of the example flights."""
-    names = [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
-    return Motion(Aerodynamics(coefficients, names), BRUMBY, lagged=True)
+BRUMBY_AERODYNAMICS = Aerodynamics(
+    brumby_coefficients, [name + HAT if name in RATE_LENGTHS else name for name in REGRESSORS]
+)
+"""The same as a model of an aircraft, with the names of non-dimensional rates."""

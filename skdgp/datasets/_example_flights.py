@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
@@ -28,13 +28,14 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.datasets._autopilot import SETTINGS, FlightControls
-from skdgp.datasets._brumby import BRUMBY, REGRESSORS, brumby_coefficients, brumby_motion
+from skdgp.datasets._brumby import BRUMBY, BRUMBY_AERODYNAMICS, REGRESSORS, brumby_coefficients
 from skdgp.datasets._plans import FLIGHT_PLANS, FlightPlan
 from skdgp.dynamics import (
     Clock,
     GustyAir,
     Instant,
     LocalAir,
+    Motion,
     Record,
     Turbulence,
     air_velocity,
@@ -137,7 +138,8 @@ def load_example_flights(
         another path, at two altitudes, in stronger turbulence, (7200, 69); ``aircraft``;
         ``aerodynamics``: the true model, a function of regressors (..., 10) to CX CY CZ Cl Cm Cn
         (..., 6); its ``regressor_names`` (rates are relative to the air and non-dimensional);
-        ``DESCR``, a text.
+        ``truth``: the same as an `Aerodynamics`, for `simulate`, `trim` and `linearize`; ``DESCR``,
+        a text.
 
     Examples
     --------
@@ -161,6 +163,7 @@ def load_example_flights(
         aircraft=BRUMBY,
         aerodynamics=brumby_coefficients,
         regressor_names=list(REGRESSORS),
+        truth=BRUMBY_AERODYNAMICS,
         DESCR=DESCR,
     )
 
@@ -248,16 +251,11 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
 
 
 def fly_plans(
-    plans: tuple[FlightPlan, ...],
-    duration: float,
-    turbulence: float,
-    rng: np.random.Generator,
-    coefficients: Callable[[Array], Array] = brumby_coefficients,
+    plans: tuple[FlightPlan, ...], duration: float, turbulence: float, rng: np.random.Generator
 ) -> tuple[Record, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
-    ``coefficients`` is the true aerodynamics.
     """
     step = SIMULATION.step
     n_settling = round(SIMULATION.settling / step)
@@ -266,7 +264,8 @@ def fly_plans(
     wind = np.array([plan.wind for plan in plans])
     gusts = _gusts(plans, 2 * n_times + 1, turbulence, rng)
     air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
-    motion = brumby_motion(coefficients)
+    # in the steps alpha_dot and beta_dot lag by one evaluation
+    motion = Motion(BRUMBY_AERODYNAMICS, BRUMBY, lagged=True)
     controls = FlightControls(plans, time, step)
     states = _initial_states(controls, wind)
     flown = fly_record(motion, controls, air, Clock(step, n_times - 1), states)

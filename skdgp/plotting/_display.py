@@ -74,7 +74,7 @@ class Display(ABC):
         legends: list[str] = []
         panels = ""
         for key in self.keys:
-            images = [display._image(key, legends) for display in (self, *beneath)]
+            images = [display._image(key, legends) for display in (self, *beneath)]  # noqa: SLF001 - a display's own
             panels += f"<div>{''.join(images)}</div>"
         layout = ""
         if len(self.keys) == 1:

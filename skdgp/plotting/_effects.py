@@ -108,7 +108,7 @@ class Effects:
         parts = _split_model(self._model)
         for step in parts.before:
             X = step.transform(X)
-        X = parts.regressor._check_regressors(X)
+        X = parts.regressor._check_regressors(X)  # noqa: SLF001
         means = {}
         stds = {}
         for name, term in self._terms.items():
@@ -325,7 +325,7 @@ def _split_model(model: Any) -> _Parts:
             "DependentGPRegressor, or a pipeline that ends in one."
         )
     check_is_fitted(regressor)
-    names = regressor._regressor_names()
+    names = regressor._regressor_names()  # noqa: SLF001
     d = len(names)
     before = [step for step in steps if step not in (None, "passthrough")]
     scalers = _scalers_at_end(before, d)

@@ -27,7 +27,6 @@ from sklearn.exceptions import ConvergenceWarning
 from skdgp import make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
-    Aerodynamics,
     aerodynamic_coefficients,
     linearize,
     stability_derivatives,
@@ -116,8 +115,7 @@ def cessna(air):
 def measured(air):
     """Return the tables of the example aircraft, learned in this air, and slopes of both."""
     data = load_example_flights(turbulence=AIRS[air])
-    names = [f"{name}_hat" if name in RATES else name for name in data.regressor_names]
-    truth = Aerodynamics(data.aerodynamics, names)
+    truth = data.truth
     model = make_identification_pipeline(data.aircraft)
     model.set_params(dependentgpregressor__random_state=0)
     with warnings.catch_warnings():

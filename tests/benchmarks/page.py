@@ -81,7 +81,7 @@ def main(words=None):
         "little_told": [options.data],
         "tabular": [options.published],
         "derivatives": [],
-        "coverage": [],
+        "bands": [],
         "dependence": [],
     }
     run = partial(measured, out=options.out.absolute(), without=options.without)

@@ -41,16 +41,10 @@ def usage_error(command, capsys):
     ("words", "message"),
     [
         ("demo --samples 1", "got 1, but expected a whole number, 2 or more, or all"),
-        ("demo --seed inf", "got inf, but expected a whole number, 0 or more"),
         (f"demo --seed {'9' * 400}", "but expected a whole number"),
-        ("demo --seed 0x10", "got 0x10, but expected a whole number"),
         ("demo --inference magic", "invalid choice: 'magic'"),
         ("demo --horizons 1 nan", "got nan, but expected seconds > 0"),
         ("demo --sampels 40", "unrecognized arguments: --sampels 40"),
-        (
-            "identify a --mass 3x",
-            "got 3x, but expected a number > 0, or with its standard deviation",
-        ),
         ("identify a --mass 3+--1", "but expected a number > 0, or with its standard deviation"),
         ("identify a --mass 3 --propeller 10", "got 10, but expected two numbers > 0"),
         ("identify a.csv", "got no aircraft, but expected --aircraft FILE, or --mass and --span"),

@@ -7,7 +7,7 @@ import pytest
 
 from skdgp.control import autopilot_loops, margins
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import Aerodynamics, Simulator, linearize, trim
+from skdgp.dynamics import Simulator, linearize, trim
 
 STEP = 0.004  # s
 DELAYED = 12  # steps
@@ -17,7 +17,6 @@ FULL = 0.42
 # proportional and integral gain of the rate, time constant of the attitude
 GAINS = {"aileron": (0.1, 0.1, 0.4), "elevator": (0.2, 0.3, 0.4)}
 MOTION = {"aileron": ("p", "phi"), "elevator": ("q", "theta")}
-RATED = {"p", "q", "r", "alpha_dot", "beta_dot"}
 PX4 = {
     "FW_RR_P": 0.1, "FW_RR_I": 0.1, "FW_R_TC": 0.4, "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_P_TC": 0.4,
     "FW_AIRSPD_TRIM": AIRSPEED, "IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0,
@@ -28,8 +27,7 @@ PX4 = {
 def flown():
     """Return the true model, its aircraft, a trim, and the linear model there."""
     data = load_example_flights(duration=1.0)
-    names = [f"{name}_hat" if name in RATED else name for name in data.regressor_names]
-    model = Aerodynamics(data.aerodynamics, names)
+    model = data.truth
     steady = trim(model, data.aircraft, AIRSPEED, altitude=100.0)
     return model, data.aircraft, steady, linearize(model, data.aircraft, steady, delay=DELAY)
 

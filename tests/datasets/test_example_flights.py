@@ -16,7 +16,6 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
-    Aerodynamics,
     GustyAir,
     LocalAir,
     Motion,
@@ -239,9 +238,7 @@ class TestGusts:
     @pytest.fixture
     def settled(self, data):
         """Return what acts in a wind and gusts: their velocity, its rate of change, and their rates p, q, r."""
-        rates = {"p", "q", "r", "alpha_dot", "beta_dot"}
-        names = [f"{name}_hat" if name in rates else name for name in data.regressor_names]
-        motion = Motion(Aerodynamics(data.aerodynamics, names), data.aircraft, lagged=True)
+        motion = Motion(data.truth, data.aircraft, lagged=True)
 
         def settled(state, wind, *gusts, passes=12, slopes=(0.0, 0.0)):
             air = GustyAir(lambda *_: LocalAir(wind), [part[None] for part in gusts])(0, state)

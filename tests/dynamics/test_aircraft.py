@@ -79,7 +79,7 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
 
 
 @pytest.mark.parametrize("name", ["mass", "wing_area", "span", "chord"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "heavy", None])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, 10**400, "heavy", None])
 def test_sizes_must_be_positive_numbers(name, value):
     with pytest.raises(ValueError, match=f"Got {name}=.* expected a .*number > 0"):
         Aircraft.from_dict(without(**{name: value}))
@@ -92,6 +92,8 @@ def test_sizes_must_be_positive_numbers(name, value):
         (without(inertia=[[1, 0], [0, 1]]), "3 x 3"),
         (without(inertia=[[1, 0, 0], [0, np.nan, 0], [0, 0, 1]]), "finite"),
         (without(inertia="round"), "3 x 3"),
+        (without(inertia=[[10**400]]), "Got inertia .*, but expected 3 x 3 numbers"),
+        (without(thrust_line={"position": [10**400, 0, 0]}), "thrust-line position=.*3 finite"),
         (without(inertia=[[1, 0, 0.2], [0, 2, 0], [0, 0, 2.5]]), "not symmetric"),
         (without(inertia=[[1, 0, 2.0], [0, 2, 0], [2.0, 0, 2.5]]), "not positive definite"),
         (without(inertia=np.diag([1.0, -2.0, 2.5])), "not positive definite"),

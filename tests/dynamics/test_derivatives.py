@@ -22,7 +22,7 @@ from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
 
 EXAMPLE = load_example_flights(duration=1.0)
 BRUMBY, REGRESSORS, coefficients = EXAMPLE.aircraft, EXAMPLE.regressor_names, EXAMPLE.aerodynamics
-NAMES = [f"{name}_hat" if 2 <= k < 7 else name for k, name in enumerate(REGRESSORS)]  # rates
+NAMES = EXAMPLE.truth.regressors
 
 
 def derivatives(X):

@@ -151,10 +151,6 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
             "airspeed 0 m/s at row 7 and .* rows",
         ),
         (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
-        (
-            lambda f: f.assign(alpha=np.rad2deg(f["alpha"]) + 4),
-            "Got magnitudes up to {.alpha.: .*deg2rad",
-        ),
         (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got magnitudes up to {.phi.: .*deg2rad"),
         (
             lambda f: f.assign(p=np.rad2deg(f["p"])),
@@ -165,7 +161,6 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
             "Got {.q.: .* values of another column",
         ),
         (lambda f: f.assign(density=1.1e-3), "Got density from 0.0011"),
-        (lambda f: f.assign(density=1100.0), "Got density from 1100"),
         (
             lambda f: f.assign(ax=f["ax"] / 9.8, ay=f["ay"] / 9.8, az=f["az"] / 9.8),
             "looks like g. Multiply by 9.80665",

@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.dynamics import (
-    aerodynamic_coefficients,
     body_to_ned,
     euler_to_quaternion,
     ned_to_body,
@@ -153,21 +152,3 @@ def test_trajectories_are_jsbsims_from_restarts_at_its_state(flown):
             ours[:, RATES] - theirs[:, RATES],  # rad/s
         ]
         assert max(np.linalg.norm(error, axis=1).max() for error in errors) < 1e-5
-
-
-def test_coefficients_are_those_of_jsbsims_loads(flown):
-    flight, aircraft = flown
-    density, gravity = 1.1, 9.80665
-    airspeed = np.linalg.norm(vectors(flight, "", "uvw"), axis=1)
-    columns = {"time": np.arange(len(flight)) / RATE, "airspeed": airspeed, "density": density}
-    total = vectors(flight, "aero_") + vectors(flight, "thrust_")
-    for k, axis in enumerate("xyz"):
-        columns[f"a{axis}"] = total[:, k] / aircraft.mass
-    table = flight.assign(gravity=gravity, **columns)
-    # The Earth turns JSBSim's gyroscopes: its share is taken from the loads, not from the rates
-    got = aerodynamic_coefficients(table, aircraft, cutoff=None).to_numpy()
-    scale = 0.5 * density * airspeed[:, None] ** 2 * aircraft.wing_area
-    expected = vectors(flight, "aero_", "xyzlmn") / scale
-    expected[:, 3:] /= aircraft.moment_lengths
-    errors = np.abs(got - expected).max(axis=0)
-    assert (errors < 2e-3 * expected.std(axis=0)).all()

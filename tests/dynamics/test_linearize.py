@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy.signal import lsim
@@ -14,7 +13,6 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
-    Aircraft,
     Mixing,
     Motion,
     euler_to_quaternion,
@@ -24,77 +22,42 @@ from skdgp.dynamics import (
     trim,
 )
 
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)
 X, Y, Z, L, M, N = range(6)
-LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
-SLOPES = np.zeros((6, 8))
-SLOPES[X, [ALPHA, ELEVATOR]] = 0.4, 0.02
-SLOPES[Y, [BETA, P, R, AILERON, RUDDER]] = -0.5, 0.05, 0.2, 0.03, 0.1
-SLOPES[Z, [ALPHA, Q, ELEVATOR]] = -4.5, -3.0, -0.4
-SLOPES[L, [BETA, P, R, AILERON, RUDDER]] = -0.05, -0.4, 0.1, 0.1, 0.01
-SLOPES[M, [ALPHA, Q, ELEVATOR]] = -0.6, -9.0, -1.0
-SLOPES[N, [BETA, P, R, AILERON, RUDDER]] = 0.08, -0.03, -0.1, -0.005, -0.06
 AIR = Air(density=1.1, gravity=9.79)
 ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
 EXAMPLE = load_example_flights(duration=1.0)
-BRUMBYS = Aerodynamics(
-    EXAMPLE.aerodynamics,
-    [f"{name}_hat" if 2 <= k < 7 else name for k, name in enumerate(EXAMPLE.regressor_names)],
-)
-
-
-def sampler(n_paths, random_state):
-    """Slopes that err by a tenth of themselves, each by itself."""
-    draws = SLOPES * (1 + 0.1 * default_rng(random_state).normal(size=(n_paths, 6, 8)))
-
-    def values(X):
-        return LEVEL + X @ draws.swapaxes(1, 2)
-
-    return values, lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
-
-
-MODEL = Aerodynamics(lambda X: LEVEL + X @ SLOPES.T, NAMES, sampler=sampler)
-
-
-@pytest.fixture(scope="module")
-def glider():
-    return Aircraft(
-        mass=12.0,
-        inertia=[[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]],
-        wing_area=1.3,
-        span=2.6,
-        chord=0.55,
-    )
+BRUMBYS = EXAMPLE.truth
 
 
 @pytest.fixture(scope="module")
 def level(glider):
-    return trim(MODEL, glider, 20.0, air=AIR)
+    return trim(glider.model(), glider.aircraft, 20.0, air=AIR)
 
 
 @pytest.fixture(scope="module")
 def linear(glider, level):
-    return linearize(MODEL, glider, level, air=AIR)
+    return linearize(glider.model(), glider.aircraft, level, air=AIR)
 
 
 def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider):
     """Stevens, Lewis & Johnson 2016, section 4.2; Etkin & Reid 1996, section 4.9: in body axes, wings level."""
     V, g, theta = 20.0, AIR.gravity, level.theta
     u, w = level.state[[3, 5]]
-    A, B, I = linear.A, linear.B, glider.inertia
-    per_mass = 0.5 * AIR.density * V**2 * glider.wing_area / glider.mass
+    aircraft, slopes = glider.aircraft, glider.slopes
+    A, B, I = linear.A, linear.B, aircraft.inertia
+    per_mass = 0.5 * AIR.density * V**2 * aircraft.wing_area / aircraft.mass
     C = level.coefficients[[X, Z]]
-    by_alpha = np.outer(SLOPES[[X, Z], ALPHA], [-w / V**2, u / V**2])
+    by_alpha = np.outer(slopes[[X, Z], ALPHA], [-w / V**2, u / V**2])
     by_pressure = np.outer(C, [2 * u / V**2, 2 * w / V**2])
     force = per_mass * (by_alpha + by_pressure)
     assert A.loc[["u", "w"], ["u", "w"]].to_numpy() == pytest.approx(force, rel=1e-8, abs=1e-9)
-    half = np.array([glider.span, glider.chord, glider.span]) / (2 * V)
-    moment = per_mass * glider.mass * 2 * V * half  # of a coefficient of 1
-    pitching = moment[1] / I[1, 1] * SLOPES[M, [ALPHA, Q, ELEVATOR]]
+    half = np.array([aircraft.span, aircraft.chord, aircraft.span]) / (2 * V)
+    moment = per_mass * aircraft.mass * 2 * V * half  # of a coefficient of 1
+    pitching = moment[1] / I[1, 1] * slopes[M, [ALPHA, Q, ELEVATOR]]
     expected = {
         ("u", "q"): -w,
-        ("w", "q"): u + per_mass * SLOPES[Z, Q] * half[1],
+        ("w", "q"): u + per_mass * slopes[Z, Q] * half[1],
         ("u", "theta"): -g * np.cos(theta),
         ("w", "theta"): -g * np.sin(theta),
         ("q", "w"): pitching[0] * u / V**2,
@@ -105,14 +68,14 @@ def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider
     }
     for entry, value in expected.items():
         assert A.loc[entry] == pytest.approx(value, rel=1e-8, abs=1e-9), entry
-    across = SLOPES[:, [BETA, P, R]] * [1 / V, half[0], half[2]]
+    across = slopes[:, [BETA, P, R]] * [1 / V, half[0], half[2]]
     turning = np.linalg.solve(I[::2, ::2], moment[0] * across[[L, N]])
     expected = np.vstack([per_mass * across[Y] + [0.0, w, -u], turning])
     found = A.loc[["v", "p", "r"], ["v", "p", "r"]].to_numpy()
     assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
     assert_allclose(B.loc["q", "elevator"], pitching[2])
-    assert_allclose(B.loc["w", "elevator"], per_mass * SLOPES[Z, ELEVATOR])
-    assert_allclose(B.loc["u", "thrust"], 1 / glider.mass)
+    assert_allclose(B.loc["w", "elevator"], per_mass * slopes[Z, ELEVATOR])
+    assert_allclose(B.loc["u", "thrust"], 1 / aircraft.mass)
     for apart in (A.loc[ALONG, ACROSS], A.loc[ACROSS, ALONG]):
         assert np.abs(apart).max(axis=None) < 1e-9
 
@@ -151,35 +114,52 @@ def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft, central
 
 class TestSpread:
     def test_each_path_is_the_linear_aircraft_of_its_own_function(self, level, glider):
-        many = linearize(MODEL, glider, level, n_paths=3, random_state=2, air=AIR)
-        values, _ = sampler(3, 2)
+        model = glider.model()
+        many = linearize(model, glider.aircraft, level, n_paths=3, random_state=2, air=AIR)
+        values, _ = model.sampler(3, 2)
         for k in range(3):
-            alone = Aerodynamics(lambda X, k=k: values(np.broadcast_to(X, (3, *X.shape)))[k], NAMES)
-            one = linearize(alone, glider, level, air=AIR)
+            alone = Aerodynamics(
+                lambda X, k=k: values(np.broadcast_to(X, (3, *X.shape)))[k], glider.names
+            )
+            one = linearize(alone, glider.aircraft, level, air=AIR)
             for name in "ABCD":
                 path, table = getattr(many.paths, name), getattr(one, name)
                 assert path[k] == pytest.approx(table.to_numpy(), rel=1e-6, abs=1e-6)
 
 
 AT_REST = np.where(np.arange(13) == 6, 1.0, 0.0)
-LOOP = Aerodynamics(  # pulled up where it is pushed down, and down where up: no az fits
-    lambda X: MODEL(X[:, :8]) + np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2], [*NAMES, "az"]
-)
 
 
-@pytest.mark.parametrize(("model", "change", "match"), [
-    (MODEL, lambda at: {"n_paths": 1}, "n_paths=1, but expected 0 or at least 2"),
-    (MODEL, lambda at: {"point": at.state[:12], "controls": at.controls}, "expected a Trim or a state of 13"),
-    (MODEL, lambda at: {"point": at.state}, "state without controls"),
-    (MODEL, lambda at: {"point": AT_REST, "controls": at.controls}, "at rest"),
-    (MODEL, lambda at: {"point": at.state, "controls": {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}}, "'aileron'"),
-    (Aerodynamics(MODEL.function, NAMES), lambda at: {"n_paths": 5}, "without posterior samples"),
-    (Aerodynamics(lambda X: MODEL(X) * np.nan, NAMES), lambda at: {}, "not finite"),
-    (LOOP, lambda at: {}, "not determined"),
+def nowhere(X):
+    return np.full((len(X), 6), np.nan)
+
+
+def loop(X):
+    """Pulled up where it is pushed down, and down where up: no az fits."""
+    return np.where(X[:, 8:] < 0, 1.0, -1.0) * np.eye(6)[2]
+
+
+@pytest.mark.parametrize(("options", "change", "match"), [
+    ({}, lambda at: {"n_paths": 1}, "n_paths=1, but expected 0 or at least 2"),
+    ({}, lambda at: {"point": at.state[:12], "controls": at.controls}, "expected a Trim or a state of 13"),
+    ({}, lambda at: {"point": at.state}, "state without controls"),
+    ({}, lambda at: {"point": AT_REST, "controls": at.controls}, "at rest"),
+    ({}, lambda at: {"point": at.state, "controls": {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}}, "'aileron'"),
+    ({"has_paths": False}, lambda at: {"n_paths": 5}, "without posterior samples"),
 ])  # fmt: skip
-def test_what_cannot_be_linearized(glider, level, model, change, match):
+def test_what_cannot_be_linearized(glider, level, options, change, match):
+    model = glider.model(**options)
     with pytest.raises((ValueError, TypeError), match=match):
-        linearize(model, glider, **{"point": level, "air": AIR} | change(level))
+        linearize(model, glider.aircraft, **{"point": level, "air": AIR} | change(level))
+
+
+@pytest.mark.parametrize(
+    ("function", "names", "match"), [(nowhere, [], "not finite"), (loop, ["az"], "not determined")]
+)
+def test_a_motion_that_is_none(glider, level, function, names, match):
+    model = Aerodynamics(function, [*glider.names, *names])
+    with pytest.raises(ValueError, match=match):
+        linearize(model, glider.aircraft, level, air=AIR)
 
 
 OUTPUTS = ["airspeed", "alpha", "beta", "ax", "ay", "az"]
@@ -188,12 +168,11 @@ OUTPUTS = ["airspeed", "alpha", "beta", "ax", "ay", "az"]
 LAG = 0.08  # of the servos [s]
 SURFACES = ["elevator", "aileron", "rudder"]
 POSITIONS = [f"{name}_position" for name in SURFACES]
-LATE = Aerodynamics(MODEL.function, NAMES, sampler=sampler, servo_lag=LAG)
 
 
 @pytest.fixture(scope="module")
 def late(glider, level):
-    return linearize(LATE, glider, level, air=AIR, n_paths=3)
+    return linearize(glider.model(servo_lag=LAG), glider.aircraft, level, air=AIR, n_paths=3)
 
 
 class TestServos:
@@ -234,7 +213,8 @@ class TestServos:
             """Return the largest differences, and the largest deviations from trim."""
             commands = pd.DataFrame({"time": time, **level.controls})
             commands[surface] += size * doublet
-            flown = simulate(LATE, glider, level, commands, 0.01, air=AIR)
+            model = glider.model(servo_lag=LAG)
+            flown = simulate(model, glider.aircraft, level, commands, 0.01, air=AIR)
             response = pd.DataFrame(lsim(system, size * doublet, time)[1], columns=[*late.C.index])
             position = flown[surface] - level.controls[surface]
             assert_allclose(position, response[f"{surface}_position"], rtol=0, atol=1e-9)
@@ -254,8 +234,8 @@ class TestServos:
         """Controls are linear in the surfaces, which all have the same servos."""
         elevons = ("elevon_left", "elevon_right")
         mixing = Mixing(elevons, ("elevator", "aileron"), np.array([[0.5, 0.5], [-0.5, 0.5]]))
-        model = Aerodynamics(MODEL.function, NAMES, servo_lag=LAG, mixing=mixing)
-        late = linearize(model, glider, level, air=AIR)
+        model = glider.model(servo_lag=LAG, mixing=mixing)
+        late = linearize(model, glider.aircraft, level, air=AIR)
         assert [*late.A][-3:] == POSITIONS
         time = np.arange(0.0, 1.01, 0.01)
         step = 0.002 * np.minimum(time / 0.01, 1.0)
@@ -263,7 +243,7 @@ class TestServos:
         commands["elevon_left"] = commands["elevator"] - step
         commands["elevon_right"] = commands["elevator"] + step
         commands = commands.drop(columns=["elevator", "aileron"])
-        flown = simulate(model, glider, level, commands, 0.01, air=AIR)
+        flown = simulate(model, glider.aircraft, level, commands, 0.01, air=AIR)
         C, D = late.C.loc[["p"]], late.D.loc[["p"], ["aileron"]]
         p = lsim((late.A, late.B[["aileron"]], C, D), step, time)[1]
         assert_allclose(flown["p"], p, atol=1e-3 * np.abs(p).max())

@@ -193,7 +193,7 @@ class TestRegressors:
         model = Aerodynamics(coefficients, names)
         controls = {"elevator": -0.02, "thrust": 14.0}
         step = 0.005
-        flown = fly(aircraft, model, controls=controls, dt=step, duration=1.0, air=gust)
+        flown = fly(aircraft, model, controls=controls, dt=step, duration=0.5, air=gust)
         for name in ("alpha", "beta"):
             flown[f"{name}_dot"] = np.gradient(flown[name], step, edge_order=2)
         flown["alpha_dot_hat"] = flown["alpha_dot"] * aircraft.chord / (2 * flown["airspeed"])
@@ -315,7 +315,6 @@ class TestControls:
         (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"x0": UncertainStart(START, {"phi": 0.1})}, "nothing would show it"),
-        (table_of(1.0), {"air": {"wind_north": 5.0}}, r"wind of shape \(\), but expected \(3,\)"),
         (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, r"wind of shape \(\)"),
         (table_of(1.0).assign(rudder="left"), {}, "rudder.*expected numbers"),
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),

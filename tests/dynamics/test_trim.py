@@ -44,10 +44,7 @@ def linear(X):
 TEXTBOOK = Aerodynamics(linear, NAMES)
 EXAMPLE = load_example_flights(duration=1.0)
 BRUMBY = EXAMPLE.aircraft
-BRUMBYS = Aerodynamics(
-    EXAMPLE.aerodynamics,
-    [f"{name}_hat" if 2 <= k < 7 else name for k, name in enumerate(EXAMPLE.regressor_names)],
-)
+BRUMBYS = EXAMPLE.truth
 AIR = {"air": Air(density=DENSITY, gravity=GRAVITY)}
 
 

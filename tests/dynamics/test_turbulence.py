@@ -269,14 +269,10 @@ class TestSimulate:
         ("options", "message"),
         [
             ({"gusts": "as flown"}, "expected 'auto'"),
-            ({"gusts": 3.0}, "expected 'auto', a Turbulence"),
             ({"gusts": np.ones(3)}, "expected 'auto', a Turbulence"),
-            ({"density": np.nan}, "Got density=nan"),
             ({"density": "thin"}, "Got density='thin', but expected a number >= 0"),
-            ({"gravity": np.nan}, "Got gravity=nan"),
             ({"gravity": "x"}, "Got gravity='x', but expected a finite number"),
             ({"drift": 3}, "Got drift=3, but expected True or False"),
-            ({"gusts": TRUE.scaled(np.nan)}, "three intensities >= 0"),
             ({"gusts": TRUE.scaled(-1.0)}, "three intensities >= 0"),
             ({"gusts": TRUE._replace(length=np.zeros(3))}, "lengths > 0"),
             ({"gusts": Turbulence(1.0, 100.0)}, "three intensities"),
@@ -298,7 +294,6 @@ class TestSimulate:
     (lambda table: table.assign(airspeed=0.0), SPAN, "in the air"),
     (lambda table: table[::300], SPAN, "in the air"),
     (lambda table: table.drop(columns="v_down"), SPAN, "v_down"),
-    (lambda table: table, 0.0, "expected a number > 0"),
     (lambda table: table, np.nan, "expected a number > 0"),
 ])  # fmt: skip
 def test_flights_that_show_no_turbulence_are_refused(change, span, match):
@@ -306,9 +301,7 @@ def test_flights_that_show_no_turbulence_are_refused(change, span, match):
         Turbulence.from_flight(change(flights(TRUE, 1, 200.0, 0.2, seed=3)), span)
 
 
-@pytest.mark.parametrize(
-    ("height", "wind"), [(1000.0, 5.0), (-1.0, 5.0), (np.nan, 5.0), (50.0, np.nan)]
-)
+@pytest.mark.parametrize(("height", "wind"), [(1000.0, 5.0), (50.0, np.nan)])
 def test_low_altitude_is_low(height, wind):
     with pytest.raises(ValueError, match="but expected a number"):
         Turbulence.low_altitude(height, wind)

@@ -92,11 +92,11 @@ def identified(once, first_minute, cut_short):
 
     def write(folder):
         data = first_minute()
-        train, test = data.train[data.train["time"] < 25], data.test[data.test["time"] < 5]
+        train, test = data.train[data.train["time"] < 12], data.test[data.test["time"] < 4]
         regressor = DependentGPRegressor(
             inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
         )
-        options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [2.0]}
+        options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [1.0]}
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
             found = identify(train, data.aircraft, **options)
@@ -239,6 +239,16 @@ def case_of(request, fitted, portable_of):
 @pytest.fixture(params=[IDENTIFIED, "widened", *KINDS])
 def case(request, case_of):
     """Return the `Case` of each kind, in turn."""
+    return case_of(request.param)
+
+
+# Mixtures, terms that share entries, no functions, no slopes, and little noise: what a writer can meet
+WRITTEN = [IDENTIFIED, "widened", "additive", "trend", "sparse-constant", "precise"]
+
+
+@pytest.fixture(params=WRITTEN)
+def written(request, case_of):
+    """Return the `Case` of each kind whose arrays differ in shape, for writers and readers of these."""
     return case_of(request.param)
 
 

@@ -50,21 +50,21 @@ class Library:
         return arrays[1:]
 
 
-def test_equals_the_pipeline(case, tmp_path):
-    model = case.model
+def test_equals_the_pipeline(written, tmp_path):
+    model = written.model
     write_c(tmp_path, model)
     done(tmp_path, *STRICT, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
     assert "passed: 40 points, with the values of the pipeline" in done(tmp_path, "./test")
 
     library = Library(tmp_path, model)
     P, d = library.shape
-    found = np.array([library("predict", x, P, P) for x in case.X])
-    case.assert_mean(found[:, 0])
-    case.assert_std(found[:, 1])
-    case.assert_slopes(np.array([library("gradient", x, (P, d))[0] for x in case.X]))
+    found = np.array([library("predict", x, P, P) for x in written.X])
+    written.assert_mean(found[:, 0])
+    written.assert_std(found[:, 1])
+    written.assert_slopes(np.array([library("gradient", x, (P, d))[0] for x in written.X]))
     limits = (ctypes.c_double * (2 * d)).in_dll(library.library, "aero_limits")
     assert_array_equal(np.reshape(limits, (2, d)), model.limits)
-    sources = case.flight[:50][list(model.columns)]
+    sources = written.flight[:50][list(model.columns)]
     inputs = np.array([library("inputs", row, d)[0] for row in sources.to_numpy(float)])
     assert_allclose(inputs, model.regressor_values(sources), rtol=1e-12, atol=1e-14)
     assert ", ".join(model.columns) in (tmp_path / "aero.h").read_text()

@@ -69,10 +69,8 @@ def test_full_deflections_of_jsbsim(command, path, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--to", "c", "--max-kb", "1"], "smallest form of this model takes"),
         (["--to", "c", "--aircraft", "no.json"], "no.json"),
         (["--to", "c", "--full", "elevator=0.4"], "for the format c, but only jsbsim has commands"),
-        (["--to", "jsbsim", "--full", "flap=0.4"], "full deflection of 'flap', but expected one"),
     ],
 )
 def test_what_cannot_be_exported(command, path, words, message, tmp_path, capsys):

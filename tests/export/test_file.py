@@ -48,14 +48,14 @@ def test_is_the_same_model(portable, flight, tmp_path):
         assert_array_equal(getattr(found.reference, name), array)
 
 
-def test_the_reader_of_the_examples(example, case, tmp_path):
+def test_the_reader_of_the_examples(example, written, tmp_path):
     """It predicts what the pipeline predicts, and imports NumPy alone."""
     reader = example("read_portable")
-    model = reader.Model(save_portable(tmp_path / "model.npz", case.model))
-    X = model.regressors({name: case.flight[name] for name in case.model.columns})
-    assert_allclose(X, case.model.regressor_values(case.flight), rtol=1e-12)
+    model = reader.Model(save_portable(tmp_path / "model.npz", written.model))
+    X = model.regressors({name: written.flight[name] for name in written.model.columns})
+    assert_allclose(X, written.model.regressor_values(written.flight), rtol=1e-12)
     for noise in (1.0, 0.0):
-        case.with_noise(noise).assert_moments(model.predict(case.X, noise))
+        written.with_noise(noise).assert_moments(model.predict(written.X, noise))
     text = Path(reader.__file__).read_text()
     imports = re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)
     assert imports == ["argparse", "json", "numpy"]
@@ -109,9 +109,7 @@ def rewritten(path, head, arrays, drop):
 @pytest.mark.parametrize(
     ("head", "arrays", "drop"),
     [
-        (b"{", {}, ""),
         (b"[]", {}, ""),
-        ({"format": "another"}, {}, ""),
         ({"version": 3}, {}, ""),
         ({"outputs": ["CX"]}, {}, ""),
         ({"aircraft": {}}, {}, ""),
@@ -119,7 +117,6 @@ def rewritten(path, head, arrays, drop):
         ({}, {}, "model.json"),
         ({}, {}, "centres.npy"),
         ({}, {"shift": np.array([None] * 6, dtype=object)}, ""),
-        ({}, {"shift": np.zeros(5)}, ""),
         ({}, {"mixture": np.ones((18, 1))}, ""),
     ],
 )  # fmt: skip

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import kstest
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -19,9 +20,9 @@ def lasting(rng, shape, memory):
     """Return noise of variance 1 whose correlation falls by e in ``memory`` rows."""
     keep = np.exp(-1 / memory)
     noise = rng.normal(size=shape)
-    for k in range(1, len(noise)):
-        noise[k] = keep * noise[k - 1] + np.sqrt(1 - keep**2) * noise[k]
-    return noise
+    size = np.sqrt(1 - keep**2)
+    noise[0] /= size  # the first one has a variance of 1, too
+    return lfilter([size], [1.0, -keep], noise, axis=0)
 
 
 def flight(seed, noise, n=1500):

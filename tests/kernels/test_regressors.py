@@ -77,10 +77,8 @@ def test_functions_of_one_regressor_need_few_inducing_inputs(rng):
     ("regressors", "message"),
     [
         ([3], "expected columns of X from 0 to 2"),
-        ([-1], "expected columns of X"),
         ([], "expected columns of X"),
         ([0.5], "expected columns of X"),
-        ([[0]], "expected columns of X"),
         (["alpha"], "expected columns of X"),
     ],
 )

@@ -99,6 +99,15 @@ class TestText:
                 "parameter_bounds={'slope_scale': (1.0, 1000000.0)})",
             ),
             (
+                LinearTrend(
+                    parameter_bounds={
+                        "intercept_scale": "fixed",
+                        "slope_scale": np.array([0.5, 2.0]),
+                    }
+                ),
+                "LinearTrend(parameter_bounds={'intercept_scale': 'fixed', 'slope_scale': [0.5, 2]})",
+            ),
+            (
                 Coregionalized(RBF(2.0)) + LinearTrend(),
                 "Coregionalized(kernel=RBF(length_scale=2)) + LinearTrend()",
             ),

@@ -153,19 +153,8 @@ def test_a_fault_is_found_with_its_seconds_told_once_and_taken_out(channel, kind
         ("airspeed", -9.5, -10.5),
         ("alpha", 3.18, 3.2),  # pi, with noise
         ("beta", -1.61, -1.63),
-        ("p", 49.0, 51.0),
-        ("ax", 995.0, 1005.0),
-        ("psi", 995.0, 1005.0),
-        ("v_down", -1495.0, -1505.0),
-        ("north", 9.9e6, 1.01e7),
-        ("density", 2.95, 3.05),
         ("density", 0.0011, 0.0009),
-        ("altitude", -995.0, -1005.0),
-        ("altitude", 9.9e4, 1.01e5),
         ("throttle", 1.45, 1.55),
-        ("throttle", -0.09, -0.11),
-        ("propeller_speed", 9900.0, 10100.0),
-        ("elevator", 1.56, 1.58),
     ],
 )
 def test_what_no_aircraft_has_is_impossible(channel, possible, impossible):

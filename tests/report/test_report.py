@@ -163,9 +163,16 @@ def words_of(**changes):
     return Page(render(**changes)).words
 
 
+TIME = np.arange(400) / 10.0
+WAVE = np.sin(1.3 * TIME)[:, None]
+
+
 @pytest.fixture(scope="module")
 def html(effects):
-    return render(effects=effects)
+    """Return a report with all kinds of figures."""
+    bands = {"mean": WAVE, "lower": WAVE - 0.2, "upper": WAVE + 0.2}
+    simulated = TimeHistoryDisplay(time=TIME, names=("phi",), **bands)
+    return render(effects=effects, mechanics=FlightMechanics(simulated=simulated))
 
 
 class TestPage:
@@ -221,19 +228,14 @@ class TestPictures:
             assert left == top == 0
             assert 100 < height <= 2 * width < 2000
 
-    def test_lines_keep_their_shape(self):
+    def test_lines_keep_their_shape(self, html):
         """In the picture a line is an affine function of time and values, to a fiftieth of an inch."""
-        time = np.arange(400) / 10.0
-        wave = np.sin(1.3 * time)[:, None]
-        bands = {"mean": wave, "lower": wave - 0.2, "upper": wave + 0.2}
-        display = TimeHistoryDisplay(time=time, names=("phi",), **bands)
-        html = render(mechanics=FlightMechanics(simulated=display), train={})
         assert html.count("phi against time") == html.count("the paper's figure 7") == 1
         assert re.search(r"restarted from the measured state every 2\ss", html)
         picture = Page(html).pictures["phi against time"]
         lines = re.findall(r' d="M([^"MZz]*)"', picture)
         x, y = np.fromstring(max(lines, key=len), sep=" ").reshape(-1, 2).T
-        seen = np.interp(np.interp(x, [x.min(), x.max()], [0, 39.9]), time, wave[:, 0])
+        seen = np.interp(np.interp(x, [x.min(), x.max()], [0, 39.9]), TIME, WAVE[:, 0])
         slope, intercept = np.polyfit(seen, y, 1)
         assert slope < 0
         assert np.abs(y - slope * seen - intercept).max() < 0.02 * 72
@@ -361,10 +363,12 @@ class TestWords:
         assert html.count('alt="Cm by alpha"') == html.count('alt="Cm by beta"') == 1
         joint = re.findall(r'alt="(\w+) by \w+, at two \w+"', html)
         assert sorted(joint) == sorted(2 * COEFFICIENTS)
+        assert "Inputs of train (train)" in html
         plain = {"test": [result(100, replay=None)], "train": {}}
         html = render(effects=replace(effects, interactions={}), **plain)
         assert html.count(" by beta") == 6
         assert "at two " not in html
+        assert "figure 7" not in html  # without a replay
 
     @pytest.mark.parametrize(("factor", "mark"), [(0.1, "▼"), (100, "▲ 100.0")])
     def test_marks_dishonest_bands(self, no_pictures, factor, mark):
@@ -372,7 +376,8 @@ class TestWords:
         assert mark in words_of(test=[replace(flight, measured_std=factor * flight.std)])
 
     def test_escapes_what_comes_from_outside(self):
-        evil = '<script>alert("&")</script>'
+        """Markup, and dollars, which are no templates and no mathematics."""
+        evil = '<script>alert("&")</script> $title $$ ${body} $x^{'
         html = render(
             title=evil, train={evil: table(100)}, test=[result(100, name=evil, replay=None)],
             subtitle=evil, facts={evil: evil}, assumed=[evil], command=evil, air=evil,
@@ -382,26 +387,17 @@ class TestWords:
         assert "script" not in page.tags
         assert evil in page.words
 
-    def test_dollars_are_no_templates_and_no_mathematics(self):
-        title = "$title $$ ${body} $x^"
-        assert title in words_of(title=title, test=[result(100, name="$x^{")], train={})
-
     def test_says_when_nothing_went_wrong(self, no_pictures):
         assert "No warning arose" in words_of(verdict=verdict(findings=()))
 
 
 class TestPoorContent:
-    def test_an_output_never_observed(self):
+    def test_an_output_never_observed(self, no_pictures):
         flight = result(400, truth=None, replay=None)
         flight.measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
             words = words_of(test=[flight])
         assert "–" in words
-
-    def test_no_replay(self):
-        words = words_of(test=[result(200, replay=None)], train={"a": table(200)})
-        assert "figure 7" not in words
-        assert "Inputs of a (train)" in words
 
     def test_without_matplotlib_the_numbers_remain(self, no_pictures):
         page = Page(render())

@@ -1,6 +1,6 @@
 """How often the 95 % bands of the function hold at the centre of the data, in the middle, at the edge, outside.
 
-    python tests/benchmarks/coverage.py --out OUT
+    python tests/benchmarks/bands.py --out OUT
 
 Two outputs of normal regressors with noise of standard deviation 0.5 are learned by the defaults.
 "linear" is X W with slopes of variance 1 / d, "smooth" adds a sine of the first and a cosine of the
@@ -75,7 +75,7 @@ def table(runs):
 def main(words=None):
     parser = parser_of(__doc__, smoke=True)
     options = parser.parse_args(words)
-    kept = Kept(options, "coverage")
+    kept = Kept(options, "bands")
     sizes = {20: 1} if options.smoke else SEEDS
     for name in FUNCTIONS:
         for d in (1,) if options.smoke else (1, 3, 9):
@@ -83,7 +83,7 @@ def main(words=None):
                 for seed in range(seeds):
                     key = {"function": name, "regressors": d, "rows": n, "seed": seed}
                     kept.run(key, inside, name, d, n, seed)
-    finish(options, "coverage", by_place=table([*kept.memory.values()]))
+    finish(options, "bands", by_place=table([*kept.memory.values()]))
 
 
 if __name__ == "__main__":

@@ -324,30 +324,30 @@ class BasisPaths(PathBundle):
     """Functions of a basis times weights (S, c) of each output, for the functions in its columns."""
 
     def __init__(self, basis: Basis, weights: list[Matrix], columns: list[slice]) -> None:
-        self._basis = basis
-        self._weights = weights
-        self._columns = columns
+        self.basis = basis
+        self.weights = weights
+        self.columns = columns
 
     def take(self, index):
-        return BasisPaths(self._basis, [w[index] for w in self._weights], self._columns)
+        return BasisPaths(self.basis, [w[index] for w in self.weights], self.columns)
 
     def averaged(self, spread):
-        basis = self._basis.averaged(spread)
+        basis = self.basis.averaged(spread)
         if basis is None:
             return super().averaged(spread)
-        return BasisPaths(basis, self._weights, self._columns)
+        return BasisPaths(basis, self.weights, self.columns)
 
     def doubles(self, same_points):
-        return (1 if same_points else len(self._weights[0])) * self._columns[-1].stop
+        return (1 if same_points else len(self.weights[0])) * self.columns[-1].stop
 
     def each(self, X):
-        A = self._basis(X.reshape(-1, X.shape[-1]))
+        A = self.basis(X.reshape(-1, X.shape[-1]))
         A = A.reshape(*X.shape[:2], A.shape[-1])
-        outputs = zip(self._columns, self._weights, strict=True)
+        outputs = zip(self.columns, self.weights, strict=True)
         return np.stack([contract(A[..., columns], c) for columns, c in outputs], axis=-1)
 
     def gradient(self, X):
-        return self._basis.slopes(X, self._weights, self._columns)
+        return self.basis.slopes(X, self.weights, self.columns)
 
 
 def _with_one_basis(parts: Sequence[PathBundle]) -> list[PathBundle]:
@@ -355,7 +355,7 @@ def _with_one_basis(parts: Sequence[PathBundle]) -> list[PathBundle]:
     based: list[BasisPaths] = []
     others: list[PathBundle] = []
     for part in parts:
-        if isinstance(part, BasisPaths) and isinstance(part._basis, GaussianBasis):
+        if isinstance(part, BasisPaths) and isinstance(part.basis, GaussianBasis):
             based.append(part)
         else:
             others.append(part)
@@ -369,11 +369,11 @@ def _joined_bases(parts: Sequence[BasisPaths]) -> BasisPaths:
     """Return the sum of functions of several Gaussian bases, with the functions of each output side by side."""
     bases: list[GaussianBasis] = []
     weights: list[Matrix] = []
-    for i in range(len(parts[0]._columns)):
+    for i in range(len(parts[0].columns)):
         for part in parts:
-            basis = cast(GaussianBasis, part._basis)
-            bases.append(basis.part(part._columns[i]))
-        weights.append(np.concatenate([part._weights[i] for part in parts], axis=1))
+            basis = cast(GaussianBasis, part.basis)
+            bases.append(basis.part(part.columns[i]))
+        weights.append(np.concatenate([part.weights[i] for part in parts], axis=1))
     joined = GaussianBasis.joined(bases[0].centres.shape[1], bases)
     return BasisPaths(joined, weights, consecutive([w.T for w in weights]))
 

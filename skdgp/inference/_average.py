@@ -46,7 +46,7 @@ class AverageSettings:
     complete: float = 0.95
     #: Smaller weights are set to zero: such a component lies outside the 95 % band, yet widens it
     least_weight: float = 0.05
-    #: Rows that the prior of the weights is worth, for each component (benchmark `coverage`)
+    #: Rows that the prior of the weights is worth, for each component (benchmark `bands`)
     prior_rows: float = 3.0
     #: Steps of expectation maximisation for the weights
     n_steps: int = 200

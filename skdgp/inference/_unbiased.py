@@ -15,7 +15,7 @@ from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._search import Hyperparameters
 from skdgp.kernels import MultiOutputKernel
 
-#: Largest fraction of the values that hyperparameters count for (benchmark `coverage`)
+#: Largest fraction of the values that hyperparameters count for (benchmark `bands`)
 LARGEST_FRACTION = 0.5
 #: Factor of variances up to which nothing is changed: of more than 21 values for a hyperparameter
 LEAST_FACTOR = 1.05

@@ -37,7 +37,7 @@ class TrendSettings:
     #: Bounds of slopes by many regressors (trials)
     slope_bounds: tuple[float, float] = (0.05, 1e2)
     #: The lower bound of slopes is this number over n for few rows n: a smaller one makes slopes
-    #: that are not significant too certain (benchmark ``coverage``)
+    #: that are not significant too certain (benchmark ``bands``)
     few_rows: float = 6.0
     #: Largest lower bound of few rows
     largest_bound: float = 0.3

@@ -290,6 +290,12 @@ class TestBadInput:
         assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
         assert "is no folder that can be written to" in capsys.readouterr().err
 
+    def test_an_output_name_that_is_too_long_is_noticed_before_anything_is_read(
+        self, identify, folder, capsys
+    ):
+        assert identify(output=folder / ("a" * 300), train=["nowhere.csv"]) == 1
+        assert "name another one after -o" in capsys.readouterr().err
+
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_flights", "short_fits", "no_report")

@@ -209,8 +209,9 @@ def without_rotation(
 def airspeeds(states: Array, air: AirAt) -> Vector:
     """Return the airspeed of starts (n, 13)."""
     local = air(0, states)
+    attitude = states[:, ATTITUDE]
     velocity = states[:, VELOCITY]
-    if local is not None and local.wind is not None:
-        wind = np.broadcast_to(local.wind, velocity.shape)
-        velocity = velocity - ned_to_body(states[:, ATTITUDE], wind)
+    wind = None if local is None else local.velocity(attitude)
+    if wind is not None:
+        velocity = velocity - ned_to_body(attitude, np.broadcast_to(wind, velocity.shape))
     return np.linalg.norm(velocity, axis=-1)

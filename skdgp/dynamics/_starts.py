@@ -152,9 +152,9 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
             stacklevel=4,
         )
     air = air_at(states)
-    wind: Array | float = 0.0
-    if air is not None and air.wind is not None:
-        wind = ned_to_body(states[:, ATTITUDE], air.wind)
+    attitude = states[:, ATTITUDE]
+    moving = None if air is None else air.velocity(attitude)
+    wind = 0.0 if moving is None else ned_to_body(attitude, moving)
     if set(EARTH_VELOCITY) <= set(table):
         if "airspeed" in table:
             _warn_of_wind(table["airspeed"].to_numpy(float), states[:, VELOCITY] - wind)

@@ -135,6 +135,7 @@ RULES = (
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
+# surfaces by the function of their servo
 SURFACES: dict[int, str] = {
     ServoFunction.AILERON: "aileron",
     ServoFunction.ELEVATOR: "elevator",
@@ -268,8 +269,11 @@ def read_dataflash_text(path: Path) -> Log:
         )
     nothing = Texts("", [], [], [])
     defined = texts.get("PARM", nothing)
-    values = defined.numbers("Value").tolist()
-    parameters = dict(zip(defined.cells("Name"), values, strict=False))
+    values = defined.numbers("Value")
+    parameters = {}
+    for name, value in zip(defined.cells("Name"), values.tolist(), strict=True):
+        if np.isfinite(value):
+            parameters[name] = value
     messages = [row[-1] for row in texts.get("MSG", nothing).rows]
     return _log(topics, parameters, messages, ())
 

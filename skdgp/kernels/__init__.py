@@ -12,15 +12,14 @@ from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
 from skdgp.kernels._features import (
     Features,
     LatentFeatures,
-    PathBundle,
     covariance_paths,
-    has_prior_paths,
     inducing_features,
-    prior_paths,
 )
-from skdgp.kernels._features import LinearPaths as LinearPaths
 from skdgp.kernels._gaussian_filters import FilterPair as FilterPair
 from skdgp.kernels._gaussian_filters import GaussianBasis as GaussianBasis
+from skdgp.kernels._paths import LinearPaths as LinearPaths
+from skdgp.kernels._paths import PathBundle
+from skdgp.kernels._prior_paths import has_prior_paths, prior_paths
 from skdgp.kernels._trend import LinearTrend
 
 __all__ = [

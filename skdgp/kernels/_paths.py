@@ -1,0 +1,509 @@
+"""Functions of the regressors, many at once: linear ones, waves and other bases; their sums, means and mixtures."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, Protocol, cast
+
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats.qmc import Sobol
+
+from skdgp._compute.linalg import consecutive
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp.kernels._gaussian_filters import GaussianBasis
+
+CHUNK_BYTES = 2**25  # working memory of an evaluation
+
+
+class PathBundle(ABC):
+    """S functions of the regressors with P values, evaluated together.
+
+    Inputs are (S, n, d), with different points for each function, or (1, n, d), with the same
+    points for all.
+    """
+
+    @abstractmethod
+    def each(self, X: Array) -> np.ndarray:
+        """Return the values of all outputs, (S, n, P)."""
+
+    @abstractmethod
+    def gradient(self, X: Array) -> np.ndarray:
+        """Return the slopes of all outputs, (S, n, P, d)."""
+
+    def take(self, index: slice | np.ndarray) -> PathBundle:
+        """Return some of the functions; a mixture takes the ones that it needs."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def doubles(self, same_points: bool) -> int:
+        """Return the working memory for one point of each function, in doubles."""
+
+    def rounded(self) -> PathBundle:
+        """Return the functions as simulations evaluate them, with errors 1e-6 of the prior.
+
+        Waves are of single precision, and the Gaussian functions of all terms one basis.
+        """
+        return self
+
+    def averaged(self, spread: Vector) -> PathBundle:
+        """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
+
+        By default they are means over fixed draws of e.
+        """
+        return MeanPaths(self, spread * normal_nodes(len(spread)))
+
+    def averaged_slopes(self, X: Array, spread: Vector) -> np.ndarray:
+        """Return the slope by each regressor, expected over a normal perturbation of it alone, (S, n, P, d).
+
+        It is that of the best linear approximation over this perturbation (Stein's lemma), and the
+        slope of the expected function.
+        """
+        slopes = []
+        for k, alone in enumerate(np.diag(spread)):
+            slopes.append(self.averaged(alone).slopes(X)[..., k])
+        return np.stack(slopes, axis=-1)
+
+    def summands(self) -> Sequence[PathBundle]:
+        """Return the functions that these are sums of."""
+        return [self]
+
+    def __add__(self, other: PathBundle) -> PathBundle:
+        return summed([*self.summands(), *other.summands()])
+
+    def mixed(self, others: list[PathBundle], member: np.ndarray) -> PathBundle:
+        """Return S functions with outputs of this bundle, where ``member`` (S, P) is 0, or of another.
+
+        Linear parts of all bundles become one.
+        """
+        parts: list[PathBundle] = []
+        bundles: list[PathBundle] = []
+        # numbers among the bundles that are not linear, -1 for none
+        number = np.full(member.shape, -1)
+        for k, bundle in enumerate([self, *others]):
+            is_member = member == k
+            curved = [part for part in bundle.summands() if not isinstance(part, LinearPaths)]
+            for part in bundle.summands():
+                if isinstance(part, LinearPaths):
+                    parts.append(LinearPaths(part.weights * is_member[:, None], part.centre))
+            if curved and is_member.any():
+                number[is_member] = len(bundles)
+                bundles.append(summed(curved).take(is_member.any(axis=1)))
+        if bundles:
+            parts.append(MixedPaths(bundles, number))
+        return summed(parts)
+
+    def values(self, X: Array) -> np.ndarray:
+        """Return the values at many points, in chunks."""
+        return _in_chunks(self.each, X, self.doubles(len(X) == 1))
+
+    def slopes(self, X: Array) -> np.ndarray:
+        """Return the slopes at many points, in chunks."""
+        return _in_chunks(self.gradient, X, X.shape[-1] * self.doubles(len(X) == 1))
+
+
+def _in_chunks(function, X, doubles):
+    """Return a function of X (S, n, d), evaluated in chunks of n; each point needs ``doubles`` of working memory."""
+    step = max(1, CHUNK_BYTES // max(1, 8 * doubles))
+    if X.shape[1] <= step:
+        return function(X)
+    chunks = [function(X[:, a : a + step]) for a in range(0, X.shape[1], step)]
+    return np.concatenate(chunks, axis=1)
+
+
+def normal_nodes(d: int, log2_size: int = 6) -> Matrix:
+    """Return points (n, d) with their mirror images, which fill the standard normal distribution evenly."""
+    uniform = Sobol(d, seed=0).random_base2(log2_size)
+    nodes = ndtri(np.clip(uniform, 1e-6, 1.0 - 1e-6))
+    return np.concatenate([nodes, -nodes])
+
+
+class MeanPaths(PathBundle):
+    """Means of paths over points moved by ``moves`` (m, d)."""
+
+    def __init__(self, paths: PathBundle, moves: Matrix):
+        self.paths = paths
+        self.moves = moves
+
+    def take(self, index):
+        return MeanPaths(self.paths.take(index), self.moves)
+
+    def averaged(self, spread):
+        return MeanPaths(self.paths.averaged(spread), self.moves)
+
+    def doubles(self, same_points):
+        return self.paths.doubles(same_points)
+
+    def each(self, X):
+        return self._mean(self.paths.each, X)
+
+    def gradient(self, X):
+        return self._mean(self.paths.gradient, X)
+
+    def _mean(self, function, X):
+        total = function(X + self.moves[0])
+        for move in self.moves[1:]:
+            total += function(X + move)
+        return total / len(self.moves)
+
+
+class SumPaths(PathBundle):
+    """Sums of the paths of independent processes."""
+
+    def __init__(self, parts: Sequence[PathBundle]):
+        self.parts = parts
+
+    def summands(self):
+        return self.parts
+
+    def take(self, index):
+        return SumPaths([part.take(index) for part in self.parts])
+
+    def rounded(self):
+        return SumPaths(_with_one_basis([part.rounded() for part in self.parts]))
+
+    def averaged(self, spread):
+        return SumPaths([part.averaged(spread) for part in self.parts])
+
+    def doubles(self, same_points):
+        return max(part.doubles(same_points) for part in self.parts)
+
+    def each(self, X):
+        return self._sum(X, [part.each for part in self.parts])
+
+    def gradient(self, X):
+        return self._sum(X, [part.gradient for part in self.parts])
+
+    def _sum(self, X, functions):
+        first, *others = functions
+        total = first(X)
+        for function in others:
+            total += function(X)
+        return total
+
+
+class LinearPaths(PathBundle):
+    """Linear functions of x - ``centre`` with the weights (S, d + 1, P), the constant first."""
+
+    def __init__(self, weights: Array, centre: Vector) -> None:
+        self.weights = weights
+        self.centre = centre
+
+    def take(self, index):
+        return LinearPaths(self.weights[index], self.centre)
+
+    def averaged(self, spread):
+        return self
+
+    def doubles(self, same_points):
+        return len(self.weights) * sum(self.weights.shape[1:])
+
+    def about(self, centre: Vector) -> LinearPaths:
+        """Return the same functions with another centre."""
+        weights = self.weights.copy()
+        weights[:, 0] += np.tensordot(centre - self.centre, self.weights[:, 1:], axes=(0, 1))
+        return LinearPaths(weights, centre)
+
+    def each(self, X):
+        return (X - self.centre) @ self.weights[:, 1:] + self.weights[:, :1]
+
+    def gradient(self, X):
+        slopes = self.weights[:, 1:].swapaxes(1, 2)[:, None]
+        return np.repeat(slopes, X.shape[1], axis=1)
+
+
+def summed(parts: Sequence[PathBundle]) -> PathBundle:
+    """Return the sums of functions: linear ones first, as one bundle, then waves along single regressors."""
+    linear = [part for part in parts if isinstance(part, LinearPaths)]
+    single = [part for part in parts if isinstance(part, SingleWaves)]
+    others = [part for part in parts if not isinstance(part, LinearPaths | SingleWaves)]
+    if single:
+        others.insert(0, SingleWaves.joined(single))
+    if linear:
+        centre = linear[0].centre
+        weights = [part.about(centre).weights for part in linear]
+        others.insert(0, LinearPaths(np.sum(weights, axis=0), centre))
+    return others[0] if len(others) == 1 else SumPaths(others)
+
+
+class RescaledPaths(PathBundle):
+    """Paths whose outputs are multiplied by factors (P,)."""
+
+    def __init__(self, paths: PathBundle, factor: Vector):
+        self.paths = paths
+        self.factor = factor
+
+    def take(self, index):
+        return RescaledPaths(self.paths.take(index), self.factor)
+
+    def rounded(self):
+        return RescaledPaths(self.paths.rounded(), self.factor)
+
+    def averaged(self, spread):
+        return RescaledPaths(self.paths.averaged(spread), self.factor)
+
+    def doubles(self, same_points):
+        return self.paths.doubles(same_points)
+
+    def each(self, X):
+        return self.paths.each(X) * self.factor
+
+    def gradient(self, X):
+        return self.paths.gradient(X) * self.factor[:, None]
+
+
+class MixedPaths(PathBundle):
+    """Functions that take each output from one of several bundles, or are zero.
+
+    ``member`` (S, P) is the number of the bundle that each output of each function is taken from, -1 for zero. A
+    bundle holds the functions that need it, in their order, whose numbers are ``rows``.
+    """
+
+    def __init__(self, bundles: list[PathBundle], member: np.ndarray):
+        self.bundles = bundles
+        self.member = member
+        self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
+
+    def rounded(self):
+        return MixedPaths([bundle.rounded() for bundle in self.bundles], self.member)
+
+    def averaged(self, spread):
+        return MixedPaths([bundle.averaged(spread) for bundle in self.bundles], self.member)
+
+    def doubles(self, same_points):
+        needed = zip(self.bundles, self.rows, strict=True)
+        return max(bundle.doubles(same_points) for bundle, rows in needed if len(rows))
+
+    def each(self, X):
+        values = np.zeros((len(self.member), X.shape[1], self.member.shape[1]))
+        return self._fill(values, X, [bundle.each for bundle in self.bundles])
+
+    def gradient(self, X):
+        slopes = np.zeros((len(self.member), X.shape[1], *self.member.shape[1:], X.shape[-1]))
+        return self._fill(slopes, X, [bundle.gradient for bundle in self.bundles])
+
+    def _fill(self, values, X, functions):
+        """Add the outputs of all functions, each from the bundle that it is taken from."""
+        for k, (evaluate, rows) in enumerate(zip(functions, self.rows, strict=True)):
+            if len(rows):
+                of_bundle = evaluate(X if len(X) == 1 else X[rows])
+                is_taken = (self.member[rows] == k)[:, None]
+                is_taken = is_taken.reshape(is_taken.shape + (1,) * (values.ndim - 3))
+                values[rows] += np.where(is_taken, of_bundle, 0.0)
+        return values
+
+
+class Basis(Protocol):
+    """Functions of the regressors that add up to paths."""
+
+    def __call__(self, X: Matrix) -> Matrix:
+        """Return all functions at X (n, d), (n, C)."""
+
+    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
+        """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
+
+        ``weights`` (S, c) belong to the functions in the columns of each output.
+        """
+
+    def averaged(self, spread: Vector) -> Basis | None:
+        """Return the expected functions over a perturbation as of `PathBundle.averaged`, None without a formula."""
+
+
+class BasisPaths(PathBundle):
+    """Functions of a basis times weights (S, c) of each output, for the functions in its columns."""
+
+    def __init__(self, basis: Basis, weights: list[Matrix], columns: list[slice]) -> None:
+        self.basis = basis
+        self.weights = weights
+        self.columns = columns
+
+    def take(self, index):
+        return BasisPaths(self.basis, [w[index] for w in self.weights], self.columns)
+
+    def averaged(self, spread):
+        basis = self.basis.averaged(spread)
+        if basis is None:
+            return super().averaged(spread)
+        return BasisPaths(basis, self.weights, self.columns)
+
+    def doubles(self, same_points):
+        return (1 if same_points else len(self.weights[0])) * self.columns[-1].stop
+
+    def each(self, X):
+        A = self.basis(X.reshape(-1, X.shape[-1]))
+        A = A.reshape(*X.shape[:2], A.shape[-1])
+        outputs = zip(self.columns, self.weights, strict=True)
+        return np.stack([contract(A[..., columns], c) for columns, c in outputs], axis=-1)
+
+    def gradient(self, X):
+        return self.basis.slopes(X, self.weights, self.columns)
+
+
+def _with_one_basis(parts: Sequence[PathBundle]) -> list[PathBundle]:
+    """Return the parts of a sum, where those of Gaussian functions are one bundle."""
+    based: list[BasisPaths] = []
+    others: list[PathBundle] = []
+    for part in parts:
+        if isinstance(part, BasisPaths) and isinstance(part.basis, GaussianBasis):
+            based.append(part)
+        else:
+            others.append(part)
+    if len(based) > 1:
+        others.append(_joined_bases(based))
+        return others
+    return list(parts)
+
+
+def _joined_bases(parts: Sequence[BasisPaths]) -> BasisPaths:
+    """Return the sum of functions of several Gaussian bases, with the functions of each output side by side."""
+    bases: list[GaussianBasis] = []
+    weights: list[Matrix] = []
+    for i in range(len(parts[0].columns)):
+        for part in parts:
+            basis = cast(GaussianBasis, part.basis)
+            bases.append(basis.part(part.columns[i]))
+        weights.append(np.concatenate([part.weights[i] for part in parts], axis=1))
+    joined = GaussianBasis.joined(bases[0].centres.shape[1], bases)
+    return BasisPaths(joined, weights, consecutive([w.T for w in weights]))
+
+
+def contract(A: Array, c: Matrix) -> Array:
+    """Return the sums over the last axis of A (..., S, n, C), or (..., 1, n, C), times c (S, C): (..., S, n)."""
+    if A.shape[-3] == 1:
+        return c @ A[..., 0, :, :].swapaxes(-2, -1)
+    return (A @ c[..., None])[..., 0]
+
+
+class WaveSums(PathBundle):
+    """Sums of cosines of frequencies ``omega`` and ``phase`` times ``weights``, along regressors."""
+
+    def __init__(self, omega: Any, phase: Any, weights: Any, along: Indices) -> None:
+        self.omega = omega
+        self.phase = phase
+        self.weights = weights
+        self.along = along
+        self._half_omega = 0.5 * omega
+        self._half_phase = 0.5 * phase
+        self._sum = weights.sum(axis=2)[:, None]
+
+    def take(self, index):
+        return type(self)(self.omega[index], self.phase[index], self.weights[index], self.along)
+
+    def rounded(self):
+        omega = self.omega.astype(np.float32)
+        phase = self.phase.astype(np.float32)
+        return type(self)(omega, phase, self.weights.astype(np.float32), self.along)
+
+
+class Waves(WaveSums):
+    """Sums of waves: each cosine is computed once for all outputs of its latent.
+
+    ``omega`` is (S, k, C), ``phase`` (S, 1, C), ``weights`` (S, P, C). Waves run along the k
+    regressors with the numbers ``along``.
+    """
+
+    def averaged(self, spread):
+        # the characteristic function of the normal distribution
+        damping = np.exp(-0.5 * spread[self.along] ** 2 @ self.omega**2).astype(self.omega.dtype)
+        return Waves(self.omega, self.phase, self.weights * damping[:, None], self.along)
+
+    def doubles(self, same_points):
+        return len(self.omega) * self.omega.shape[2]
+
+    def _tangents(self, X):
+        """Return tan(x / 2) of the arguments x of the waves, (S, n, C)."""
+        half = X[..., self.along].astype(self.omega.dtype) @ self._half_omega
+        half += self._half_phase
+        return np.tan(half, out=half)
+
+    def each(self, X):
+        wave = _raised_cosine(self._tangents(X))
+        values = (self.weights @ wave.swapaxes(1, 2)).swapaxes(1, 2)
+        return (values - self._sum).astype(float)
+
+    def gradient(self, X):
+        wave = _negative_sine(self._tangents(X))
+        of_outputs = wave[:, :, None] * self.weights[:, None]
+        slopes = np.zeros((*of_outputs.shape[:3], X.shape[-1]))
+        slopes[..., self.along] = of_outputs @ self.omega.swapaxes(1, 2)[:, None]
+        return slopes
+
+    def of_outputs(self, feeds: Mask, latent: Indices) -> PathBundle:
+        """Return the paths of the first P outputs, which latents feed, (M, P), of waves of these latents (C,).
+
+        Waves along a single regressor that each feed a single output need less memory.
+        """
+        weights = self.weights[:, : feeds.shape[1]]
+        fed = feeds[latent]
+        n_waves = fed.sum(axis=0)
+        is_private = fed.sum(axis=1).max() == 1 and n_waves.min() == n_waves.max()
+        if len(self.along) > 1 or not is_private:
+            return Waves(self.omega, self.phase, weights, self.along)
+        places = np.stack([np.flatnonzero(of_output) for of_output in fed.T])
+        outputs = np.arange(len(places))[:, None]
+        return SingleWaves(
+            self.omega[:, 0, places],
+            self.phase[:, 0, places],
+            weights[:, outputs, places],
+            np.repeat(self.along, places.shape[1]),
+        )
+
+
+class SingleWaves(WaveSums):
+    """Sums of waves along single regressors, W for each output.
+
+    ``omega``, ``phase`` and ``weights`` are (S, P, W), ``along`` (W,) the numbers of the regressors.
+    """
+
+    @classmethod
+    def joined(cls, parts: Sequence[SingleWaves]) -> SingleWaves:
+        """Return the sums of functions."""
+        return cls(
+            np.concatenate([part.omega for part in parts], axis=2),
+            np.concatenate([part.phase for part in parts], axis=2),
+            np.concatenate([part.weights for part in parts], axis=2),
+            np.concatenate([part.along for part in parts]),
+        )
+
+    def averaged(self, spread):
+        # the characteristic function of the normal distribution
+        damping = np.exp(-0.5 * (spread[self.along] * self.omega) ** 2).astype(self.omega.dtype)
+        return SingleWaves(self.omega, self.phase, self.weights * damping, self.along)
+
+    def doubles(self, same_points):
+        return self.omega.size
+
+    def _tangents(self, X):
+        """Return tan(x / 2) of the arguments x of the waves, (S, n, P, W)."""
+        x = X.astype(self.omega.dtype)[..., None, self.along]
+        half = x * self._half_omega[:, None]
+        half += self._half_phase[:, None]
+        return np.tan(half, out=half)
+
+    def each(self, X):
+        wave = _raised_cosine(self._tangents(X))
+        values = np.einsum("snpw,spw->snp", wave, self.weights)
+        return (values - self._sum).astype(float)
+
+    def gradient(self, X):
+        slopes = _negative_sine(self._tangents(X))
+        slopes *= (self.weights * self.omega)[:, None]
+        is_along = np.equal.outer(self.along, np.arange(X.shape[-1]))
+        return (slopes @ is_along.astype(slopes.dtype)).astype(float)
+
+
+def _raised_cosine(tangent: Array) -> Array:
+    """Return cos(x) + 1 = 2 / (1 + tan(x / 2)^2) in the memory of tan(x / 2).
+
+    NumPy's tangent is vectorised in both precisions, and of double precision ten times as fast as
+    its sine and cosine.
+    """
+    tangent *= tangent
+    tangent += 1.0
+    return np.divide(2.0, tangent, out=tangent)
+
+
+def _negative_sine(tangent: Array) -> Array:
+    """Return -sin(x) of tan(x / 2)."""
+    return -2.0 * tangent / (1.0 + tangent * tangent)

@@ -94,7 +94,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
-        from at most 1800 values. "auto" is "exact" up to 1000 observed values of a time series, and
+        from at most 1800 values of a time series, and else from up to three batches of 1000 values,
+        whose likelihoods add up. "auto" is "exact" up to 1000 observed values of a time series, and
         "sparse" for more. Without ``time`` it is "exact" up to 6000, but above 1500 "sparse" where
         the inducing inputs leave at most 0.003 of the noise variance unexplained (Burt, Rasmussen &
         van der Wilk 2020), so that errors are within 1 % of exact ones. Of N > 6000 it is "sparse"
@@ -125,8 +126,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a time
-        series, and up to 60 more while the error of held-out blocks falls; else 100, and down to 57
-        where the search learns from more than 1500 values, at most 1800.
+        series, and up to 60 more while the error of held-out blocks falls; else 100.
     random_state : int, RandomState or None
         Seed of the starting values.
 
@@ -386,7 +386,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Z = self._normalised(X, Y, slopes, noise.weights)
         known_noise = noise.in_units(self.scale_)
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
-        self.max_iter_ = recipe.most_iterations(Z)
+        self.max_iter_ = recipe.most_iterations
         fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z)

@@ -26,7 +26,6 @@ from skdgp.inference import (
     fit_exact,
     fit_sparse,
     mixture_of,
-    n_searched,
     search,
     stratified,
     structure_weights,
@@ -45,10 +44,8 @@ class RegressorSettings:
     #: How often this search goes on by half as many while the errors of held-out blocks fall: of a
     #: solar aircraft's flight they fell by 4 % in 30 further iterations, and by 1 % in 30 more
     further: int = 2
-    #: Iterations for other data, of at most so many values; of more values, as many as take the
-    #: same time
+    #: Iterations for other data
     iterations: int = 100
-    iterated_values: int = 1500
     #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series
@@ -168,19 +165,13 @@ class Recipe:
         most = settings.exact_time_series_values if self.time_series else settings.exact_values
         return "exact" if n_values <= most else "sparse"
 
-    def most_iterations(self, Y: Matrix) -> int:
-        """Return the largest number of iterations of the search for hyperparameters, which learns from N values.
-
-        Where it is not given, 60 of a time series, else 100, or :math:`100 (1500 / N)^3`, as N^3 is
-        the time of an iteration.
-        """
+    @property
+    def most_iterations(self) -> int:
+        """The largest number of iterations of a joint search."""
         if self.max_iter is not None:
             return self.max_iter
         settings = self.settings
-        if self.time_series:
-            return settings.time_series_iterations
-        fraction = min(settings.iterated_values / n_searched(Y, settings.search), 1.0)
-        return int(settings.iterations * fraction**3)
+        return settings.time_series_iterations if self.time_series else settings.iterations
 
     def learns_input_noise(self, known: KnownNoise) -> bool:
         """Return whether the fit has noise of the regressors."""
@@ -204,7 +195,7 @@ class Recipe:
         seeds = random_state.randint(2**31 - 1, size=2)
         request = SearchOptions(
             optimizer=self.optimizer,
-            max_iter=self.most_iterations(Z),
+            max_iter=self.most_iterations,
             random_state=check_random_state(seeds[0]),
             input_noise=self.learns_input_noise(known),
             n_restarts=self.n_restarts_optimizer,

@@ -52,7 +52,7 @@ from skdgp.inference._posterior import check_spread as check_spread
 from skdgp.inference._search import Objective as Objective
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
-from skdgp.inference._search import n_searched, stratified
+from skdgp.inference._search import stratified
 from skdgp.inference._search import search as search
 from skdgp.inference._search import some_rows as some_rows
 from skdgp.inference._sparse import ShareSettings as ShareSettings
@@ -104,7 +104,6 @@ __all__ = [
     "mean_errors",
     "misfit_variance",
     "mixture_of",
-    "n_searched",
     "residual_drift",
     "stratified",
     "training_inputs",

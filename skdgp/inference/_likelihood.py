@@ -208,6 +208,14 @@ class Data(NamedTuple):
         """Return every ``step``-th value of each output."""
         return self._of_rows([slice(None, None, step)] * len(self.y))
 
+    def batches(self, n: int) -> list[Data]:
+        """Return the values of every ``n``-th sample, beginning with each of the first ``n`` samples."""
+        if n == 1:
+            return [self]
+        samples = np.unique(np.concatenate(self.sample))
+        batch = [samples.searchsorted(rows) % n for rows in self.sample]
+        return [self._of_rows([np.flatnonzero(of_row == k) for of_row in batch]) for k in range(n)]
+
     def of_outputs(self, outputs: Sequence[int]) -> Data:
         """Return the values of some outputs; the others have none."""
         if len(outputs) == len(self.y):
@@ -224,7 +232,8 @@ class Data(NamedTuple):
         noise = self.sample_noise
         if noise is not None:
             noise = SampleNoise(chosen(noise.sample), chosen(noise.loading))
-        return Data(chosen(self.X), chosen(self.y), noise)
+        sample = chosen(self.sample) if self.sample else ()
+        return Data(chosen(self.X), chosen(self.y), noise, sample)
 
     @property
     def n_values(self) -> int:

@@ -6,7 +6,8 @@
 4. The noise alone, if stage 3 neglected correlations between outputs.
 
 Stages 2 to 4 learn from ``some_rows``. Each stage is a call of ``climb``, which maximises one
-likelihood from one starting point by ``maximize``.
+likelihood from one starting point by ``maximize``. Stage 3 of rows that are no time series learns
+from batches, whose likelihoods add up.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from skdgp.inference._likelihood import (
     held_out_error,
     log_likelihood,
 )
+from skdgp.inference._missed import missed_effects
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
 from skdgp.inference._posterior import ExactPosterior
@@ -40,6 +42,7 @@ from skdgp.inference._starts import (
     narrowed,
     single_output,
     starting_kernel,
+    with_effects,
 )
 from skdgp.inference._structures import (
     contains,
@@ -54,8 +57,14 @@ from skdgp.kernels import MultiOutputKernel
 class SearchSettings:
     """How many values and iterations a search takes, and from where it starts."""
 
-    #: Fewest and most values that a joint search learns from; its time grows with their third power
+    #: Fewest and most values that the joint search of a time series learns from; its time grows with
+    #: their third power
     values: tuple[int, int] = (1000, 1800)
+    #: Values of a batch of other rows, and most batches; the time grows with their number
+    batch_values: int = 1000
+    most_batches: int = 3
+    #: How often latents without effect get effects that the search missed
+    most_revivals: int = 2
     #: Most values that shared widths are learned from
     coarse_values: int = 900
     #: Most values, and iterations, of a trial of several structures
@@ -66,7 +75,7 @@ class SearchSettings:
     #: Distance from the best score up to which a structure is searched again on all values [nats],
     #: and that of the richest structure, which more values favour
     trial_margins: tuple[float, float] = (10.0, 100.0)
-    #: Values of each output, between these
+    #: Values of each output of a time series, between these
     output_values: int = 300
     #: Most values of an output alone
     single_values: int = 400
@@ -195,10 +204,14 @@ def climb(
     optimizer: OptimizerSettings,
     common: bool = True,
     noise_alone: bool = False,
+    n_batches: int = 1,
     stage: str = "fit",
 ) -> Point:
-    """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``."""
-    objective = Objective(kernel, data, len(noise), common)
+    """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``.
+
+    The likelihoods of ``n_batches`` of the samples add up.
+    """
+    objective = Objective(kernel, data, len(noise), common, n_batches)
     bounds = np.concatenate([kernel.bounds, np.log(noise_bounds)])
     if noise_alone:
         bounds[: kernel.n_dims] = kernel.theta[:, None]
@@ -248,7 +261,7 @@ def search(
     """
     random_state = check_random_state(options.random_state)
     settings = options.settings
-    rows = some_rows(Y, random_state, settings)
+    rows = some_rows(Y, random_state, settings, options.time_series)
     kernel = kernels[0]
     start = starting_kernel(kernel, X, Y, random_state)
     noise, bounds = known.start(start.residual(X, Y), output_scale(Y))
@@ -354,6 +367,12 @@ class _JointSearch(NamedTuple):
         """Number of observed values."""
         return int(np.isfinite(self.Y).sum())
 
+    def n_batches(self, data: Data) -> int:
+        """Return the number of batches whose likelihoods add up, one of a time series."""
+        if self.options.time_series:
+            return 1
+        return max(1, round(data.n_values / self.options.settings.batch_values))
+
     def trial(self) -> _JointSearch:
         """Return a short search, on few values where there are more.
 
@@ -436,7 +455,7 @@ class _JointSearch(NamedTuple):
         # fit propagate noise of the regressors (example flights, four seeds: errors 7 % larger).
         step = 1 if options.input_noise else -(-data.n_values // options.settings.coarse_values)
         if shared.n_dims == start.n_dims and step == 1 and not options.input_noise:
-            return self._all_learned(start, self.noise, data, 0)
+            return self._all_learned(kernel, start, self.noise, data, 0)
         half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
         few = data.every(step)
         noise = self.noise
@@ -449,13 +468,33 @@ class _JointSearch(NamedTuple):
             noisy = self._learned_with_input_noise(shared, start, noise, data, end)
             if noisy is not None:
                 return noisy
-        return self._all_learned(start, noise, data, end.n_iter)
+        return self._all_learned(kernel, start, noise, data, end.n_iter)
 
-    def _all_learned(self, start, noise, data, n_iter) -> Hyperparameters:
+    def _all_learned(self, kernel, start, noise, data, n_iter) -> Hyperparameters:
         """Return all hyperparameters from a start (stage 3), for exact regressors."""
         n_left = self.options.max_iter - n_iter
         learned = self._converging(start, noise, self.bounds, data, n_left)
+        if not self.options.time_series:
+            learned = self._with_missed_effects(kernel, learned, data, n_left)
         return learned._replace(n_iter=n_iter + learned.n_iter)
+
+    def _with_missed_effects(self, kernel, learned, data, n_iter) -> Hyperparameters:
+        """Return hyperparameters with the effects that latents without effect can still explain."""
+        batches = data.batches(self.n_batches(data))
+        for _ in range(self.options.settings.most_revivals):
+            if self.stop.is_set():
+                break
+            effects = missed_effects(learned.kernel, learned.noise, batches, self.X)
+            if not effects:
+                break
+            start = with_effects(kernel, learned.kernel, effects, self.X)
+            if (start.theta == learned.kernel.theta).all():
+                break
+            other = self._converging(start, learned.noise, self.bounds, data, n_iter)
+            if other.log_likelihood <= learned.log_likelihood + len(effects):
+                break
+            learned = other._replace(n_iter=learned.n_iter + other.n_iter)
+        return learned
 
     def _learned_with_input_noise(
         self, shared, start, noise, data, of_exact: Optimum
@@ -542,6 +581,7 @@ class _JointSearch(NamedTuple):
         if end.n_since < settings.optimizer.recent - 1:  # too few evaluations to extrapolate
             return False
         n_blocks = settings.n_blocks if self.options.time_series else None
+        data = data.batches(self.n_batches(data))[0]
         latest = held_out_error(kernel, noise, data, n_blocks)
         if before is not None:
             fall = held_out_error(before.kernel, before.noise, data, n_blocks) - latest
@@ -555,9 +595,16 @@ class _JointSearch(NamedTuple):
 
     def _climb(self, start, noise, bounds, data, max_iter) -> Point:
         """Return the best kernel and noise found from a start."""
-        optimizer = self.options.settings.optimizer
         return climb(
-            start, noise, bounds, data, max_iter, self.stop, optimizer=optimizer, common=self.exact
+            start,
+            noise,
+            bounds,
+            data,
+            max_iter,
+            self.stop,
+            optimizer=self.options.settings.optimizer,
+            common=self.exact,
+            n_batches=self.n_batches(data),
         )
 
 
@@ -626,17 +673,9 @@ def stratified(rows: Any, n: int, random_state: Any) -> Any:
     return rows[np.unique(places.astype(int))]
 
 
-def _wanted_values(n_outputs, settings):
-    """Return the number of values that a search learns from where there are enough."""
-    return int(np.clip(n_outputs * settings.output_values, *settings.values))
-
-
-def n_searched(Y: Matrix, settings: SearchSettings = SETTINGS) -> int:
-    """Return the number of observed values of Y (n, P) that a search learns from."""
-    return int(min(_wanted_values(Y.shape[1], settings), np.isfinite(Y).sum()))
-
-
-def some_rows(Y: Matrix, random_state: Any, settings: SearchSettings = SETTINGS) -> Any:
+def some_rows(
+    Y: Matrix, random_state: Any, settings: SearchSettings = SETTINGS, time_series: bool = False
+) -> Any:
     """Return rows that a search learns from: each output has about half of an equal share of the values, more, or all.
 
     A row that is added for one output brings values of all, so outputs with gaps do not get a whole
@@ -644,7 +683,10 @@ def some_rows(Y: Matrix, random_state: Any, settings: SearchSettings = SETTINGS)
     """
     observed = np.isfinite(Y)
     P = Y.shape[1]
-    share = -(-_wanted_values(P, settings) // P)
+    n_values = settings.most_batches * settings.batch_values
+    if time_series:
+        n_values = int(np.clip(P * settings.output_values, *settings.values))
+    share = -(-n_values // P)
     n_rows = max(2, P * share * len(Y) // observed.sum())
     rows = stratified(np.arange(len(Y)), n_rows, random_state)
     for output in observed.T:
@@ -760,21 +802,28 @@ class SingleOutput(NamedTuple):
 class Objective:
     """The function [theta, log noise] -> log likelihood, and its gradient.
 
-    ``n_noise`` is the length of the noise vector. This is the sum of the likelihoods of groups of
-    dependent outputs: where nothing couples outputs, P^2 times faster.
+    ``n_noise`` is the length of the noise vector. This is the sum of the likelihoods of
+    ``n_batches`` of the samples, as if these were independent, and of groups of dependent outputs:
+    where nothing couples outputs, P^2 times faster.
     With ``common`` false it neglects the correlation of outputs by errors of the regressors: widths
     and amplitudes hardly change, but the variances of the regressors' noise must then be learned
     again.
     """
 
     def __init__(
-        self, kernel: MultiOutputKernel, data: Data, n_noise: int, common: bool = True
+        self,
+        kernel: MultiOutputKernel,
+        data: Data,
+        n_noise: int,
+        common: bool = True,
+        n_batches: int = 1,
     ) -> None:
         self.kernel = kernel
         self.n_noise = n_noise
         data = data.with_loadings()
         groups = coupled_outputs(kernel, data, common)
-        self.parts = [data.of_outputs(outputs) for outputs in groups]
+        batches = data.batches(n_batches)
+        self.parts = [batch.of_outputs(outputs) for batch in batches for outputs in groups]
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:
         """Return the kernel and the noise of [theta, log noise]."""

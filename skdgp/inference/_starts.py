@@ -16,6 +16,7 @@ from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp.inference._missed import Effect
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, tied
 
 
@@ -32,6 +33,8 @@ class StartSettings:
     widest: float = 10.0
     #: Private amplitudes beside the filters of a simpler kernel, over their starting values
     private_beside: float = 0.1
+    #: Amplitude below which a latent has no effect on an output, over the total
+    least_amplitude: float = 0.01
 
 
 SETTINGS = StartSettings()
@@ -99,6 +102,19 @@ def from_simpler(
 ) -> MultiOutputKernel:
     """Return a start with small private latents beside the shared ones of a fitted kernel, which has no others."""
     return _of_terms(partial(_from_simpler, settings), start, fitted)
+
+
+def with_effects(
+    kernel: MultiOutputKernel,
+    fitted: MultiOutputKernel,
+    effects: Sequence[Effect],
+    X: Matrix,
+) -> MultiOutputKernel:
+    """Return a fitted kernel with these effects in latents without effect, or itself if it has none.
+
+    ``kernel`` is without values. Samples X (n, d) show the scales of the regressors.
+    """
+    return _of_terms(partial(_with_effects, effects, X), kernel, fitted)
 
 
 def narrowed(
@@ -188,6 +204,27 @@ def _from_simpler(settings, term, fitted):
     lengths = term.filters.length_scale
     lengths[:n] = fitted.filters.length_scale
     return clone(term).set_params(amplitude=amplitude, length_scale=lengths)
+
+
+def _with_effects(effects, X, term, fitted, settings=SETTINGS):
+    if not isinstance(term, ConvolvedGaussian) or term.regressors is not None:
+        return fitted
+    if term.amplitude is not None or term.length_scale is not None:
+        return fitted
+    amplitude = fitted.filters.amplitude
+    lengths = fitted.filters.length_scale
+    may_feed = term._feeds(amplitude.shape[1])
+    total = np.sqrt(np.sum(amplitude**2, axis=0))
+    for effect in effects:
+        acts = np.abs(amplitude) > settings.least_amplitude * total
+        unused = np.flatnonzero(may_feed[:, effect.output] & ~acts.any(axis=1))
+        if not len(unused):
+            continue
+        latent = unused[-1]  # a private one is the last
+        amplitude[latent, effect.output] = np.sqrt(effect.variance)
+        lengths[latent] = settings.widest * column_scale(X)
+        lengths[latent, :, effect.regressor] = effect.width
+    return clone(fitted).set_params(amplitude=amplitude, length_scale=lengths)
 
 
 def _from_singles(settings, X, term, start, *singles):

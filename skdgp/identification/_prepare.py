@@ -258,7 +258,7 @@ def usable_flights(
     together = FlightTable.of(pd.concat(checked.values(), ignore_index=True))
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
-        finding = contradiction._replace(flight=contradiction.flight or only).finding
+        finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
 

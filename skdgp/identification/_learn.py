@@ -221,7 +221,6 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         regressors=names,
         log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
         iterations=int(regressor.n_iter_),
-        limit_reached=bool(regressor.n_iter_ >= regressor.max_iter_),
         converged=bool(regressor.converged_),
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),

@@ -30,7 +30,6 @@ FIT = FitRecord(
     regressors=NAMES,
     log_marginal_likelihood=0.0,
     iterations=1,
-    limit_reached=False,
     converged=True,
     interrupted=False,
     noise_std={},

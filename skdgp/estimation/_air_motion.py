@@ -267,9 +267,11 @@ def estimate_air_motion(
         derivatives = _as_prior(known.derivatives)
     if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
         thrust = None
-    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
     if thrust is None:
+        # the measured axial force takes the place of thrust and CX: in `_records`, and `_parameters`
+        # without a scale of the thrust
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
+    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     parameters = _parameters(derivatives, known, n_flights)
@@ -375,18 +377,18 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     covariance = estimate_covariance(fit, sums, fitted)
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
-    if fit.is_known:
-        misfit = 1.0
-        air = smoothed_air(fit, fitted, covariance, n_rows)
-        std = np.sqrt(np.diag(covariance))
-    else:
+    misfit = 1.0
+    if not fit.is_known:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
-        air = smoothed_air(fit, fitted, covariance, n_rows)
+    # the air has the errors of the estimates; derivatives without evidence get their prior's below
+    air = smoothed_air(fit, fitted, covariance, n_rows)
+    if not fit.is_known:
         covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
-        std = np.sqrt(np.diag(covariance))
+    std = np.sqrt(np.diag(covariance))
+    if not fit.is_known:
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}
     estimates = pd.DataFrame(columns, index=names)

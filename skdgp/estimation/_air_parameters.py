@@ -40,6 +40,7 @@ COUPLING_STD = {"CX": 0.05, "CY": 0.05, "CZ": 0.1, "Cl": 0.02, "Cm": 0.05, "Cn":
 """Standard deviations of couplings, of zero in the mean [1/rad]; trials on one aircraft."""
 WINDS = ("wind_north", "wind_east", "wind_down")
 PITOT = ("airspeed_scale", "wind_north", "wind_east")
+"""Parameters of the airspeed in a steady wind."""
 ARM = ("arm_x", "arm_y", "arm_z")
 SHARED: Prior = {
     "servo_lag": (0.03, 0.05),  # [s]
@@ -69,6 +70,7 @@ SHARED_NOISES: Prior = {
     "surface": (0.05, 2.0),  # error of a surface's position, in its change within a step
     **AIR_NOISE,
 }
+"""Noises of an aircraft and its sensors, and of the air's spectrum."""
 OWN_NOISES: Prior = {
     "gust_north": (0.5, 1.5),  # [m/s]
     "gust_east": (0.5, 1.5),
@@ -76,6 +78,7 @@ OWN_NOISES: Prior = {
     "path_y": (0.1, 1.0),  # air velocity that errors of attitude and ground path make, body axes
     "path_z": (0.1, 0.6),
 }
+"""Noises of a flight."""
 GUST_AXES = ("gust_north", "gust_east", "gust_down")
 PATH_ERRORS = ("path_y", "path_z")
 

@@ -197,7 +197,7 @@ def linear_system(rng, n=7, N=3, m=2):
         surface_noise=np.zeros((n - 1, N, N)),
         surface_readings=np.zeros((n - 1, m)),
         missing=np.zeros((n - 1, m)),
-        response=zero,
+        instrument_terms=zero,
     )
     noises = Noise(
         rate=rng.uniform(1, 2, (1, N)),

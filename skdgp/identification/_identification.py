@@ -60,8 +60,8 @@ class Identification:
     ----------
     pipeline, aircraft : Pipeline, Aircraft
         Fitted, a raw flight table in, six coefficients out; and its aircraft.
-    settings : dict
-        Options, given or chosen.
+    options : dict
+        Options of `identify`, given or chosen, and ``horizons``.
     fit : FitRecord
         Likelihood, noise and findings of the fit; samples and time in ``fit.training``.
     train : dict of str to DataFrame
@@ -81,7 +81,7 @@ class Identification:
 
     pipeline: Pipeline
     aircraft: Aircraft
-    settings: dict
+    options: dict
     fit: FitRecord
     train: dict[str, pd.DataFrame]
     evaluations: list[Evaluation]
@@ -118,7 +118,7 @@ class Identification:
             self.aircraft,
             list(self.train.values()),
             [flight.table for flight in self.evaluations],
-            self.settings,
+            self.options,
             self.fit.training,
         )
 
@@ -140,7 +140,7 @@ class Identification:
             "command": self.command,
             "versions": software_versions(),
             "aircraft": self.aircraft.to_dict(),
-            "options": self.settings,
+            "options": self.options,
             "held_out": self.held_out,
             "fit": self.fit.to_dict(),
             "train": {name: sampling_of(table) for name, table in self.train.items()},
@@ -183,7 +183,7 @@ class Identification:
                 save_model,
                 pipeline=self.pipeline,
                 aircraft=self.aircraft,
-                options=self.settings,
+                options=self.options,
                 fit=self.fit.to_dict(),
                 uses={use.purpose: use.fit for use in self.verdict.uses},
                 flights=list(self.train),
@@ -200,7 +200,7 @@ class Identification:
             train=self.train,
             test=self.evaluations,
             facts=facts_of_fit(
-                self.aircraft, self.pipeline, self.fit, self.settings, self.train, tested
+                self.aircraft, self.pipeline, self.fit, self.options, self.train, tested
             ),
             verdict=self.verdict,
             mechanics=self.mechanics,

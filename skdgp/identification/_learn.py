@@ -103,7 +103,7 @@ def learn(
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
     began = time.monotonic()
-    # a list of regressors is the user's choice
+    # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
     X = pipeline.fit_returning_regressors(table, targets, choose_engine=choose_engine)
     is_target = targets.notna()

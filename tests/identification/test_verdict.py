@@ -133,7 +133,7 @@ def identification(
     return Identification(
         pipeline=model or glider(),
         aircraft=aircraft,
-        settings=SETTINGS | settings,
+        options=SETTINGS | settings,
         fit=fit,
         train=dict(enumerate(train)),
         evaluations=evaluations,

@@ -24,6 +24,7 @@ from skdgp._compute.files import (
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import notify
 from skdgp._compute.wording import reason_of, text_of
+from skdgp._display.page import can_draw
 from skdgp.dynamics import Aircraft
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._model_file import save_model
@@ -193,6 +194,7 @@ class Identification:
 
     def _report_content(self) -> ReportContent:
         tested = {flight.name: flight.table for flight in self.evaluations}
+        effects = EffectsDisplay.from_model(self.pipeline[-2:], ax=False) if can_draw() else None
         return ReportContent(
             title=self.title,
             subtitle=self.aircraft.name,
@@ -204,7 +206,7 @@ class Identification:
             ),
             verdict=self.verdict,
             mechanics=self.mechanics,
-            effects=EffectsDisplay.from_model(self.pipeline[-2:], ax=False),
+            effects=effects,
             air=air_of(self.pipeline),
             sections=[part.section() for part in self.supplements],
             assumed=self.assumed,

@@ -211,15 +211,13 @@ def _control(
 ) -> Use:
     """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores.
 
-    It needs a trim, derivatives by the controls with bands, and no fault.
+    It needs a trim, derivatives by the controls, and no fault.
     """
     purpose = "design a controller"
     if faults:
         return Use(purpose, "no", tuple(faults))
     if mechanics.trim is None or mechanics.derivatives.empty:
         return Use(purpose, "no", mechanics.notes)
-    if "std" not in mechanics.derivatives:
-        return _use(purpose, "unknown", Code.NO_BANDS)
     widths = _half_widths(mechanics)
     if widths is None:
         return _use(purpose, "no", Code.CONTROLS_MISSING)
@@ -347,16 +345,14 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     by_rudder = derivatives["value"].reindex([*OPPOSITE])
     if (by_rudder > 0).all() or (by_rudder < 0).all():
         wrong = wrong.combine_first(by_rudder.iloc[:1])
-    is_known = pd.Series(True, index=wrong.index)
-    if "std" in derivatives:
-        is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
+    is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
     of_signs = {Code.WRONG_SIGNS: wrong[is_known], Code.SIGNS_UNKNOWN: wrong[~is_known]}
     return [_of_derivatives(code, values) for code, values in of_signs.items() if len(values)]
 
 
 def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the finding of derivatives that are surely larger than on any aircraft, if any."""
-    if derivatives.empty or "std" not in derivatives:
+    if derivatives.empty:
         return []
     values = derivatives.loc[derivatives.index.isin(LARGEST), ["value", "std"]]
     least = values["value"].abs() - half_width(0.95) * values["std"]

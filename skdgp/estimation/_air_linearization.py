@@ -192,6 +192,7 @@ def linearized(
     ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
     """
     expansion = _Expansion(record, layout, aircraft, value, states, decay)
+    # motion over each step
     end, by_start = expansion.step()
     instrument_terms = expansion.instrument_terms(by_start, settings)
     step_slopes = expansion.step_slopes(end, by_start, instrument_terms)
@@ -200,9 +201,12 @@ def linearized(
     transition = expansion.remaining[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
     transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
 
+    # two predictions of the readings at its end
     past = expansion.readings_of_past(end, step_slopes, instrument_terms)
     path = expansion.readings_of_path(end, predicted, instrument_terms)
     noise_slopes = past.by_variables @ expansion.end_variable_slopes(end)[..., :N_STATES]
+
+    # their errors
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
     not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
@@ -326,12 +330,12 @@ class _Expansion:
         self, end: Matrix, step_slopes: Array, instrument_terms: Matrix
     ) -> _Readings:
         """Return the readings at the end of the step, from its start alone."""
-        readings = self._readings(end)
-        readings.slopes[:] += readings.by_variables[..., :6] @ step_slopes
-        by_errors = readings.by_variables.copy()
+        values, by_variables, slopes = self._readings(end)
+        by_motion = by_variables[..., :6] @ step_slopes
+        by_errors = by_variables.copy()
         by_errors[..., :6] = 0.0
-        readings.slopes[:] += self.end_slopes(end, by_errors, instrument_terms)
-        return readings
+        slopes = slopes + by_motion + self.end_slopes(end, by_errors, instrument_terms)
+        return _Readings(values, by_variables, slopes)
 
     def readings_of_path(
         self, end: Matrix, predicted: Matrix, instrument_terms: Matrix
@@ -339,9 +343,9 @@ class _Expansion:
         """Return the readings at the recorded path, with the predicted gusts and rates."""
         change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
         variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
-        readings = self._readings(variables)
-        readings.slopes[:] += self.end_slopes(variables, readings.by_variables, instrument_terms)
-        return readings
+        values, by_variables, slopes = self._readings(variables)
+        slopes = slopes + self.end_slopes(variables, by_variables, instrument_terms)
+        return _Readings(values, by_variables, slopes)
 
     def _readings(self, end: Matrix) -> _Readings:
         """Return readings at variables (n - 1, 12), with their slopes by z at given variables."""
@@ -357,10 +361,9 @@ class _Expansion:
         by_parameters[:, FORCE_READINGS, layout.place(*ARM)] = self.model.arm_slopes(
             end, self.end_inputs
         )
-        use = self.record.sampled
-        return _Readings(
-            values[:, use], errors.scale[use, None] * by_variables[:, use], slopes[:, use]
-        )
+        by_variables = errors.scale[:, None] * by_variables
+        sampled = self.record.sampled
+        return _Readings(values[:, sampled], by_variables[:, sampled], slopes[:, sampled])
 
     def end_slopes(self, end: Matrix, by_variables: Array, instrument_terms: Matrix) -> Array:
         """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""

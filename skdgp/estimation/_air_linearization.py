@@ -41,9 +41,9 @@ from skdgp.estimation._air_model import (
     differentiated,
 )
 from skdgp.estimation._air_parameters import (
+    AIRCRAFT_CONSTANTS,
     ARM,
-    OWN,
-    SHARED,
+    FLIGHT_CONSTANTS,
     STATE_TERMS,
     WINDS,
     is_coupling,
@@ -61,7 +61,7 @@ PATH_ERROR_Y = 6
 PATH_ERROR_Z = 7
 RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
-BIASES = {name: BIASED[name] for name in [*SHARED, *OWN] if name in BIASED}
+BIASES = {name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED}
 """Places of the biased among the sensors."""
 
 
@@ -84,7 +84,7 @@ class Layout(NamedTuple):
             coefficient, term = name.split("_", 1)
             rows.append(COEFFICIENTS.index(coefficient))
             columns.append(terms.index(term))
-        names = [*derivatives, *SHARED, *OWN]
+        names = [*derivatives, *AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS]
         return cls(
             np.array(rows),
             np.array(columns),

@@ -43,12 +43,12 @@ from skdgp.estimation._air_covariance import (
 from skdgp.estimation._air_fit import AirFit
 from skdgp.estimation._air_linearization import Layout
 from skdgp.estimation._air_parameters import (
+    AIRCRAFT_CONSTANTS,
+    AIRCRAFT_NOISES,
     ALL_TERMS,
+    FLIGHT_CONSTANTS,
+    FLIGHT_NOISES,
     GUST_AXES,
-    OWN,
-    OWN_NOISES,
-    SHARED,
-    SHARED_NOISES,
     Gusts,
     Parameters,
     coefficient_of,
@@ -173,11 +173,11 @@ class AirMotion:
 
         Of those that are more than ``significance`` standard deviations from zero.
         """
-        found = {}
+        couplings = {}
         for name, value, std in self.derivatives[["value", "std"]].itertuples():
             if is_coupling(name) and abs(value) > significance * std:
-                found[name] = (float(value), float(std))
-        return found
+                couplings[name] = (float(value), float(std))
+        return couplings
 
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
@@ -341,15 +341,15 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
 
 def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
     """Return the parameters of the flights; the shared ones of a known aircraft are held."""
-    shared = dict(SHARED)
+    shared = dict(AIRCRAFT_CONSTANTS)
     n_held = 0
     if known is not None:
-        shared = dict(_as_prior(known.constants.loc[list(SHARED)]))
+        shared = dict(_as_prior(known.constants.loc[list(AIRCRAFT_CONSTANTS)]))
         n_held = len(derivatives) + len(shared)
     if not _has_drag(derivatives):
         # a measured force takes the place of thrust
         shared["thrust_scale"] = (0.0, 1e-6)
-    return Parameters.of(dict(derivatives) | shared, OWN, n_flights, n_held)
+    return Parameters.of(dict(derivatives) | shared, FLIGHT_CONSTANTS, n_flights, n_held)
 
 
 def _noises(
@@ -357,15 +357,15 @@ def _noises(
 ) -> Parameters:
     """Return the priors of the noises of the flights; shared ones of a known aircraft are held."""
     if known is not None:
-        shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
-        return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
+        shared = {name: (known.noise[name], 1.0) for name in AIRCRAFT_NOISES}
+        return Parameters.of(shared, FLIGHT_NOISES, n_flights, len(shared))
     accelerometer = quietest_noise(records, FORCE_READINGS, settings.least_noise)
     gyro = quietest_noise(records, RATE_READINGS, settings.least_noise)
     medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
-    shared = dict(SHARED_NOISES)
+    shared = dict(AIRCRAFT_NOISES)
     for name, median in medians.items():
-        shared[name] = (median, SHARED_NOISES[name][1])
-    return Parameters.of(shared, OWN_NOISES, n_flights)
+        shared[name] = (median, AIRCRAFT_NOISES[name][1])
+    return Parameters.of(shared, FLIGHT_NOISES, n_flights)
 
 
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:

@@ -42,13 +42,13 @@ WINDS = ("wind_north", "wind_east", "wind_down")
 PITOT = ("airspeed_scale", "wind_north", "wind_east")
 """Parameters of the airspeed in a steady wind."""
 ARM = ("arm_x", "arm_y", "arm_z")
-SHARED: Prior = {
+AIRCRAFT_CONSTANTS: Prior = {
     "servo_lag": (0.03, 0.05),  # [s]
     "thrust_scale": (0.0, 0.1),
     **AIR_SENSOR_ERRORS,
 }
 """Constants of an aircraft and its sensors."""
-OWN: Prior = {
+FLIGHT_CONSTANTS: Prior = {
     "wind_north": (0.0, WIND_STD),  # steady [m/s]
     "wind_east": (0.0, WIND_STD),
     "wind_down": (0.0, 0.1),
@@ -57,7 +57,7 @@ OWN: Prior = {
 """Constants of a flight."""
 SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", *RATE_BIASES)
 """Constants whose priors hold for any flight, with a mean of zero."""
-SHARED_NOISES: Prior = {
+AIRCRAFT_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),
     "fast_h": (0.1, 0.5),  # intensity of the fast part of gusts, relative to the slow one
@@ -71,7 +71,7 @@ SHARED_NOISES: Prior = {
     **AIR_NOISE,
 }
 """Noises of an aircraft and its sensors, and of the air's spectrum."""
-OWN_NOISES: Prior = {
+FLIGHT_NOISES: Prior = {
     "gust_north": (0.5, 1.5),  # [m/s]
     "gust_east": (0.5, 1.5),
     "gust_down": (0.5, 1.5),
@@ -94,16 +94,16 @@ class Parameters(NamedTuple):
     n_held: int  # the first ones, which are not estimated
 
     @classmethod
-    def of(cls, shared: Prior, own: Prior, n_flights: int, n_held: int = 0) -> Parameters:
-        """Return the parameters of ``n_flights`` flights."""
+    def of(cls, shared: Prior, local: Prior, n_flights: int, n_held: int = 0) -> Parameters:
+        """Return the parameters of ``n_flights`` flights: shared ones, and local ones for each."""
         priors = dict(shared)
         places = []
         for flight in range(n_flights):
             first = len(priors)
-            priors |= {f"{name} {flight}": prior for name, prior in own.items()}
+            priors |= {f"{name} {flight}": prior for name, prior in local.items()}
             places.append([*range(len(shared)), *range(first, len(priors))])
         mean, std = np.array(list(priors.values())).T.copy()
-        return cls([*priors], mean, std, np.array(places), [*shared, *own], n_held)
+        return cls([*priors], mean, std, np.array(places), [*shared, *local], n_held)
 
     def values(self, x: Array, flight: int) -> dict[str, Array]:
         """Return the values (...) of the parameters of one flight, from all (..., p)."""

@@ -45,6 +45,7 @@ from skdgp.dynamics import (
     TangentSettings,
     Trim,
     Turbulence,
+    as_aerodynamics,
     channels,
     gust_stream,
     linearize,
@@ -294,23 +295,24 @@ class ModelInFlight:
 
     def __init__(
         self,
-        motion: Motion,
+        model: Aerodynamics,
+        aircraft: Aircraft,
         steady: Trim,
         height: float,
+        thrust: str | None,
         wind: Any,
         turbulence: Turbulence | None,
         random_state: int,
         settings: FlySettings = FLY,
     ) -> None:
-        self.motion = motion
+        self.ground = Ground(aircraft, steady.altitude - height)
+        self.motion = Motion(model, aircraft, thrust=thrust, ground=self.ground)
         self.steady = steady
         self.height = height
         self.wind = None if wind is None else np.asarray(wind, dtype=float)
         self.turbulence = turbulence
         self.random_state = random_state
         self.settings = settings
-        self.ground = Ground(motion.aircraft, steady.altitude - height)
-        motion.ground = self.ground
         self.start()
 
     def start(self) -> None:
@@ -555,13 +557,15 @@ def fly(
         raise ValueError(
             f"Got wind={wind!r}, but expected three finite numbers: north, east, down [m/s]."
         )
-    motion = Motion(model, aircraft, thrust=thrust)
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
+    flown = as_aerodynamics(model)
     if path is not None:
-        motion.aerodynamics = motion.aerodynamics.sample(1, path, rounded=True)
-    flight = ModelInFlight(motion, steady, height, wind, gusts, random_state, settings)
+        flown = flown.sample(1, path, rounded=True)
+    flight = ModelInFlight(
+        flown, aircraft, steady, height, thrust, wind, gusts, random_state, settings
+    )
     with Link(address, port) as link:
         if ready is not None:
             ready()

@@ -112,12 +112,12 @@ EQUALITIES = (
 # -- signs
 
 
-def _vane(name: str, y: str, x: str) -> Sign:
+def _vane(name: str, x: str) -> Sign:
     """Return the check of a vane by the ground velocity across the body axis."""
     relation = Relation(
         channels=(name,),
         uses=(*EULER, *EARTH_VELOCITY, "airspeed"),
-        y=y,
+        y=f"V {name}",
         x=x,
         regression=partial(equations.velocity_across, angle=name),
     )
@@ -174,8 +174,8 @@ THRUST = Relation(
 )
 
 SIGNS = (
-    _vane("beta", "V beta", "the lateral ground velocity less a wind"),
-    _vane("alpha", "V alpha", "the normal ground velocity less a wind"),
+    _vane("beta", "the lateral ground velocity less a wind"),
+    _vane("alpha", "the normal ground velocity less a wind"),
     _sensor_force("ax", axis=0),
     _sensor_force("ay", axis=1),
     _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
@@ -218,21 +218,20 @@ def _by_other_axis(
     return Alternative(replace(by_wrong, channels=(wrong, right), uses=uses), by_right)
 
 
-def _in_earth_axes(axis: int) -> Alternative:
-    """Return a change of velocity by an accelerometer in earth axes, beside the one in body axes."""
-    in_body_axes = Relation(
+def _horizontal_force(axis: int, axes: str) -> Relation:
+    """Return the relation of a change of velocity with an accelerometer, taken in "body" or "earth" axes."""
+    return Relation(
         channels=("ax", "ay"),
         uses=FORCE_CHANNELS,
         y=f"the change of {EARTH_VELOCITY[axis]}",
-        x=f"the integral of {SPECIFIC_FORCE[axis]} taken in body axes",
-        regression=partial(equations.horizontal_force, axis=axis),
+        x=f"the integral of {SPECIFIC_FORCE[axis]} taken in {axes} axes",
+        regression=partial(equations.horizontal_force, axis=axis, in_earth_axes=axes == "earth"),
     )
-    in_earth_axes = replace(
-        in_body_axes,
-        x=f"the integral of {SPECIFIC_FORCE[axis]} taken in earth axes",
-        regression=partial(equations.horizontal_force_in_earth_axes, axis=axis),
-    )
-    return Alternative(in_earth_axes, in_body_axes)
+
+
+def _in_earth_axes(axis: int) -> Alternative:
+    """Return a change of velocity by an accelerometer in earth axes, beside the one in body axes."""
+    return Alternative(_horizontal_force(axis, "earth"), _horizontal_force(axis, "body"))
 
 
 # Accelerometers in earth axes, from which other contradictions follow

@@ -130,19 +130,11 @@ def _level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vec
     return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
 
 
-def horizontal_force(flight: Signals, axis: int) -> Regression:
-    """Return the terms along north or east."""
-    force = _in_earth_axes(flight, flight.vector(SPECIFIC_FORCE))
-    return _horizontal_terms(flight, axis, force)
-
-
-def horizontal_force_in_earth_axes(flight: Signals, axis: int) -> Regression:
-    """Return the terms along north or east of v_dot = f + g, as if accelerometers were in earth axes."""
-    return _horizontal_terms(flight, axis, flight.vector(SPECIFIC_FORCE))
-
-
-def _horizontal_terms(flight: Signals, axis: int, force: Matrix) -> Regression:
-    """Return the change of velocity and the impulse of a force (n, 3) in earth axes."""
+def horizontal_force(flight: Signals, axis: int, in_earth_axes: bool) -> Regression:
+    """Return the terms along north or east, with accelerometers in body axes, or as if they were in earth axes."""
+    force = flight.vector(SPECIFIC_FORCE)
+    if not in_earth_axes:
+        force = _in_earth_axes(flight, force)
     change = flight.change(flight.vector(EARTH_VELOCITY))
     impulse = flight.integral(force)
     return Regression.with_intercept(change[:, axis], impulse[:, axis])

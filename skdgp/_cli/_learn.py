@@ -17,8 +17,8 @@ from skdgp.datasets import load_example_flights
 from skdgp.design import PlanCheck
 from skdgp.dynamics import KINDS, Aircraft, Propeller
 from skdgp.identification import Identification, changes_of
-from skdgp.identification import identify as learn
-from skdgp.identification import validate as judge
+from skdgp.identification import identify as identify_flights
+from skdgp.identification import validate as validate_flights
 from skdgp.io import inspect_log
 
 SIZES = {
@@ -95,7 +95,7 @@ def identify(run: Run) -> None:
       skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
     """
     options = run.options
-    _learn(
+    _identify(
         run,
         options.train,
         _aircraft(run),
@@ -154,12 +154,13 @@ def demo(run: Run) -> None:
     """
     run.console.stage("simulating the example flights")
     example = load_example_flights()
-    _learn(
+    _identify(
         run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV"
     )
 
 
-def _learn(run, train, aircraft, test, title=None, **loads):
+def _identify(run, train, aircraft, test, title=None, **loads):
+    """Learn a model with the options of the command line, write it and print its summary."""
     options = run.options
     parameters = {
         "n_latent": options.latents,
@@ -179,7 +180,7 @@ def _learn(run, train, aircraft, test, title=None, **loads):
         "lags": opt.none_of(options.lags),
     }
     with listening(run.console.progress, keep_best=True):
-        result = learn(
+        result = identify_flights(
             train,
             aircraft,
             test=test,
@@ -231,7 +232,7 @@ def validate(run: Run) -> None:
     loads = {name: opt.none_of(value) for name, value in loads.items()}
     with listening(run.console.progress):
         model = read_model(options)
-        result = judge(
+        result = validate_flights(
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
         )
         samples = {}
@@ -239,7 +240,7 @@ def validate(run: Run) -> None:
             samples[flight.name] = flight.regressors, flight.measured - flight.mean
         supplements: list[Any] = [changes_of(model.pipeline, samples)]
         if options.plan is not None:
-            thrust = result.settings["thrust"]
+            thrust = result.options["thrust"]
             check = PlanCheck.from_file(
                 options.plan, model.pipeline, result.aircraft, thrust=thrust
             )

@@ -97,7 +97,6 @@ class Code(Enum):
     CONTROLS_KNOWN = "controls_known"
     CONTROLS_MISSING = "controls_missing"
     CONTROLS_TOO_UNCERTAIN = "controls_too_uncertain"
-    NO_BANDS = "no_bands"
     NO_DERIVATIVES = "no_derivatives"
     NO_TRIM = "no_trim"
     TRIM_BEYOND = "trim_beyond"

@@ -70,9 +70,9 @@ def reasons_of(findings: Iterable[Finding]) -> str:
     Examples
     --------
     >>> small = Finding(Code.ERRORS_SMALL, numbers={"smallest": 0.1, "largest": 0.2})
-    >>> reasons = reasons_of([small, Finding(Code.GUSTS_UNKNOWN), Finding(Code.NO_BANDS)])
+    >>> reasons = reasons_of([small, Finding(Code.GUSTS_UNKNOWN), Finding(Code.NO_DERIVATIVES)])
     >>> reasons.partition("; ")[2]
-    'but gusts without vanes are not known; the model has no bands of derivatives'
+    'but gusts without vanes are not known; no derivatives'
     """
     text = ""
     follows_note = False
@@ -500,7 +500,6 @@ REASONS = _by_code(
     controls_known="controls and fast modes are known to {width:.0%} or better ({widest})",
     controls_missing="the model has none of the controls elevator, aileron, rudder",
     controls_too_uncertain=_controls_too_uncertain,
-    no_bands="the model has no bands of derivatives",
     no_derivatives="no derivatives",
     no_trim="no steady flight was found at {airspeed:.3g} m/s",
     trim_beyond="the trim is outside the flown range in {names}",

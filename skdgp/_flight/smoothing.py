@@ -122,27 +122,16 @@ def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndar
     return smooth(values, time, derivative=True, **options)
 
 
-def noise_level(
-    values: ArrayLike, time: ArrayLike, *, flight: ArrayLike | None = None
-) -> np.ndarray:
-    """Return the standard deviation of the white noise in each channel, (k,) or ().
-
-    Flights are pooled by their number of samples; NaN where all are too short.
-    """
-    columns, clock = _checked(values, time, flight)
+def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
+    """Return the standard deviation of the white noise of a flight's channels, (k,) or (); NaN if it is too short."""
+    columns, clock = _checked(values, time, None)
     std = np.full(columns.shape[1], np.nan)
     for rows, channels in _same_rows(columns):
         sampled = columns[np.ix_(rows, channels)]
         part = clock.part(rows)
-        variances = []
-        weights = []
-        for runs in part.segments_by_flight:
-            spectrum = _flight_spectrum(sampled, part.time, runs)
-            if spectrum is not None:
-                variances.append(white_noise(spectrum) * spectrum.frequency[-1])
-                weights.append(sum(map(n_rows, runs)))
-        if variances:
-            std[channels] = np.sqrt(np.average(variances, axis=0, weights=weights))
+        spectrum = _flight_spectrum(sampled, part.time, part.segments)
+        if spectrum is not None:
+            std[channels] = np.sqrt(white_noise(spectrum) * spectrum.frequency[-1])
     return std.reshape(np.shape(values)[1:])
 
 

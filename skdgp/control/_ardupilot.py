@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,23 +31,24 @@ from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_densit
 from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.dynamics import (
     ATTITUDE,
-    RATES,
     VELOCITY,
     Aerodynamics,
     Aircraft,
+    Clock,
+    End,
     Ground,
     Gusts,
-    GustyAir,
+    Integrator,
     LinearModel,
     LocalAir,
     Motion,
-    Servos,
+    TangentSettings,
     Trim,
     Turbulence,
+    as_aerodynamics,
     channels,
     gust_stream,
     linearize,
-    rk4_step,
     thrust_control,
 )
 
@@ -109,6 +109,8 @@ class FlySettings:
 
 
 FLY = FlySettings()
+# The steps of a packet are few: every stage evaluates the model
+WITHOUT_TANGENTS = TangentSettings(interval=0.0)
 
 
 class Packet(NamedTuple):
@@ -293,23 +295,24 @@ class ModelInFlight:
 
     def __init__(
         self,
-        motion: Motion,
+        model: Aerodynamics,
+        aircraft: Aircraft,
         steady: Trim,
         height: float,
+        thrust: str | None,
         wind: Any,
         turbulence: Turbulence | None,
         random_state: int,
         settings: FlySettings = FLY,
     ) -> None:
-        self.motion = motion
+        self.ground = Ground(aircraft, steady.altitude - height)
+        self.motion = Motion(model, aircraft, thrust=thrust, ground=self.ground)
         self.steady = steady
         self.height = height
         self.wind = None if wind is None else np.asarray(wind, dtype=float)
         self.turbulence = turbulence
         self.random_state = random_state
         self.settings = settings
-        self.servos = Servos.of(motion)
-        self.ground = Ground(motion.aircraft, steady.altitude - height)
         self.start()
 
     def start(self) -> None:
@@ -323,59 +326,38 @@ class ModelInFlight:
             state[2] = -self.steady.altitude
             if self.wind is not None:
                 state[VELOCITY] += ned_to_body(state[ATTITUDE], self.wind)
-        self.state: Vector = state  #: (13,), see `STATE_NAMES`
-        self._deflections: dict[str, Any] = {}
-        self._implicit: Array | None = None
+        self._end = End(state, {})
         self._gust_step = 0.0
-        self._gusts: Any = None
+        self._gust_stream: Any = None
+        self._gusts: Gusts | None = None  # of the present step
         self.ended = ""
         self._specific_force = np.array([0.0, 0.0, -self.motion.gravity])
         self._wind: Array | None = None  # of the air at the last stage, north, east, down
 
+    @property
+    def state(self) -> Array:
+        """State (13,), see `STATE_NAMES`."""
+        return self._end.state
+
     def advance(self, commands: Mapping[str, float], duration: float) -> None:
         """Fly for a ``duration`` [s] with constant commands."""
         n_steps = max(1, math.ceil(duration / self.settings.longest_step - 1e-6))
-        step = duration / n_steps
-        commands = self.motion.mixed(commands)
-        for _ in range(n_steps):
-            self._step(commands, step)
+        clock = Clock(duration / n_steps, n_steps)
+
+        def held(step: int, stage: int, observe: Callable) -> Mapping[str, float]:
+            return commands
+
+        integrator = Integrator(self.motion, held, self._air, clock, tangents=WITHOUT_TANGENTS)
+        with np.errstate(all="ignore"):  # what diverges is ended
+            for k in range(n_steps):
+                self._gusts = self._next_gusts(clock.dt)
+                self._end = integrator.step(k, integrator.begin(k, self._end))
+        self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
+        self._specific_force = np.divide(self._end.force, self.motion.aircraft.mass)
         self.time += duration
         is_flying = np.isfinite(self.state).all() and np.isfinite(self._specific_force).all()
         if not is_flying or np.abs(self.state[VELOCITY]).max() > self.settings.fastest:
             self.ended = f"the flight diverged after {self.time:.1f} s"
-
-    def _step(self, commands: dict[str, Any], step: float) -> None:
-        begun = self._deflections
-        rate = partial(self._rate, commands, begun, self._next_gusts(step))
-        with np.errstate(all="ignore"):  # what diverges is ended
-            state = rk4_step(rate, 0.0, self.state, step)
-        state[ATTITUDE] /= np.linalg.norm(state[ATTITUDE])
-        self.state = state
-        if self.servos.surfaces:
-            self._deflections = self.servos.deflected(commands, step, commands, begun)
-
-    def _rate(
-        self,
-        commands: dict[str, Any],
-        begun: Mapping[str, Any],
-        gusts: Gusts | None,
-        t: float,
-        state: Vector,
-    ) -> Array:
-        """Return d state / dt (13,) at a time [s] after a step began; keep the specific force."""
-        controls = self.servos.deflected(commands, t, commands, begun)
-        now = self.motion.at(state, controls, self._air(state, gusts), self._implicit)
-        self._implicit = now.implicit
-        force, derivative = now.force, now.derivative
-        touching = self.ground.loads(state)
-        if touching is not None:
-            aircraft = self.motion.aircraft
-            force = force + touching[0]
-            derivative[VELOCITY] += touching[0] / aircraft.mass
-            derivative[RATES] += touching[1] @ aircraft.inertia_inverse
-        # of the last stage, at the end of the step
-        self._specific_force = force / self.motion.aircraft.mass
-        return derivative
 
     def _next_gusts(self, step: float) -> Gusts | None:
         """Return the gusts of a step, or None in calm air."""
@@ -385,14 +367,15 @@ class ModelInFlight:
             rng = np.random.default_rng(self.random_state)
             size = (self.turbulence.length, self.turbulence.intensity, self.motion.aircraft.span)
             self._gust_step = step
-            self._gusts = gust_stream(step, self.steady.airspeed, *size, rng)
-        return Gusts(*(part[None] for part in next(self._gusts)))
+            self._gust_stream = gust_stream(step, self.steady.airspeed, *size, rng)
+        return next(self._gust_stream)
 
-    def _air(self, state: Vector, gusts: Gusts | None) -> LocalAir | None:
+    def _air(self, stage: int, state: Vector) -> LocalAir | None:
         """Return the air at a state; a forward airspeed below the least one counts as that."""
-        local = self._wind_at(0, state)
-        if gusts is not None:
-            local = GustyAir(self._wind_at, gusts)(0, state)
+        local = None if self.wind is None else LocalAir(self.wind)
+        if self._gusts is not None:
+            gust, gust_rate, rotation = self._gusts
+            local = LocalAir(self.wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
         forward = state[3]
         velocity = None if local is None else local.velocity(state[ATTITUDE])
         if velocity is not None:
@@ -404,9 +387,6 @@ class ModelInFlight:
         behind = LocalAir() if local is None else local
         gust = np.zeros(3) if behind.gust is None else behind.gust
         return behind._replace(gust=gust - np.array([lacking, 0.0, 0.0]))
-
-    def _wind_at(self, stage: int, state: Vector) -> LocalAir | None:
-        return None if self.wind is None else LocalAir(self.wind)
 
     def channels(self) -> dict[str, float]:
         """Return the channels of the present state by name, with accelerometers and density."""
@@ -577,13 +557,15 @@ def fly(
         raise ValueError(
             f"Got wind={wind!r}, but expected three finite numbers: north, east, down [m/s]."
         )
-    motion = Motion(model, aircraft, thrust=thrust)
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
+    flown = as_aerodynamics(model)
     if path is not None:
-        motion.aerodynamics = motion.aerodynamics.sample(1, path, rounded=True)
-    flight = ModelInFlight(motion, steady, height, wind, gusts, random_state, settings)
+        flown = flown.sample(1, path, rounded=True)
+    flight = ModelInFlight(
+        flown, aircraft, steady, height, thrust, wind, gusts, random_state, settings
+    )
     with Link(address, port) as link:
         if ready is not None:
             ready()

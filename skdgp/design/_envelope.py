@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 import pandas as pd
@@ -76,8 +75,6 @@ class Envelope:
     altitude: float | None = None
     growth: float = 0.2
     margin: float = 0.3
-    #: Limited quantities, and their options of the command line
-    command_options: ClassVar[Mapping[str, str]] = OPTIONS
 
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):

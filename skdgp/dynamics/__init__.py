@@ -40,7 +40,16 @@ from skdgp.dynamics._ground import contact_points as contact_points
 from skdgp.dynamics._inputs import Clock as Clock
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._integrate import (
+    End as End,
+)
+from skdgp.dynamics._integrate import (
+    Integrator as Integrator,
+)
+from skdgp.dynamics._integrate import (
     Record as Record,
+)
+from skdgp.dynamics._integrate import (
+    TangentSettings as TangentSettings,
 )
 from skdgp.dynamics._integrate import (
     channels as channels,
@@ -86,7 +95,6 @@ from skdgp.dynamics._rigid_body import (
 from skdgp.dynamics._rigid_body import (
     thrust_control as thrust_control,
 )
-from skdgp.dynamics._servos import Servos as Servos
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import ScaleFactor

@@ -99,6 +99,7 @@ class End(NamedTuple):
     deflections: Mapping[str, Array]
     implicit: Array | None = None  #: Guess of the implicit regressors
     tangent: Tangent | None = None
+    force: Array | float = 0.0  #: At the last stage, as of `Instant`
 
 
 class Integrator:
@@ -173,7 +174,7 @@ class Integrator:
         if self.servos.surfaces:
             _, commands = self._inputs(step, 2 * step + 2, state)
             deflections = self.servos.deflected(commands, self.dt, begin.commands, begin.controls)
-        return End(state, deflections, begin.now.implicit, tangent)
+        return End(state, deflections, begin.now.implicit, tangent, stages[-1].force)
 
     def _at(self, step: int, begin: Moment, t: float, state: Array) -> Instant:
         """Return what happens at a time ``t`` [s] after a step began."""

@@ -1,14 +1,17 @@
-"""Linear models of the motion: slopes of mechanics, aerodynamics and servos at a flight, with standard deviations.
+"""Linear models of the motion about a flight condition, with standard deviations.
 
-`jacobian` holds the equations. `_mechanics` are the equations of motion as one function of state,
-inputs and coefficients, whose slopes are differences; the aerodynamic model has slopes of its own.
-`_with_servos` puts the servos before the controls, and names A, B, C and D.
+In the order of the computation: `jacobian` combines the slopes of mechanics and aerodynamic model;
+`Mechanics` are the equations of motion as one function of state, inputs and coefficients, whose
+slopes are differences; `_with_servos` puts the servos before the controls, and cuts A, B, C and D.
+
+A ``state`` (..., 13) is as of `STATE_NAMES`, with a quaternion; x (..., 12) are `STATES`, with Euler
+angles; u (..., k) the inputs, z = (x, u), and C (..., 6) the coefficients.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -209,16 +212,17 @@ def linearize(
     mean = _matrices(motion, state, controls, inputs)
     paths = None
     if n_paths:
-        drawn, unsteady = _drawn(motion, state, controls, n_paths, random_state)
+        motion_of_paths, unsteady = _motion_of_paths(motion, state, controls, n_paths, random_state)
         points = np.tile(state, (n_paths, 1))
-        paths = _matrices(drawn, points, controls, inputs, unsteady)
+        paths = _matrices(motion_of_paths, points, controls, inputs, unsteady)
     surfaces = Servos.of(motion).surfaces
-    states = [*STATES, *(f"{name}_position" for name in inputs if name in surfaces)]
-    outputs = [*states, *OUTPUTS]
+    positions = [f"{name}_position" for name in inputs if name in surfaces]
+    names = [*STATES, *positions]
+    outputs = [*names, *OUTPUTS]
     return LinearModel(
-        A=pd.DataFrame(mean.A, states, states),
-        B=pd.DataFrame(mean.B, states, inputs),
-        C=pd.DataFrame(mean.C, outputs, states),
+        A=pd.DataFrame(mean.A, names, names),
+        B=pd.DataFrame(mean.B, names, inputs),
+        C=pd.DataFrame(mean.C, outputs, names),
         D=pd.DataFrame(mean.D, outputs, inputs),
         paths=paths,
         airspeed=float(now.airspeed),
@@ -227,12 +231,166 @@ def linearize(
     )
 
 
-def check_paths(n_paths: int) -> None:
-    """Raise ValueError at a number of paths that have no spread."""
-    if n_paths < 0 or n_paths == 1:
+def _matrices(
+    motion: Motion,
+    state: Array,
+    controls: Mapping,
+    inputs: Sequence[str],
+    unsteady: UnsteadyTerms | None = None,
+) -> Matrices:
+    """Return A, B, C, D at states (..., 13)."""
+    x_dot_z, y_z, instant = jacobian(motion, state, controls, inputs, unsteady)
+    check_settled(instant)
+    if not np.isfinite(x_dot_z).all():
         raise ValueError(
-            f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread."
+            "Got slopes of the model that are not finite at this point: it is not defined there."
         )
+    return _with_servos(x_dot_z, y_z, inputs, Servos.of(motion))
+
+
+def jacobian(
+    motion: Motion,
+    state: Array,
+    controls: Mapping,
+    inputs: Sequence[str] = (),
+    unsteady: UnsteadyTerms | None = None,
+) -> tuple[Array, Array, Instant]:
+    r"""Return the slopes d x_dot (..., 12, 12 + k) and d outputs (..., 6, 12 + k) by z, and the instant.
+
+    The states are (..., 13), as of `Motion.at`, the inputs k of the controls, which are numbers.
+    Where the aerodynamics are paths, these are the first axis of ``state``.
+
+    With :math:`z = (x, u)`, the motion is mechanics :math:`\dot x = F(z, C), y = H(z, C)` around a
+    model :math:`C = c(X)` of regressors :math:`X = G(z, C)`. These depend on C where they follow
+    from the loads (alpha_dot, ax, ...). So
+
+    .. math:: C_z = (I - c_X G_C)^{-1} c_X G_z, \quad \dot x_z = F_z + F_C C_z, \quad
+        y_z = H_z + H_C C_z
+
+    with the slopes of the model :math:`c_X`. The slopes of F, G and H are differences, exact to
+    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
+    """
+    state = np.asarray(state, dtype=float)
+    instant = motion.at(state, controls)
+    mechanics = Mechanics(motion, controls, inputs)
+    (F_z, G_z, H_z), (F_C, G_C, H_C) = mechanics.slopes(state, instant)
+    # Coefficients by z, with the regressors that follow from them
+    c_X = motion.aerodynamics.gradient(instant.regressors)
+    loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
+    C_z = loop @ c_X @ G_z
+    if unsteady is not None:
+        angle_rates = H_z[..., AIR_ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
+        C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
+    x_dot_z = F_z + F_C @ C_z
+    y_z = H_z + H_C @ C_z
+    return x_dot_z, y_z, instant
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanics:
+    """Equations of motion at given coefficients: x_dot = F(z, C), regressors X = G(z, C), outputs y = H(z, C)."""
+
+    motion: Motion
+    controls: Mapping
+    inputs: Sequence[str]
+
+    def __call__(self, zC: Array) -> Array:
+        """Return F, G and H as one vector, of (x, u, C) (..., 12 + k + 6)."""
+        x, u, C = np.split(zC, [len(STATES), len(STATES) + len(self.inputs)], axis=-1)
+        controls = {**self.controls, **by_name(self.inputs, u)}
+        now = self.motion.at(_with_quaternion(x), controls, coefficients=C)
+        F = _x_dot(x, now)
+        G = now.regressors
+        air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
+        specific_force = now.force / self.motion.aircraft.mass
+        return np.concatenate([F, G, air, specific_force], axis=-1)
+
+    def slopes(self, state: Array, instant: Instant) -> tuple[list[Array], list[Array]]:
+        """Return the slopes (F_z, G_z, H_z), (..., m, 12 + k), and (F_C, G_C, H_C), (..., m, 6), by differences."""
+        values = [self.controls[name] for name in self.inputs]
+        u = np.broadcast_to(values, (*state.shape[:-1], len(values)))
+        zC = np.concatenate([_with_euler_angles(state), u, instant.coefficients], axis=-1)
+        slopes = central_difference(self, zC, _steps(zC, instant.airspeed))
+        by_z, by_C = np.split(slopes, [len(STATES) + len(self.inputs)], axis=-1)
+        ends = [len(STATES), len(STATES) + len(self.motion.regressors)]
+        return np.split(by_z, ends, axis=-2), np.split(by_C, ends, axis=-2)
+
+
+def _with_euler_angles(state: Array) -> Array:
+    """Return x (..., 12) of states (..., 13)."""
+    angles = quaternion_to_euler(state[..., ATTITUDE])
+    return np.concatenate([state[..., :6], angles, state[..., RATES]], axis=-1)
+
+
+def _with_quaternion(x: Array) -> Array:
+    """Return the states (..., 13) of x (..., 12)."""
+    angles = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
+    return np.concatenate([x[..., :6], euler_to_quaternion(*angles), x[..., 9:]], axis=-1)
+
+
+def _x_dot(x: Array, now: Instant) -> Array:
+    """Return the rates of change of x (..., 12): the rates of the angles for those of the quaternion."""
+    phi, theta, _ = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
+    angles_dot = matrix_vector(euler_per_rotation(phi, theta), x[..., 9:])
+    derivative = now.derivative
+    return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
+
+
+def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:
+    """Return the steps of the differences by (x, u, C) (..., 12 + k + 6)."""
+    steps = np.full(zC.shape, sizes.fraction)
+    steps[..., :3] = sizes.position
+    steps[..., 3:6] *= airspeed[..., None]
+    steps[..., 6:12] = sizes.angle
+    steps[..., 12:-6] *= 1.0 + np.abs(zC[..., 12:-6])
+    return steps
+
+
+def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Servos) -> Matrices:
+    r"""Return the matrices of the motion by commands, from slopes (..., m, 12 + k) by rigid body and controls.
+
+    The surfaces have the deflections :math:`\delta` and the commands :math:`E u`. The states are
+    :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
+    :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
+    """
+    n_body = len(STATES)
+    n_inputs = len(inputs)
+    E = np.eye(n_inputs)[[name in servos.surfaces for name in inputs]]
+    n_states = n_body + len(E)
+    # Rows of these matrices are linear in (x, delta, u).
+    x_and_delta = np.eye(n_states, n_states + n_inputs)
+    delta = x_and_delta[n_body:]
+    commands = np.hstack([np.zeros((len(E), n_states)), E])
+    controls = np.hstack([E.T, np.eye(n_inputs) - E.T @ E])
+    x_and_controls = block_diag(np.eye(n_body), controls)
+    # Each path has the same servos.
+    n_paths = x_dot_z.shape[:-2]
+    rates = np.zeros((*n_paths, *x_and_delta.shape))
+    rates[..., :n_body, :] = x_dot_z @ x_and_controls
+    rates[..., n_body:, :] = (commands - delta) / servos.lag
+    outputs = np.zeros((*n_paths, n_states + len(OUTPUTS), n_states + n_inputs))
+    outputs[..., :n_states, :] = x_and_delta
+    outputs[..., n_states:, :] = y_z @ x_and_controls
+    A, B = np.split(rates, [n_states], axis=-1)
+    C, D = np.split(outputs, [n_states], axis=-1)
+    return Matrices(A, B, C, D)
+
+
+def _motion_of_paths(
+    motion: Motion, state: Array, controls: Mapping, n_paths: int, random_state: Seed
+) -> tuple[Motion, UnsteadyTerms | None]:
+    """Return the motion with functions drawn from the posterior in place of the model, and their unsteady terms."""
+    model = motion.aerodynamics
+    motion_of_paths = copy.copy(motion)
+    motion_of_paths.aerodynamics = model.sample(n_paths, random_state)
+    if model.function_errors is None:
+        return motion_of_paths, None
+    now = motion.at(state, controls)
+    slopes = model.gradient(now.regressors)
+    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.function_errors()))
+    # slopes by alpha_dot and beta_dot of each path
+    draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
+    return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)
 
 
 def flight_point(
@@ -264,165 +422,9 @@ def flight_point(
     return state, {name: float(value) for name, value in motion.mixed(controls).items()}
 
 
-def _drawn(
-    motion: Motion, state: Array, controls: Mapping, n_paths: int, random_state: Seed
-) -> tuple[Motion, UnsteadyTerms | None]:
-    """Return the motion of functions drawn from the posterior, and their unsteady terms."""
-    model = motion.aerodynamics
-    drawn = copy.copy(motion)
-    drawn.aerodynamics = model.sample(n_paths, random_state)
-    if model.function_errors is None:
-        return drawn, None
-    now = motion.at(state, controls)
-    slopes = model.gradient(now.regressors)
-    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.function_errors()))
-    # slopes by alpha_dot and beta_dot of each path
-    draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
-    return drawn, unsteady._replace(slopes=draws * unsteady.slopes)
-
-
-def _matrices(
-    motion: Motion,
-    state: Array,
-    controls: Mapping,
-    inputs: Sequence[str],
-    unsteady: UnsteadyTerms | None = None,
-) -> Matrices:
-    """Return A, B, C, D at states (..., 13)."""
-    state_dot_z, output_z, instant = jacobian(motion, state, controls, inputs, unsteady)
-    check_settled(instant)
-    if not np.isfinite(state_dot_z).all():
+def check_paths(n_paths: int) -> None:
+    """Raise ValueError at a number of paths that have no spread."""
+    if n_paths < 0 or n_paths == 1:
         raise ValueError(
-            "Got slopes of the model that are not finite at this point: it is not defined there."
+            f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread."
         )
-    return _with_servos(state_dot_z, output_z, inputs, Servos.of(motion))
-
-
-def _with_servos(
-    state_dot_z: Array, output_z: Array, inputs: Sequence[str], servos: Servos
-) -> Matrices:
-    r"""Return the matrices of the motion by commands, from slopes (..., m, 12 + k) by rigid body and controls.
-
-    The surfaces have the deflections :math:`\delta` and the commands :math:`E u`. The states are
-    :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
-    :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
-    """
-    n_body = len(STATES)
-    n_inputs = len(inputs)
-    E = np.eye(n_inputs)[[name in servos.surfaces for name in inputs]]
-    n_states = n_body + len(E)
-    # The columns of all matrices are those of (x, delta, u).
-    states = np.eye(n_states, n_states + n_inputs)
-    to_controls = np.hstack([E.T, np.eye(n_inputs) - E.T @ E])
-    to_aircraft = block_diag(np.eye(n_body), to_controls)
-    commands = np.hstack([np.zeros((len(E), n_states)), E])
-    # Each path has the same servos.
-    n_paths = state_dot_z.shape[:-2]
-    rates = np.zeros((*n_paths, *states.shape))
-    rates[..., :n_body, :] = state_dot_z @ to_aircraft
-    rates[..., n_body:, :] = (commands - states[n_body:]) / servos.lag
-    outputs = np.zeros((*n_paths, n_states + len(OUTPUTS), n_states + n_inputs))
-    outputs[..., :n_states, :] = states
-    outputs[..., n_states:, :] = output_z @ to_aircraft
-    A, B = np.split(rates, [n_states], axis=-1)
-    C, D = np.split(outputs, [n_states], axis=-1)
-    return Matrices(A, B, C, D)
-
-
-def jacobian(
-    motion: Motion,
-    state: Array,
-    controls: Mapping,
-    inputs: Sequence[str] = (),
-    unsteady: UnsteadyTerms | None = None,
-) -> tuple[Array, Array, Instant]:
-    r"""Return d state_dot (..., 12, 12 + k), d outputs (..., 6, 12 + k) by `STATES` and inputs, and the instant.
-
-    The states are (..., 13), as of `Motion.at`, the inputs k of the controls, which are numbers.
-    Where the aerodynamics are paths, these are the first axis of ``state``.
-
-    With :math:`z = (x, u)`, the motion is mechanics :math:`\dot x = F(z, C), y = H(z, C)` around a
-    model :math:`C = c(X)` of regressors :math:`X = G(z, C)`. These depend on C where they follow
-    from the loads (alpha_dot, ax, ...). So
-
-    .. math:: C_z = (I - c_X G_C)^{-1} c_X G_z, \quad \dot x_z = F_z + F_C C_z, \quad
-        y_z = H_z + H_C C_z
-
-    with the slopes of the model :math:`c_X`. The slopes of F, G and H are differences, exact to
-    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
-    """
-    state = np.asarray(state, dtype=float)
-    instant = motion.at(state, controls)
-    F_z, G_z, H_z, F_C, G_C, H_C = _mechanics_slopes(motion, state, controls, inputs, instant)
-    # Coefficients by z, with the regressors that follow from them
-    c_X = motion.aerodynamics.gradient(instant.regressors)
-    loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
-    C_z = loop @ c_X @ G_z
-    if unsteady is not None:
-        angle_rates = H_z[..., AIR_ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
-        C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
-    state_dot_z = F_z + F_C @ C_z
-    output_z = H_z + H_C @ C_z
-    return state_dot_z, output_z, instant
-
-
-def _mechanics_slopes(
-    motion: Motion, state: Array, controls: Mapping, inputs: Sequence[str], instant: Instant
-) -> list[Array]:
-    """Return the slopes of F, G and H by z, and by C: differences at an instant."""
-    z = _vector(state, [controls[name] for name in inputs])
-    zC = np.concatenate([z, instant.coefficients], axis=-1)
-    steps = _steps(zC, instant.airspeed)
-    slopes = central_difference(_mechanics(motion, controls, inputs), zC, steps)
-    by_z, by_C = np.split(slopes, [z.shape[-1]], axis=-1)
-    ends = [len(STATES), len(STATES) + len(motion.regressors)]
-    return [*np.split(by_z, ends, axis=-2), *np.split(by_C, ends, axis=-2)]
-
-
-def _vector(state: Array, inputs: Sequence[float]) -> Array:
-    """Return states (..., 13) with Euler angles, and inputs, as one vector z (..., 12 + k)."""
-    angles = quaternion_to_euler(state[..., ATTITUDE])
-    u = np.broadcast_to(inputs, (*state.shape[:-1], len(inputs)))
-    return np.concatenate([state[..., :6], angles, state[..., RATES], u], axis=-1)
-
-
-def _mechanics(
-    motion: Motion, controls: Mapping, inputs: Sequence[str]
-) -> Callable[[Array], Array]:
-    """Return the function of (x, u, C) (..., 12 + k + 6) to F, G and H: state_dot, regressors and outputs."""
-    ends = [len(STATES), len(STATES) + len(inputs)]
-
-    def mechanics(zC: Array) -> Array:
-        x, u, C = np.split(zC, ends, axis=-1)
-        moved = {**controls, **by_name(inputs, u)}
-        now = motion.at(_state_of(x), moved, coefficients=C)
-        F = _rates_of(x, now)
-        air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
-        H = [air, now.force / motion.aircraft.mass]
-        return np.concatenate([F, now.regressors, *H], axis=-1)
-
-    return mechanics
-
-
-def _state_of(x: Array) -> Array:
-    """Return the state (..., 13) of `STATES` (..., 12): a quaternion for the angles."""
-    angles = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
-    return np.concatenate([x[..., :6], euler_to_quaternion(*angles), x[..., 9:]], axis=-1)
-
-
-def _rates_of(x: Array, now: Instant) -> Array:
-    """Return the rates of change of `STATES` (..., 12): the rates of the angles for those of the quaternion."""
-    phi, theta, _ = np.moveaxis(x[..., EULER_ANGLES], -1, 0)
-    angles_dot = matrix_vector(euler_per_rotation(phi, theta), x[..., 9:])
-    derivative = now.derivative
-    return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
-
-
-def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:
-    """Return the steps of states, inputs and coefficients (..., 12 + k + 6)."""
-    steps = np.full(zC.shape, sizes.fraction)
-    steps[..., :3] = sizes.position
-    steps[..., 3:6] *= airspeed[..., None]
-    steps[..., 6:12] = sizes.angle
-    steps[..., 12:-6] *= 1.0 + np.abs(zC[..., 12:-6])
-    return steps

@@ -37,6 +37,7 @@ from skdgp._flight.frames import (
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft
+from skdgp.dynamics._ground import Ground
 from skdgp.dynamics._rigid_body import (
     ATTITUDE,
     RATES,
@@ -164,7 +165,7 @@ class Motion:
 
     The parameters are as of `skdgp.dynamics.simulate`; of the air, density and gravity count.
     With ``lagged`` the implicit regressors are the guess passed to `at`, instead of the fixed
-    point.
+    point. Above a ``ground`` its loads count too, at one state (13,) at a time.
 
     Attributes
     ----------
@@ -182,10 +183,12 @@ class Motion:
         thrust: str | None = "auto",
         air: Any = None,
         lagged: bool = False,
+        ground: Ground | None = None,
         settings: FixedPointSettings = FIXED_POINT,
     ) -> None:
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
+        self.ground = ground
         self.settings = settings
         self.aircraft = check_aircraft(aircraft)
         self.thrust = thrust
@@ -281,11 +284,14 @@ class Motion:
         flow = self._flow(state, air)
         X = self._explicit(state, controls, flow, air)
         values = {**controls, "airspeed": flow.airspeed, "density": flow.density}
-        engine = propulsive_loads(values, self.aircraft, self.thrust)
+        other_loads = propulsive_loads(values, self.aircraft, self.thrust)
+        touching = None if self.ground is None else self.ground.loads(state)
+        if touching is not None:
+            other_loads = other_loads[0] + touching[0], other_loads[1] + touching[1]
 
         def loaded() -> Instant:
             C = model(X) + drift if coefficients is None else coefficients
-            return self._loaded(state, X, C, flow, engine)
+            return self._loaded(state, X, C, flow, other_loads)
 
         def follow(guess: Array) -> Instant:
             for k, place in zip(self.implicit, self._follows, strict=True):
@@ -374,12 +380,12 @@ class Motion:
         return response
 
     def _loaded(
-        self, state: Array, X: Array, C: Array, flow: Flow, engine: tuple[Array, Array]
+        self, state: Array, X: Array, C: Array, flow: Flow, other_loads: tuple[Array, Array]
     ) -> Instant:
-        """Return what happens at coefficients (..., 6), with force and moment of the engine."""
+        """Return what happens at coefficients (..., 6), with force and moment of engine and ground."""
         force, moment = aerodynamic_loads(C, flow.airspeed, flow.density, self.aircraft)
-        force = force + engine[0]
-        moment = moment + engine[1]
+        force = force + other_loads[0]
+        moment = moment + other_loads[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         air = (flow.airspeed, flow.alpha, flow.beta, flow.density)
         return Instant(derivative, C, X, *air, force, None, True)

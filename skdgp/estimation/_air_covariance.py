@@ -145,8 +145,8 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
     motion = []
     for item in fitted:
         # in the motion without the answers to gusts that the last innovations show
-        response = fit.linearized(item.record, item.linear.states).response
-        motion.append(response - response.mean(axis=0))
+        terms = fit.linearized(item.record, item.linear.states).instrument_terms
+        motion.append(terms - terms.mean(axis=0))
     variance = np.concatenate(motion).var(axis=0)
     error = _term_errors(fit, fitted, len(variance))
     fraction = error**2 / np.maximum(error**2 + variance, np.finfo(float).tiny)

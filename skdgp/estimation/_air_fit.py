@@ -86,31 +86,39 @@ class AirFit:
         """
         settings = self.settings
         damping = settings.first_damping
-        fraction = 1.0
-        last = np.zeros(len(self.x) - self.parameters.n_held)
-        small = converged = False
+        fraction = 1.0  # of a step that is taken
+        last_step = np.zeros(len(self.x) - self.parameters.n_held)
+        was_small = False
         for number in range(settings.max_passes):
+            # filter about the states of the last pass
             sums, fitted = self.run(by_instruments=number >= n_before)
             self.records = [item.record for item in fitted]
             self.states = [item.run.states for item in fitted]
+
+            # step of the parameters
             information, score = sums.damped(damping)
             step = self._bounded_step(information, score)
-            # two solutions could follow each other for ever
-            if step @ information @ last < 0:
-                fraction = max(settings.shorter * fraction, settings.least_fraction)
-            else:
-                fraction = min(settings.longer * fraction, 1.0)
+            turns_back = bool(step @ information @ last_step < 0)
+            fraction = self._next_fraction(fraction, turns_back)
             self.x[sums.free] += fraction * step
             self.history.append(self.x.copy())
-            last = step
+
+            # step of the noises, from the second pass on
             noise_length = self._move_noises(fitted) if number else np.inf
-            before = small
-            small = sums.squared_length(step) < settings.tolerance
-            converged = before and small and noise_length < settings.noise_tolerance
-            if converged and number > n_before:
-                break
+
+            is_small = sums.squared_length(step) < settings.tolerance
+            is_still = was_small and is_small and noise_length < settings.noise_tolerance
+            if is_still and number > n_before:
+                return True
+            last_step, was_small = step, is_small
             damping *= settings.less_damping
-        return converged
+        return False
+
+    def _next_fraction(self, fraction: float, turns_back: bool) -> float:
+        """Return the fraction of a step to take: less where steps turn back, so that no two solutions alternate."""
+        if turns_back:
+            return max(self.settings.shorter * fraction, self.settings.least_fraction)
+        return min(self.settings.longer * fraction, 1.0)
 
     def _move_noises(self, fitted: list[FittedRecord]) -> float:
         """Move the noises by the middle of each record; return the squared length of the step."""
@@ -148,7 +156,15 @@ class AirFit:
                 self._add_steady_wind(sums, record)
             linear = self.linearized(record, states)
             run = filtered(linear, self.noise_search.noise(record))
-            fitted.append(self._add_scores(sums, record, linear, run, by_instruments))
+            L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
+            e = matrix_vector(L_inverse, run.innovations.values)
+            slopes = L_inverse @ innovation_slopes(linear, run)
+            has_instruments = by_instruments and not self.is_known
+            scores = self._add_scores(sums, record.flight, e, slopes, has_instruments)
+            if has_instruments:
+                # for the instruments of the next pass
+                record = record.with_answers(e, self.settings)
+            fitted.append(FittedRecord(record, linear, run, scores))
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
@@ -161,32 +177,26 @@ class AirFit:
             sums.add(equation.places, weighted @ equation.residual, weighted @ equation.slopes)
 
     def _add_scores(
-        self,
-        sums: Sums,
-        record: Record,
-        linear: Linearization,
-        run: Pass,
-        by_instruments: bool,
-    ) -> FittedRecord:
-        """Add the scores of a pass over a record; with instruments, return it with its surfaces' answers to gusts."""
-        L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
-        e = matrix_vector(L_inverse, run.innovations.values)
-        slopes = L_inverse @ innovation_slopes(linear, run)
-        places = self.parameters.places[record.flight]
+        self, sums: Sums, flight: int, e: Matrix, slopes: Array, has_instruments: bool
+    ) -> Matrix:
+        """Add and return the scores (n - 1, p) of whitened innovations (n - 1, m) with slopes (n - 1, m, q).
+
+        The slopes are by the parameters of a flight and, behind these, by the instruments.
+        """
+        places = self.parameters.places[flight]
         is_free = places >= self.parameters.n_held
         D = slopes[:, :, np.flatnonzero(is_free)]
         Z = D
-        if by_instruments and not self.is_known:
+        if has_instruments:
             instruments = slopes[:, :, self.layout.n_derivatives :]
             Z = _projected(D, instruments, self.settings.least_direction)
-            record = record.with_answers(e, self.settings)
         scores = (e[:, None] @ Z)[:, 0]
         D_rows = D.reshape(-1, D.shape[2])
         Z_rows = Z.reshape(D_rows.shape)
         information = Z_rows.T @ D_rows
         scatter = Z_rows.T @ Z_rows
         sums.add(places[is_free], scores.sum(axis=0), information, scatter)
-        return FittedRecord(record, linear, run, scores)
+        return scores
 
     def block_scores(self, fitted: list[FittedRecord]) -> Matrix:
         """Return the scores of all records, summed over blocks of some seconds, (b, p)."""

@@ -10,9 +10,13 @@ which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the 
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
 
-Derivatives by parameters follow from air velocity and coefficients by the chain rule. Instruments,
-which follow the parameters, are the same derivatives with the terms of the coefficients in the
-motion that surfaces cause.
+Derivatives by parameters follow from air velocity and coefficients by the chain rule: a coefficient is
+the sum of its derivatives times terms, such as alpha. Instruments are the same derivatives with the
+terms in the motion that surfaces alone cause.
+
+n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
+coefficients, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d
+instruments, together N + p.
 """
 
 from __future__ import annotations
@@ -37,9 +41,9 @@ from skdgp.estimation._air_model import (
     differentiated,
 )
 from skdgp.estimation._air_parameters import (
+    AIRCRAFT_CONSTANTS,
     ARM,
-    OWN,
-    SHARED,
+    FLIGHT_CONSTANTS,
     STATE_TERMS,
     WINDS,
     is_coupling,
@@ -57,35 +61,35 @@ PATH_ERROR_Y = 6
 PATH_ERROR_Z = 7
 RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
-BIASES = {name: BIASED[name] for name in [*SHARED, *OWN] if name in BIASED}
+BIASES = {name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED}
 """Places of the biased among the sensors."""
 
 
 class Layout(NamedTuple):
     """Places of the derivatives in the matrix (6, k) of the model, and among the parameters."""
 
-    rows: Indices
-    columns: Indices
-    names: list[str]
-    n_features: int
-    #: Whether slopes by the instruments of the derivatives follow the others; not where these are held
+    rows: Indices  # (d,) coefficient of each derivative
+    columns: Indices  # (d,) its term
+    names: list[str]  # of the k parameters of a flight
+    n_terms: int
+    #: Whether slopes by the instruments follow those by the parameters; not where derivatives are held
     by_instruments: bool = True
 
     @classmethod
     def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool = True) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
-        features = [*STATE_TERMS, *surfaces]
+        terms = [*STATE_TERMS, *surfaces]
         rows, columns = [], []
         for name in derivatives:
             coefficient, term = name.split("_", 1)
             rows.append(COEFFICIENTS.index(coefficient))
-            columns.append(features.index(term))
-        names = [*derivatives, *SHARED, *OWN]
+            columns.append(terms.index(term))
+        names = [*derivatives, *AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS]
         return cls(
             np.array(rows),
             np.array(columns),
             names,
-            len(features),
+            len(terms),
             by_instruments=by_instruments,
         )
 
@@ -96,7 +100,7 @@ class Layout(NamedTuple):
 
     @property
     def n_slopes(self) -> int:
-        """Number of slopes: by all parameters, and by instruments of the derivatives."""
+        """Number p of slopes by parameters and instruments."""
         return len(self.names) + self.by_instruments * self.n_derivatives
 
     def place(self, *names: str) -> list[int]:
@@ -121,27 +125,28 @@ class Layout(NamedTuple):
         attitude: Array,
         rates: Matrix,
         air_by_state: Array,
-        coefficient_changes: Array | float = 0.0,
+        by_lag_and_thrust: Array | float = 0.0,
     ) -> Array:
         """Return d variables of the model / d states and parameters, (n, 12, N + k), zero by derivatives.
 
-        ``coefficient_changes`` (n, 6, 2) are by lag of the servos and scale of the thrust.
+        ``by_lag_and_thrust`` (n, 6, 2) are slopes of the coefficients.
         """
         slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + len(self.names)))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
         by_parameters = slopes[..., N_STATES:]
         lag_and_thrust = self.place("servo_lag", "thrust_scale")
-        by_parameters[:, COEFFICIENT_ERRORS, lag_and_thrust] = coefficient_changes
+        by_parameters[:, COEFFICIENT_ERRORS, lag_and_thrust] = by_lag_and_thrust
         by_parameters[:, AIR_VELOCITY, self.place(*WINDS)] = -attitude
         by_parameters[:, AIR_VELOCITY, self.place(*ARM)] = -cross_matrix(rates)
         return slopes
 
-    def chained(self, by_variables: Array, slopes: Array, terms: Matrix, response: Matrix) -> Array:
+    def chained(
+        self, by_variables: Array, slopes: Array, terms: Matrix, instrument_terms: Matrix
+    ) -> Array:
         """Return d values / d z (n, m, N + p), from d values / d variables (n, m, 12).
 
-        By the `variable_slopes`, the terms (n, f) of the derivatives, and their values ``response``
-        in the motion that surfaces cause, of the instruments.
+        By the `variable_slopes`, and the terms (n, f) of derivatives and instruments.
         """
         by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
         chained = by_variables @ slopes
@@ -149,13 +154,13 @@ class Layout(NamedTuple):
         by_derivatives[:] = by_coefficients * terms[:, None, self.columns]
         if not self.by_instruments:
             return chained
-        by_instruments = by_coefficients * response[:, None, self.columns]
+        by_instruments = by_coefficients * instrument_terms[:, None, self.columns]
         return np.concatenate([chained, by_instruments], axis=-1)
 
 
 def motion_model(layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
     """Return the aircraft's equations of motion at parameters by name."""
-    derivatives = np.zeros((6, layout.n_features))
+    derivatives = np.zeros((6, layout.n_terms))
     names = layout.names[: layout.n_derivatives]
     derivatives[layout.rows, layout.columns] = [value[name] for name in names]
     return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
@@ -173,8 +178,63 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
     return steady + matrix_vector(by_state, states), by_state
 
 
+def linearized(
+    record: Record,
+    layout: Layout,
+    aircraft: Aircraft,
+    value: Mapping[str, Any],
+    states: Matrix,
+    decay: Vector,
+    settings: AirSettings = AIR_SETTINGS,
+) -> Linearization:
+    """Return the linear filter about filtered states (n, N) and parameters by name.
+
+    ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
+    """
+    expansion = _Expansion(record, layout, aircraft, value, states, decay)
+    # motion over each step
+    end, by_start = expansion.step()
+    instrument_terms = expansion.instrument_terms(by_start, settings)
+    step_slopes = expansion.step_slopes(end, by_start, instrument_terms)
+    predicted = states[:-1] * expansion.remaining
+    predicted[:, RATE_STATES] = end[:, BODY_RATES]
+    transition = expansion.remaining[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
+    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
+
+    # two predictions of the readings at its end
+    past = expansion.readings_of_past(end, step_slopes, instrument_terms)
+    path = expansion.readings_of_path(end, predicted, instrument_terms)
+    noise_slopes = past.by_variables @ expansion.end_variable_slopes(end)[..., :N_STATES]
+
+    # their errors
+    measured = record.measured[1:, record.sampled]
+    is_sampled = np.isfinite(measured)
+    not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
+    transition, transition_slopes = _split(transition)
+    innovation_states, innovation_slopes = _split(past.slopes)
+    residual_states, residual_slopes = _split(path.slopes)
+    return Linearization(
+        states=states,
+        predicted=predicted,
+        transition=transition,
+        transition_slopes=transition_slopes,
+        innovation=np.where(is_sampled, measured - past.values, 0.0),
+        innovation_states=innovation_states,
+        innovation_noise=noise_slopes,
+        innovation_slopes=innovation_slopes,
+        residual=np.where(is_sampled, measured - path.values, 0.0),
+        residual_states=residual_states,
+        residual_slopes=residual_slopes,
+        step=record.step,
+        surface_noise=expansion.surface_noise(by_start),
+        surface_readings=expansion.surface_readings(past.by_variables),
+        missing=np.where(is_sampled, 0.0, not_sampled),
+        instrument_terms=_means(instrument_terms),
+    )
+
+
 class _Readings(NamedTuple):
-    """Readings of the m sensors that are sampled, after each step."""
+    """Readings of the m sensors that are sampled, after each step, and their slopes."""
 
     values: Matrix  # (n - 1, m)
     by_variables: Array  # (n - 1, m, 12)
@@ -184,7 +244,9 @@ class _Readings(NamedTuple):
 class _Expansion:
     """Model, inputs and motion of a record at filtered states (n, N) and parameters by name.
 
-    ``z`` below stands for the N states of a sample, the parameters and the instruments, together.
+    `step` and `step_slopes` predict the motion. Two predictions of the readings follow:
+    `readings_of_past` at the end of this step, from the past alone, and `readings_of_path` at the
+    recorded path.
     """
 
     def __init__(
@@ -205,12 +267,12 @@ class _Expansion:
         surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
         thrust = logged.thrust * (1 + value["thrust_scale"])
         self.inputs = Inputs(surfaces, thrust, logged.density)
-        self.later = self.inputs.part(slice(1, None))
+        self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
-        self.changes = self.model.lag_and_thrust_slopes(self.air, logged, by_lag)
+        self.by_lag_and_thrust = self.model.lag_and_thrust_slopes(self.air, logged, by_lag)
         self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
         # gusts and errors of the path decay, and the air velocity with them
-        self.kept = np.exp(-record.step[:, None] * decay)
+        self.remaining = np.exp(-record.step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
 
     def step(self) -> tuple[Matrix, Array]:
@@ -223,70 +285,7 @@ class _Expansion:
         )
         return _variables(end[:, AIR_VELOCITY], end[:, BODY_RATES]), slopes
 
-    def step_slopes(self, end: Matrix, by_start: Array, response: Matrix) -> Array:
-        """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
-        # terms within a step are the mean of the terms at its ends
-        terms = self.model.terms(self.start, self.inputs.part(slice(-1)).surfaces)
-        end_terms = self.model.terms(end, self.later.surfaces)
-        variables = self.layout.variable_slopes(
-            self.record.attitude[:-1],
-            self.start[:, BODY_RATES],
-            self.air_by_state[:-1],
-            _means(self.changes),
-        )
-        terms = 0.5 * (terms + end_terms)
-        slopes = self.layout.chained(by_start, variables, terms, _means(response))
-        slopes[:, AIR_VELOCITY, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
-        return slopes
-
-    def end_variables(self, end: Matrix) -> Array:
-        """Return d variables / d states and parameters of the same sample, (n - 1, 12, N + k)."""
-        return self.layout.variable_slopes(
-            self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:], self.changes[1:]
-        )
-
-    def end_slopes(self, end: Matrix, by_variables: Array, response: Matrix) -> Array:
-        """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""
-        terms = self.model.terms(end, self.later.surfaces)
-        return self.layout.chained(by_variables, self.end_variables(end), terms, response[1:])
-
-    def past(self, end: Matrix, step_slopes: Array, response: Matrix) -> _Readings:
-        """Return the readings at the end of the step, from its start alone."""
-        readings = self._readings(end)
-        readings.slopes[:] += readings.by_variables[..., :6] @ step_slopes
-        by_errors = readings.by_variables.copy()
-        by_errors[..., :6] = 0.0
-        readings.slopes[:] += self.end_slopes(end, by_errors, response)
-        return readings
-
-    def recorded(self, end: Matrix, predicted: Matrix, response: Matrix) -> _Readings:
-        """Return the readings at the recorded path, with the predicted gusts and rates."""
-        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
-        variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
-        readings = self._readings(variables)
-        readings.slopes[:] += self.end_slopes(variables, readings.by_variables, response)
-        return readings
-
-    def _readings(self, end: Matrix) -> _Readings:
-        """Return readings at variables (n - 1, 12), with their slopes by z at given variables."""
-        errors = SensorErrors.of(self.value)
-        truth, by_variables = differentiated(lambda s: self.model.sensors(s, self.later), end)
-        values = errors.readings(truth)
-        layout = self.layout
-        slopes = np.zeros((*values.shape, N_STATES + layout.n_slopes))
-        by_parameters = slopes[..., N_STATES:]
-        by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
-        (scale,) = layout.place("airspeed_scale")
-        by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
-        by_parameters[:, FORCE_READINGS, layout.place(*ARM)] = self.model.arm_slopes(
-            end, self.later
-        )
-        use = self.record.sampled
-        return _Readings(
-            values[:, use], errors.scale[use, None] * by_variables[:, use], slopes[:, use]
-        )
-
-    def response(self, by_start: Array, settings: AirSettings) -> Matrix:
+    def instrument_terms(self, by_start: Array, settings: AirSettings) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
         It contains no gusts. The motion is damped to a correlation time of
@@ -311,6 +310,76 @@ class _Expansion:
         late = servo_output(answers, self.value["servo_lag"], self.record.median_step)
         return self.inputs.surfaces - late
 
+    def step_slopes(self, end: Matrix, by_start: Array, instrument_terms: Matrix) -> Array:
+        """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
+        # terms within a step are the mean of the terms at its ends
+        terms = self.model.terms(self.start, self.inputs.part(slice(-1)).surfaces)
+        end_terms = self.model.terms(end, self.end_inputs.surfaces)
+        variables = self.layout.variable_slopes(
+            self.record.attitude[:-1],
+            self.start[:, BODY_RATES],
+            self.air_by_state[:-1],
+            _means(self.by_lag_and_thrust),
+        )
+        terms = 0.5 * (terms + end_terms)
+        slopes = self.layout.chained(by_start, variables, terms, _means(instrument_terms))
+        slopes[:, AIR_VELOCITY, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
+        return slopes
+
+    def readings_of_past(
+        self, end: Matrix, step_slopes: Array, instrument_terms: Matrix
+    ) -> _Readings:
+        """Return the readings at the end of the step, from its start alone."""
+        values, by_variables, slopes = self._readings(end)
+        by_motion = by_variables[..., :6] @ step_slopes
+        by_errors = by_variables.copy()
+        by_errors[..., :6] = 0.0
+        slopes = slopes + by_motion + self.end_slopes(end, by_errors, instrument_terms)
+        return _Readings(values, by_variables, slopes)
+
+    def readings_of_path(
+        self, end: Matrix, predicted: Matrix, instrument_terms: Matrix
+    ) -> _Readings:
+        """Return the readings at the recorded path, with the predicted gusts and rates."""
+        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
+        variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
+        values, by_variables, slopes = self._readings(variables)
+        slopes = slopes + self.end_slopes(variables, by_variables, instrument_terms)
+        return _Readings(values, by_variables, slopes)
+
+    def _readings(self, end: Matrix) -> _Readings:
+        """Return readings at variables (n - 1, 12), with their slopes by z at given variables."""
+        errors = SensorErrors.of(self.value)
+        truth, by_variables = differentiated(lambda s: self.model.sensors(s, self.end_inputs), end)
+        values = errors.readings(truth)
+        layout = self.layout
+        slopes = np.zeros((*values.shape, N_STATES + layout.n_slopes))
+        by_parameters = slopes[..., N_STATES:]
+        by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
+        (scale,) = layout.place("airspeed_scale")
+        by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
+        by_parameters[:, FORCE_READINGS, layout.place(*ARM)] = self.model.arm_slopes(
+            end, self.end_inputs
+        )
+        by_variables = errors.scale[:, None] * by_variables
+        sampled = self.record.sampled
+        return _Readings(values[:, sampled], by_variables[:, sampled], slopes[:, sampled])
+
+    def end_slopes(self, end: Matrix, by_variables: Array, instrument_terms: Matrix) -> Array:
+        """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""
+        terms = self.model.terms(end, self.end_inputs.surfaces)
+        slopes = self.end_variable_slopes(end)
+        return self.layout.chained(by_variables, slopes, terms, instrument_terms[1:])
+
+    def end_variable_slopes(self, end: Matrix) -> Array:
+        """Return d variables / d states and parameters of the same sample, (n - 1, 12, N + k)."""
+        return self.layout.variable_slopes(
+            self.record.attitude[1:],
+            end[:, BODY_RATES],
+            self.air_by_state[1:],
+            self.by_lag_and_thrust[1:],
+        )
+
     def surface_noise(self, by_start: Array) -> Array:
         """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step.
 
@@ -327,57 +396,6 @@ class _Expansion:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
         by_surfaces = by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         return np.sum((by_surfaces * self.record.surface_errors[1:, None]) ** 2, axis=-1)
-
-
-def linearized(
-    record: Record,
-    layout: Layout,
-    aircraft: Aircraft,
-    value: Mapping[str, Any],
-    states: Matrix,
-    decay: Vector,
-    settings: AirSettings = AIR_SETTINGS,
-) -> Linearization:
-    """Return the linear filter about filtered states (n, N) and parameters by name.
-
-    ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
-    """
-    expansion = _Expansion(record, layout, aircraft, value, states, decay)
-    end, by_start = expansion.step()
-    response = expansion.response(by_start, settings)
-    step_slopes = expansion.step_slopes(end, by_start, response)
-    predicted = states[:-1] * expansion.kept
-    predicted[:, RATE_STATES] = end[:, BODY_RATES]
-    transition = expansion.kept[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
-    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
-
-    past = expansion.past(end, step_slopes, response)
-    recorded = expansion.recorded(end, predicted, response)
-    noise_slopes = past.by_variables @ expansion.end_variables(end)[..., :N_STATES]
-    measured = record.measured[1:, record.sampled]
-    is_sampled = np.isfinite(measured)
-    not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
-    transition, transition_slopes = _split(transition)
-    innovation_states, innovation_slopes = _split(past.slopes)
-    residual_states, residual_slopes = _split(recorded.slopes)
-    return Linearization(
-        states=states,
-        predicted=predicted,
-        transition=transition,
-        transition_slopes=transition_slopes,
-        innovation=np.where(is_sampled, measured - past.values, 0.0),
-        innovation_states=innovation_states,
-        innovation_noise=noise_slopes,
-        innovation_slopes=innovation_slopes,
-        residual=np.where(is_sampled, measured - recorded.values, 0.0),
-        residual_states=residual_states,
-        residual_slopes=residual_slopes,
-        step=record.step,
-        surface_noise=expansion.surface_noise(by_start),
-        surface_readings=expansion.surface_readings(past.by_variables),
-        missing=np.where(is_sampled, 0.0, not_sampled),
-        response=_means(response),
-    )
 
 
 def _split(slopes: Array) -> tuple[Array, Array]:

@@ -43,12 +43,12 @@ from skdgp.estimation._air_covariance import (
 from skdgp.estimation._air_fit import AirFit
 from skdgp.estimation._air_linearization import Layout
 from skdgp.estimation._air_parameters import (
+    AIRCRAFT_CONSTANTS,
+    AIRCRAFT_NOISES,
     ALL_TERMS,
+    FLIGHT_CONSTANTS,
+    FLIGHT_NOISES,
     GUST_AXES,
-    OWN,
-    OWN_NOISES,
-    SHARED,
-    SHARED_NOISES,
     Gusts,
     Parameters,
     coefficient_of,
@@ -173,11 +173,11 @@ class AirMotion:
 
         Of those that are more than ``significance`` standard deviations from zero.
         """
-        found = {}
+        couplings = {}
         for name, value, std in self.derivatives[["value", "std"]].itertuples():
             if is_coupling(name) and abs(value) > significance * std:
-                found[name] = (float(value), float(std))
-        return found
+                couplings[name] = (float(value), float(std))
+        return couplings
 
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
@@ -267,9 +267,11 @@ def estimate_air_motion(
         derivatives = _as_prior(known.derivatives)
     if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
         thrust = None
-    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
     if thrust is None:
+        # the measured axial force takes the place of thrust and CX: in `_records`, and `_parameters`
+        # without a scale of the thrust
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
+    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     parameters = _parameters(derivatives, known, n_flights)
@@ -339,15 +341,15 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
 
 def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
     """Return the parameters of the flights; the shared ones of a known aircraft are held."""
-    shared = dict(SHARED)
+    shared = dict(AIRCRAFT_CONSTANTS)
     n_held = 0
     if known is not None:
-        shared = dict(_as_prior(known.constants.loc[list(SHARED)]))
+        shared = dict(_as_prior(known.constants.loc[list(AIRCRAFT_CONSTANTS)]))
         n_held = len(derivatives) + len(shared)
     if not _has_drag(derivatives):
         # a measured force takes the place of thrust
         shared["thrust_scale"] = (0.0, 1e-6)
-    return Parameters.of(dict(derivatives) | shared, OWN, n_flights, n_held)
+    return Parameters.of(dict(derivatives) | shared, FLIGHT_CONSTANTS, n_flights, n_held)
 
 
 def _noises(
@@ -355,15 +357,15 @@ def _noises(
 ) -> Parameters:
     """Return the priors of the noises of the flights; shared ones of a known aircraft are held."""
     if known is not None:
-        shared = {name: (known.noise[name], 1.0) for name in SHARED_NOISES}
-        return Parameters.of(shared, OWN_NOISES, n_flights, len(shared))
+        shared = {name: (known.noise[name], 1.0) for name in AIRCRAFT_NOISES}
+        return Parameters.of(shared, FLIGHT_NOISES, n_flights, len(shared))
     accelerometer = quietest_noise(records, FORCE_READINGS, settings.least_noise)
     gyro = quietest_noise(records, RATE_READINGS, settings.least_noise)
     medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
-    shared = dict(SHARED_NOISES)
+    shared = dict(AIRCRAFT_NOISES)
     for name, median in medians.items():
-        shared[name] = (median, SHARED_NOISES[name][1])
-    return Parameters.of(shared, OWN_NOISES, n_flights)
+        shared[name] = (median, AIRCRAFT_NOISES[name][1])
+    return Parameters.of(shared, FLIGHT_NOISES, n_flights)
 
 
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
@@ -375,18 +377,18 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     covariance = estimate_covariance(fit, sums, fitted)
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
-    if fit.is_known:
-        misfit = 1.0
-        air = smoothed_air(fit, fitted, covariance, n_rows)
-        std = np.sqrt(np.diag(covariance))
-    else:
+    misfit = 1.0
+    if not fit.is_known:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
-        air = smoothed_air(fit, fitted, covariance, n_rows)
+    # the air has the errors of the estimates; derivatives without evidence get their prior's below
+    air = smoothed_air(fit, fitted, covariance, n_rows)
+    if not fit.is_known:
         covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
-        std = np.sqrt(np.diag(covariance))
+    std = np.sqrt(np.diag(covariance))
+    if not fit.is_known:
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}
     estimates = pd.DataFrame(columns, index=names)

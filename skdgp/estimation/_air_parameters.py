@@ -40,14 +40,15 @@ COUPLING_STD = {"CX": 0.05, "CY": 0.05, "CZ": 0.1, "Cl": 0.02, "Cm": 0.05, "Cn":
 """Standard deviations of couplings, of zero in the mean [1/rad]; trials on one aircraft."""
 WINDS = ("wind_north", "wind_east", "wind_down")
 PITOT = ("airspeed_scale", "wind_north", "wind_east")
+"""Parameters of the airspeed in a steady wind."""
 ARM = ("arm_x", "arm_y", "arm_z")
-SHARED: Prior = {
+AIRCRAFT_CONSTANTS: Prior = {
     "servo_lag": (0.03, 0.05),  # [s]
     "thrust_scale": (0.0, 0.1),
     **AIR_SENSOR_ERRORS,
 }
 """Constants of an aircraft and its sensors."""
-OWN: Prior = {
+FLIGHT_CONSTANTS: Prior = {
     "wind_north": (0.0, WIND_STD),  # steady [m/s]
     "wind_east": (0.0, WIND_STD),
     "wind_down": (0.0, 0.1),
@@ -56,7 +57,7 @@ OWN: Prior = {
 """Constants of a flight."""
 SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", *RATE_BIASES)
 """Constants whose priors hold for any flight, with a mean of zero."""
-SHARED_NOISES: Prior = {
+AIRCRAFT_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),
     "fast_h": (0.1, 0.5),  # intensity of the fast part of gusts, relative to the slow one
@@ -69,13 +70,15 @@ SHARED_NOISES: Prior = {
     "surface": (0.05, 2.0),  # error of a surface's position, in its change within a step
     **AIR_NOISE,
 }
-OWN_NOISES: Prior = {
+"""Noises of an aircraft and its sensors, and of the air's spectrum."""
+FLIGHT_NOISES: Prior = {
     "gust_north": (0.5, 1.5),  # [m/s]
     "gust_east": (0.5, 1.5),
     "gust_down": (0.5, 1.5),
     "path_y": (0.1, 1.0),  # air velocity that errors of attitude and ground path make, body axes
     "path_z": (0.1, 0.6),
 }
+"""Noises of a flight."""
 GUST_AXES = ("gust_north", "gust_east", "gust_down")
 PATH_ERRORS = ("path_y", "path_z")
 
@@ -91,16 +94,16 @@ class Parameters(NamedTuple):
     n_held: int  # the first ones, which are not estimated
 
     @classmethod
-    def of(cls, shared: Prior, own: Prior, n_flights: int, n_held: int = 0) -> Parameters:
-        """Return the parameters of ``n_flights`` flights."""
+    def of(cls, shared: Prior, local: Prior, n_flights: int, n_held: int = 0) -> Parameters:
+        """Return the parameters of ``n_flights`` flights: shared ones, and local ones for each."""
         priors = dict(shared)
         places = []
         for flight in range(n_flights):
             first = len(priors)
-            priors |= {f"{name} {flight}": prior for name, prior in own.items()}
+            priors |= {f"{name} {flight}": prior for name, prior in local.items()}
             places.append([*range(len(shared)), *range(first, len(priors))])
         mean, std = np.array(list(priors.values())).T.copy()
-        return cls([*priors], mean, std, np.array(places), [*shared, *own], n_held)
+        return cls([*priors], mean, std, np.array(places), [*shared, *local], n_held)
 
     def values(self, x: Array, flight: int) -> dict[str, Array]:
         """Return the values (...) of the parameters of one flight, from all (..., p)."""

@@ -129,16 +129,17 @@ def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSe
     one, too. Periods of less than four rows are not recognised, so four rows are the least.
     """
     n = len(innovation) + 1
-    reach = max(settings.answer_time / step, 2.0)
-    past = np.geomspace(1, reach, settings.answer_bins).round()
-    ahead = max(period / step, settings.unseen_period)
-    later = np.linspace(-ahead, 0, settings.later_bins + 1).round()
-    edges = np.unique(np.concatenate([later, past]).astype(int))
-    before = np.zeros((edges[-1] + 2, innovation.shape[1]))
-    after = np.zeros((-edges[0], innovation.shape[1]))
-    total = np.cumsum(np.concatenate([before, innovation, after]), axis=0)
+    longest = max(settings.answer_time / step, 2.0)
+    past = np.geomspace(1, longest, settings.answer_bins).round()
+    period_ahead = max(period / step, settings.unseen_period)
+    ahead = np.linspace(-period_ahead, 0, settings.later_bins + 1).round()
+    edges = np.unique(np.concatenate([ahead, past]).astype(int))  # of the bins, delays in samples
+    # sums over bins are differences of the cumulative sum, with zeros beyond the record
+    earlier = np.zeros((edges[-1] + 2, innovation.shape[1]))
+    later = np.zeros((-edges[0], innovation.shape[1]))
+    total = np.cumsum(np.concatenate([earlier, innovation, later]), axis=0)
     places = np.arange(n) + edges[-1] + 1
-    sums = [total[places - early] - total[places - late] for early, late in pairwise(edges)]
+    sums = [total[places - near] - total[places - far] for near, far in pairwise(edges)]
     return np.concatenate(sums, axis=1)
 
 

@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
-from skdgp.estimation._air_parameters import PITOT, SHARED, Parameters
+from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, FORCE_READINGS, WIND_STD
 from skdgp.estimation._settings import AirSettings
@@ -48,7 +48,7 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
     Gusts correlate over seconds, so the variance of a sample is the variance of means over
     ``settings.gust_window`` times the number of samples in a mean.
     """
-    _, scale_std = SHARED["airspeed_scale"]
+    _, scale_std = AIRCRAFT_CONSTANTS["airspeed_scale"]
     prior = np.diag(settings.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
     pitot = np.zeros(3)
     for _ in range(settings.wind_steps):

@@ -11,10 +11,18 @@ whose step predicts and corrects (Kalman 1960; Jategaonkar 2015, chapter 5):
 .. math:: P^- = \Phi P \Phi^T + Q, \quad S = H P^- H^T + R, \quad K = P^- H^T S^{-1}, \quad
           P = P^- - K H P^-.
 
-At the fixed point of the passes this is the extended Kalman filter. Each sample is used twice. Its
-innovation, for the estimation, is the error of a prediction from earlier samples alone. The update
-of the state also uses the recorded motion over the ground. A gust moves the aircraft within the
-step, so an innovation that knows this motion would lack part of the gust.
+At the fixed point of the passes this is the extended Kalman filter. Each sample is used twice. The
+update of the state, above, also uses the recorded motion over the ground: y is the residual of a
+prediction with it. For the estimation a sample has an innovation, the error of a prediction from
+earlier samples alone. About X it is :math:`\epsilon_k`, and
+
+.. math:: e_k = \epsilon_k - D_k x_k, \quad S_k^e = D_k P D_k^T + Q_k^e + R_k,
+
+where the noise :math:`Q^e` of the step reaches the sensors by D from its beginning, and by L from its
+end. A gust moves the aircraft within the step, so an innovation that knows the recorded motion would
+lack part of the gust.
+
+Errors of the surfaces are :math:`\kappa` times their change within a step. They add to Q and R.
 
 n samples, N states, m sensors, p parameters, s sets of noises.
 """
@@ -33,21 +41,26 @@ class Linearization(NamedTuple):
     """A record of n samples of m sensors, linear in N states and p parameters, about states X."""
 
     states: Matrix  # (n, N) X, filtered states of the last pass
+    # state after a step
     predicted: Matrix  # (n - 1, N) of samples 1 to n - 1, from X
-    transition: Array  # (n - 1, N, N)
-    transition_slopes: Array  # (n - 1, N, p)
-    innovation: Matrix  # (n - 1, m) of the past alone, from X
-    innovation_states: Array  # (n - 1, m, N) d prediction / d X of the sample before
-    innovation_noise: Array  # (n - 1, m, N) d prediction / d state of the same sample
+    transition: Array  # (n - 1, N, N) Phi
+    transition_slopes: Array  # (n - 1, N, p) d predicted / d parameters
+    # prediction of the sensors from the past alone
+    innovation: Matrix  # (n - 1, m) its error from X, epsilon
+    innovation_states: Array  # (n - 1, m, N) D, d prediction / d X of the sample before
+    innovation_noise: Array  # (n - 1, m, N) L, d prediction / d state of the same sample
     innovation_slopes: Array  # (n - 1, m, p) d prediction / d parameters
-    residual: Matrix  # (n - 1, m) with the recorded motion, from X
-    residual_states: Array  # (n - 1, m, N) d prediction / d predicted state
-    residual_slopes: Array  # (n - 1, m, p)
+    # prediction of the sensors with the recorded motion
+    residual: Matrix  # (n - 1, m) its error from X, y
+    residual_states: Array  # (n - 1, m, N) H, d prediction / d predicted state
+    residual_slopes: Array  # (n - 1, m, p) d prediction / d parameters
+    # noises
     step: Vector  # (n - 1,) [s]
-    surface_noise: Array  # (n - 1, N, N) covariance per kappa^2
-    surface_readings: Matrix  # (n - 1, m) variance of the sensors per kappa^2
+    surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
+    surface_readings: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
     missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
-    response: Matrix  # (n - 1, f) terms of the coefficients in the motion that surfaces cause
+    # terms of the coefficients in the motion that surfaces alone cause
+    instrument_terms: Matrix  # (n - 1, f)
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
@@ -88,7 +101,7 @@ class Pass(NamedTuple):
     gain: Array  # (n - 1, N, m)
 
 
-class _StepModel(NamedTuple):
+class _FilterMatrices(NamedTuple):
     """Matrices of the linear filter, a few steps k at s sets of noises."""
 
     Phi: Array  # (k, s, N, N)
@@ -158,20 +171,20 @@ def _start(noise: Noise) -> tuple[Array, Array]:
 
 def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Steps:
     """Return some steps of the filter, from deviation and covariance of the sample before."""
-    model = _step_model(linear, noise)
-    n, m, N = model.H.shape
+    matrices = _filter_matrices(linear, noise)
+    n, m, N = matrices.H.shape
     xs = np.empty((n + 1, *x.shape))
     Ps = np.empty((n + 1, *P.shape))
     P_predicted = np.empty((n, *P.shape))
     gain = np.empty((n, len(P), N, m))
     xs[0], Ps[0] = x, P
     for k in range(n):
-        xs[k + 1], Ps[k + 1], P_predicted[k], gain[k] = model.step(xs[k], Ps[k], k)
-    past = _innovations(linear, noise, model.R, xs[:-1], Ps[:-1])
+        xs[k + 1], Ps[k + 1], P_predicted[k], gain[k] = matrices.step(xs[k], Ps[k], k)
+    past = _past_innovations(linear, noise, matrices.R, xs[:-1], Ps[:-1])
     return _Steps(past, xs[1:], Ps[1:], P_predicted, gain)
 
 
-def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
+def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
     """Return the matrices of the steps."""
     step = linear.step[:, None, None]
     Phi = np.repeat(linear.transition[:, None], len(noise.rate), axis=1)
@@ -182,7 +195,7 @@ def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
     sensor = noise.sensor + linear.missing[:, None]
     sensor = sensor + noise.surface[:, None] * linear.surface_readings[:, None]
     shift = linear.predicted - linear.states[1:]
-    return _StepModel(
+    return _FilterMatrices(
         Phi=Phi,
         Q=Q,
         c=shift[:, :, None],
@@ -192,7 +205,9 @@ def _step_model(linear: Linearization, noise: Noise) -> _StepModel:
     )
 
 
-def _innovations(linear: Linearization, noise: Noise, R: Array, x: Array, P: Array) -> Innovations:
+def _past_innovations(
+    linear: Linearization, noise: Noise, R: Array, x: Array, P: Array
+) -> Innovations:
     """Return the errors of predictions from the filtered sample before, and their covariances.
 
     The noise of the step reaches the sensors through its end as well.

@@ -24,6 +24,7 @@ from skdgp._compute.files import (
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import notify
 from skdgp._compute.wording import reason_of, text_of
+from skdgp._display.page import can_draw
 from skdgp.dynamics import Aircraft
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._model_file import save_model
@@ -60,8 +61,8 @@ class Identification:
     ----------
     pipeline, aircraft : Pipeline, Aircraft
         Fitted, a raw flight table in, six coefficients out; and its aircraft.
-    settings : dict
-        Options, given or chosen.
+    options : dict
+        Options of `identify`, given or chosen, and ``horizons``.
     fit : FitRecord
         Likelihood, noise and findings of the fit; samples and time in ``fit.training``.
     train : dict of str to DataFrame
@@ -81,7 +82,7 @@ class Identification:
 
     pipeline: Pipeline
     aircraft: Aircraft
-    settings: dict
+    options: dict
     fit: FitRecord
     train: dict[str, pd.DataFrame]
     evaluations: list[Evaluation]
@@ -118,7 +119,7 @@ class Identification:
             self.aircraft,
             list(self.train.values()),
             [flight.table for flight in self.evaluations],
-            self.settings,
+            self.options,
             self.fit.training,
         )
 
@@ -140,7 +141,7 @@ class Identification:
             "command": self.command,
             "versions": software_versions(),
             "aircraft": self.aircraft.to_dict(),
-            "options": self.settings,
+            "options": self.options,
             "held_out": self.held_out,
             "fit": self.fit.to_dict(),
             "train": {name: sampling_of(table) for name, table in self.train.items()},
@@ -183,7 +184,7 @@ class Identification:
                 save_model,
                 pipeline=self.pipeline,
                 aircraft=self.aircraft,
-                options=self.settings,
+                options=self.options,
                 fit=self.fit.to_dict(),
                 uses={use.purpose: use.fit for use in self.verdict.uses},
                 flights=list(self.train),
@@ -193,6 +194,7 @@ class Identification:
 
     def _report_content(self) -> ReportContent:
         tested = {flight.name: flight.table for flight in self.evaluations}
+        effects = EffectsDisplay.from_model(self.pipeline[-2:], ax=False) if can_draw() else None
         return ReportContent(
             title=self.title,
             subtitle=self.aircraft.name,
@@ -200,11 +202,11 @@ class Identification:
             train=self.train,
             test=self.evaluations,
             facts=facts_of_fit(
-                self.aircraft, self.pipeline, self.fit, self.settings, self.train, tested
+                self.aircraft, self.pipeline, self.fit, self.options, self.train, tested
             ),
             verdict=self.verdict,
             mechanics=self.mechanics,
-            effects=EffectsDisplay.from_model(self.pipeline[-2:], ax=False),
+            effects=effects,
             air=air_of(self.pipeline),
             sections=[part.section() for part in self.supplements],
             assumed=self.assumed,

@@ -103,7 +103,7 @@ def learn(
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
     began = time.monotonic()
-    # a list of regressors is the user's choice
+    # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
     X = pipeline.fit_returning_regressors(table, targets, choose_engine=choose_engine)
     is_target = targets.notna()
@@ -221,7 +221,6 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         regressors=names,
         log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
         iterations=int(regressor.n_iter_),
-        limit_reached=bool(regressor.n_iter_ >= regressor.max_iter_),
         converged=bool(regressor.converged_),
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),

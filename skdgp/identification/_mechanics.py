@@ -62,7 +62,6 @@ def flight_mechanics(
     thrust = options["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     state, controls = _median_state(flown)
-    results: dict[str, Any] = {}
     notes = []
     steady: Any = None
     try:
@@ -72,16 +71,17 @@ def flight_mechanics(
         state, controls = steady.state, steady.controls
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
+    point = aircraft, state, controls
+    linear: dict[str, Any] = {}
     try:
-        point = aircraft, state, controls
-        results = _derivatives(pipeline, point, conditions, least_squares)
+        linear = _derivatives(pipeline, point, conditions, least_squares)
         if steady is not None:
-            results |= _small_motion(pipeline, point, conditions, test)
+            linear |= _small_motion(pipeline, point, conditions, test)
     except ValueError as error:
-        results = {}
+        linear = {}
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
-    results |= _simulations(pipeline, aircraft, test, options)
-    return FlightMechanics(trim=steady, notes=tuple(notes), **results)
+    simulations = _simulations(pipeline, aircraft, test, options)
+    return FlightMechanics(trim=steady, notes=tuple(notes), **linear, **simulations)
 
 
 def _simulations(

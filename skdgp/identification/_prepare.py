@@ -124,23 +124,23 @@ def prepare(
     train = named_flights(flights, needed=MEASURED, **options)
     check_controls(train, regressors)
     if test is None:
-        train, tested = without_last(train)
+        train, test_flights = without_last(train)
     else:
-        tested = named_flights(test, default="test flight", needed=MEASURED, **options)
-        for name in train.keys() & tested.keys():
+        test_flights = named_flights(test, default="test flight", needed=MEASURED, **options)
+        for name in train.keys() & test_flights.keys():
             report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
     columns = regressor_columns([flight.table for flight in train.values()], regressors)
-    learned = usable_flights(train, regressors, columns)
-    evaluated = usable_flights(tested, regressors, columns)
-    lacks_thrust = not _gives_thrust(thrust, learned.values(), aircraft)
+    usable_train = usable_flights(train, regressors, columns)
+    usable_test = usable_flights(test_flights, regressors, columns)
+    lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
         report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
         thrust = None
     if thrust is None:
-        warn_of_engine(learned, regressors)
+        warn_of_engine(usable_train, regressors)
     prepared = PreparedFlights(
-        train=learned,
-        test=evaluated,
+        train=usable_train,
+        test=usable_test,
         aircraft=aircraft,
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},
@@ -251,16 +251,16 @@ def usable_flights(
     its rows is left.
     """
     needed = [name for name in columns if name not in INTERCHANGEABLE]
-    checked = {}
+    without_faults = {}
     for name, flight in flights.items():
         check_columns(flight.table, needed)
-        checked[name] = FlightCheck().fit_transform(flight.table)
-    together = FlightTable.of(pd.concat(checked.values(), ignore_index=True))
+        without_faults[name] = FlightCheck().fit_transform(flight.table)
+    together = FlightTable.of(pd.concat(without_faults.values(), ignore_index=True))
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
-        finding = contradiction._replace(flight=contradiction.flight or only).finding
+        finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning, stacklevel=3)
-    return {name: _complete_rows(name, table, regressors) for name, table in checked.items()}
+    return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
 
 
 def _complete_rows(
@@ -295,16 +295,14 @@ def _complete_rows(
     return complete.iloc[continuous].reset_index(drop=True)
 
 
-def _gives_thrust(thrust: str | None, tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
-    """Return False where nothing gives the thrust of any flight, but a throttle explains it."""
-    if thrust != "auto":
-        return True
+def _lacks_thrust(tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
+    """Return whether all flights have a throttle, and nothing gives the thrust that it sets."""
     for table in tables:
         has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
         has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
         if has_thrust or has_propeller or "throttle" not in table:
-            return True
-    return False
+            return False
+    return True
 
 
 def warn_of_engine(flights: Tables, regressors: str | Sequence[str]) -> None:

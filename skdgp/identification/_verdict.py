@@ -1,4 +1,9 @@
-"""The verdict on a model: the uses that it is good enough for, and warnings, by numbers and findings."""
+"""The verdict on a model: the uses that it is good enough for, and warnings, by numbers and findings.
+
+`judge` calls a function for each use, `_prediction`, `_simulation` and `_control`. Each returns at the
+first condition that decides, with the finding and its numbers. `_limited` then lowers the judgement
+where data or estimates do not allow it.
+"""
 
 from __future__ import annotations
 
@@ -50,190 +55,72 @@ ACCELERATIONS = {
 def judge(
     train: Iterable[pd.DataFrame],
     evaluations: Sequence[Evaluation],
-    fit: FitRecord,
+    record: FitRecord,
     mechanics: FlightMechanics,
     findings: Sequence[Finding],
 ) -> Verdict:
-    """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`."""
+    """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`.
+
+    Of all ``findings`` of the identification, doubts exclude the judgement "yes", and the others are
+    warnings. Doubts, wrong signs and sizes are faults, with which no controller is designed.
+    """
     table = scores(evaluations)["measured"]
-    # a band that does not hold judges a coefficient all the same, and so does an error below the spread
-    excused = (table["interval_coverage"] >= THRESHOLDS.held) & (table["normalized_rmse"] > 1)
-    unvarying = [name for name in _not_varying(evaluations) if excused[name]]
+    unvarying = _not_varying(evaluations, table)
     judged = table.drop(index=unvarying)
-    doubts = _doubts(fit, findings)
+    doubts = _doubts(record, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
-    uses: tuple[Use, ...] = (
-        _prediction(judged, _by_construction(evaluations, fit), unvarying),
-        _simulation(mechanics, fit.regressors),
+    by_scores = (
+        _prediction(judged, _by_construction(evaluations, record), unvarying),
+        _simulation(mechanics, record.regressors),
         _control(mechanics, table, judged, faults),
     )
-    too_little = _too_little(fit)
-    if too_little is not None:
-        uses = tuple(_unknown(use, too_little) for use in uses)
+    too_little = _too_little(record)
     better, worse = _against_least_squares(judged)
-    warnings = [*faults, *_scored(judged, evaluations, worse)]
+
+    # the costliest first
+    warnings = [*faults, *_warnings_of_scores(judged, evaluations, worse)]
     if unvarying:
         warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
-    if not fit.converged:
+    if not record.converged:
         warnings.append(Finding(Code.FIT_NOT_CONVERGED))
     warnings += [finding for finding in findings if finding.severity is not Severity.DOUBT]
+
     learned = list(train)
     means = judged.mean()
     return Verdict(
-        regressors=fit.regressors,
+        regressors=record.regressors,
         tested=Extent.of([flight.table for flight in evaluations]),
         trained=Extent.of(learned) if learned else None,
-        samples=fit.training.samples if fit.training else 0,
+        samples=record.training.samples if record.training else 0,
         error=float(means["normalized_rmse"]),
         coverage=float(table["interval_coverage"].mean()),
         least_squares_error=means.get("least_squares_normalized_rmse"),
         better=better,
         worse=worse,
-        uses=tuple(_with_doubts(use, doubts) for use in uses),
+        uses=tuple(_limited(use, too_little, doubts) for use in by_scores),
         findings=tuple(warnings),
     )
 
 
-def _too_little(fit: FitRecord) -> Finding | None:
-    """Return the finding of a model that learned from too few seconds or rows to be judged, if it did."""
-    if fit.training is None:
-        return None
-    seconds = np.inf if fit.training.flown is None else fit.training.flown
-    each = fit.training.samples / len(fit.regressors)
-    if seconds >= THRESHOLDS.flown and each >= THRESHOLDS.rows:
-        return None
-    numbers = {
-        "seconds": seconds,
-        "each": each,
-        "least_seconds": THRESHOLDS.flown,
-        "least_rows": THRESHOLDS.rows,
-    }
-    return Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers)
-
-
-def _unknown(use: Use, finding: Finding) -> Use:
-    """Return a judgement that is "unknown" in place of "yes" and "partly"."""
-    if use.fit not in ("yes", "partly"):
-        return use
-    return Use(use.purpose, "unknown", (finding,))
-
-
-def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
-    """Return the doubts of the fit, and further ones of the test flights, one of each code."""
-    doubts: dict[Code, Finding] = {}
-    for finding in [*fit.doubts, *findings]:
-        if finding.severity is Severity.DOUBT:
-            doubts.setdefault(finding.code, finding)
-    return list(doubts.values())
-
-
-def _with_doubts(use: Use, doubts: Sequence[Finding]) -> Use:
-    """Return a judgement with the doubts: no use is then judged with "yes", or only "no" if an estimate failed."""
-    if use.fit not in ("yes", "partly") or not doubts:
-        return use
-    if any(map(_is_failure, doubts)):
-        return Use(use.purpose, "no", (*use.findings, *doubts))
-    if use.fit == "partly":
-        return use
-    return Use(use.purpose, "partly", (*use.findings, *doubts))
-
-
-def _is_failure(doubt: Finding) -> bool:
-    """Return whether the air was estimated and the estimate did not converge, so that alpha and beta are wrong."""
-    cause = doubt.numbers.get("cause")
-    return cause is not None and cause.code is Code.AIR_NOT_CONVERGED
-
-
-def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[str, str]:
-    """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
-    by_construction = {}
-    for coefficient, vane in VANES_OF.items():
-        is_measured = any(vane in flight.table for flight in evaluations)
-        if vane in fit.regressors and not is_measured:
-            by_construction[coefficient] = vane
-    return by_construction
-
-
-def _not_varying(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return coefficients whose spread in the test flights is below their noise, so that no error judges them."""
-    measured = np.concatenate([flight.measured for flight in evaluations])
-    spread = np.nanstd(measured, axis=0)
-    variances = [flight.measured_std**2 - flight.std**2 for flight in evaluations]
-    noise = np.sqrt(np.maximum(np.nanmean(np.concatenate(variances), axis=0), 0.0))
-    return [name for name, is_still in zip(COEFFICIENTS, spread < noise, strict=True) if is_still]
-
-
-def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
-    """Return the findings of derivatives of other sign than on a conventional stable aircraft, if any.
-
-    Wrong is a sign that the 95 % band excludes; the others are not known.
-    """
-    if derivatives.empty:
-        return []
-    signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
-    wrong = derivatives["value"].reindex(signed.index[signed < 0])
-    by_rudder = derivatives["value"].reindex([*OPPOSITE])
-    if (by_rudder > 0).all() or (by_rudder < 0).all():
-        wrong = wrong.combine_first(by_rudder.iloc[:1])
-    is_known = pd.Series(True, index=wrong.index)
-    if "std" in derivatives:
-        is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
-    findings = []
-    for code, values in (
-        (Code.WRONG_SIGNS, wrong[is_known]),
-        (Code.SIGNS_UNKNOWN, wrong[~is_known]),
-    ):
-        if len(values):
-            numbers = {"values": values.to_dict(), "names": list(values.index)}
-            findings.append(Finding(code, numbers=numbers))
-    return findings
-
-
-def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
-    """Return the finding of derivatives that are surely larger than on any aircraft, if any."""
-    if derivatives.empty or "std" not in derivatives:
-        return []
-    values = derivatives.loc[derivatives.index.isin(LARGEST), ["value", "std"]]
-    least = values["value"].abs() - 1.96 * values["std"]
-    large = values.loc[least > pd.Series(LARGEST).reindex(values.index), "value"]
-    if large.empty:
-        return []
-    numbers = {"values": large.to_dict(), "names": list(large.index)}
-    return [Finding(Code.IMPLAUSIBLE_SIZES, numbers=numbers)]
-
-
-def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the coefficients whose error is smaller, and larger, than by least squares on the same rows."""
-    if "least_squares_normalized_rmse" not in table:
-        return (), ()
-    ratio = table["normalized_rmse"] / table["least_squares_normalized_rmse"]
-    better = ratio.index[ratio < 1 - THRESHOLDS.tie]
-    worse = ratio.index[ratio > 1 + THRESHOLDS.tie]
-    return tuple(better), tuple(worse)
-
-
-def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
-    """Return a judgement by one finding."""
-    return Use(purpose, fit, (Finding(code, numbers=numbers),))
-
-
 def _prediction(table: pd.DataFrame, lacking_vane: dict[str, str], unvarying: list[str]) -> Use:
-    """Return whether the model predicts coefficients, of which some cannot be judged.
+    """Return whether the model predicts coefficients; ``table`` are the scores of those that vary.
 
-    ``lacking_vane``: coefficients and their vanes; ``unvarying``: those that do not vary, without a row.
+    ``lacking_vane``: coefficients that no error judges, and their vanes. Beside ``unvarying`` ones
+    the judgement is "partly" at best.
     """
     purpose = "predict coefficients"
+    mean_error = table["normalized_rmse"].mean()
+    if mean_error > 1:
+        return _use(purpose, "no", Code.DIVERGING, error=mean_error)
+    vanes = {name: vane for name, vane in lacking_vane.items() if name not in unvarying}
     unjudged = []
-    lacking_vane = {name: vane for name, vane in lacking_vane.items() if name not in unvarying}
-    if lacking_vane:
-        numbers = {"names": list(lacking_vane), "vanes": list(lacking_vane.values())}
+    if vanes:
+        numbers = {"names": list(vanes), "vanes": list(vanes.values())}
         unjudged.append(Finding(Code.BY_CONSTRUCTION, numbers=numbers))
     if unvarying:
         unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
-    if table["normalized_rmse"].mean() > 1:
-        return _use(purpose, "no", Code.DIVERGING, error=table["normalized_rmse"].mean())
-    table = table.drop(index=list(lacking_vane))
+    table = table.drop(index=list(vanes))
     if table.empty:
         return Use(purpose, "unknown", tuple(unjudged))
     use = _use_by_scores(purpose, table)
@@ -241,10 +128,35 @@ def _prediction(table: pd.DataFrame, lacking_vane: dict[str, str], unvarying: li
     return Use(purpose, fit, (*use.findings, *unjudged))
 
 
+def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list[str]:
+    """Return coefficients whose spread in the test flights is below their noise, so that no error judges them.
+
+    An error below the spread judges a coefficient all the same, and so does a band that does not hold.
+    """
+    measured = np.concatenate([flight.measured for flight in evaluations])
+    spread = np.nanstd(measured, axis=0)
+    variances = [flight.measured_std**2 - flight.std**2 for flight in evaluations]
+    noise = np.sqrt(np.maximum(np.nanmean(np.concatenate(variances), axis=0), 0.0))
+    is_still = pd.Series(spread < noise, index=list(COEFFICIENTS))
+    is_excused = (table["interval_coverage"] >= THRESHOLDS.held) & (table["normalized_rmse"] > 1)
+    return [name for name in COEFFICIENTS if is_still[name] and is_excused[name]]
+
+
+def _by_construction(evaluations: Sequence[Evaluation], record: FitRecord) -> dict[str, str]:
+    """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
+    by_construction = {}
+    for coefficient, vane in VANES_OF.items():
+        is_measured = any(vane in flight.table for flight in evaluations)
+        if vane in record.regressors and not is_measured:
+            by_construction[coefficient] = vane
+    return by_construction
+
+
 def _use_by_scores(purpose: str, table: pd.DataFrame) -> Use:
     """Return the judgement of coefficients by their errors and bands."""
     errors = table["normalized_rmse"]
     coverages = table["interval_coverage"]
+    # NaN is neither small nor wide enough
     is_large = ~(errors <= THRESHOLDS.error)
     is_narrow = ~(coverages >= THRESHOLDS.coverage)
     is_poor = is_large | is_narrow
@@ -262,7 +174,7 @@ def _use_by_scores(purpose: str, table: pd.DataFrame) -> Use:
 
 
 def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
-    """Return whether the model simulates flights."""
+    """Return whether the model simulates flights: how long each state stays near the flight."""
     purpose = "simulate"
     accelerations = sorted(ACCELERATIONS & set(regressors))
     if accelerations:
@@ -276,12 +188,10 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     horizon = float(table["horizon"].min())
     if seconds >= horizon:
         return _use(purpose, "yes", Code.FOLLOWS, horizon=horizon)
-    apart = float(table["lasts_without_gusts"].min())
-    if seconds < THRESHOLDS.seconds <= apart:
-        gusts = float(table["gusts"].min())
-        return _use(
-            purpose, "unknown", Code.GUSTS_HIDE_ERRORS, seconds=seconds, gusts=gusts, apart=apart
-        )
+    without_gusts = float(table["lasts_without_gusts"].min())
+    if seconds < THRESHOLDS.seconds <= without_gusts:
+        numbers = {"seconds": seconds, "gusts": float(table["gusts"].min()), "apart": without_gusts}
+        return _use(purpose, "unknown", Code.GUSTS_HIDE_ERRORS, **numbers)
     return _use(
         purpose,
         "partly" if seconds >= THRESHOLDS.seconds else "no",
@@ -299,14 +209,15 @@ def _control(
     judged: pd.DataFrame,
     faults: Sequence[Finding],
 ) -> Use:
-    """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores."""
+    """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores.
+
+    It needs a trim, derivatives by the controls, and no fault.
+    """
     purpose = "design a controller"
     if faults:
         return Use(purpose, "no", tuple(faults))
     if mechanics.trim is None or mechanics.derivatives.empty:
         return Use(purpose, "no", mechanics.notes)
-    if "std" not in mechanics.derivatives:
-        return _use(purpose, "unknown", Code.NO_BANDS)
     widths = _half_widths(mechanics)
     if widths is None:
         return _use(purpose, "no", Code.CONTROLS_MISSING)
@@ -318,18 +229,40 @@ def _control(
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
         return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
-    known = {"width": widths.max(), "widest": widths.idxmax()}
-    controls_known = Finding(Code.CONTROLS_KNOWN, numbers=known)
-    beyond = list(mechanics.trim.beyond)
+    return _control_of_known(purpose, list(mechanics.trim.beyond), widths, judged)
+
+
+def _control_of_known(
+    purpose: str, beyond: Sequence[str], widths: pd.Series, judged: pd.DataFrame
+) -> Use:
+    """Return the judgement where controls and fast modes are known.
+
+    Regressors of the trim ``beyond`` what was flown, and the errors of the moments, decide.
+    """
+    numbers = {"width": widths.max(), "widest": widths.idxmax()}
+    controls_known = Finding(Code.CONTROLS_KNOWN, numbers=numbers)
     if beyond:
-        finding = Finding(Code.TRIM_BEYOND, numbers={"names": beyond})
-        return Use(purpose, "no", (finding, controls_known))
+        trim_beyond = Finding(Code.TRIM_BEYOND, numbers={"names": list(beyond)})
+        return Use(purpose, "no", (trim_beyond, controls_known))
     errors = judged["normalized_rmse"].reindex([*MOMENTS])
     poor = list(errors.index[errors > 1])
     if poor:
-        finding = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
-        return Use(purpose, "partly", (controls_known, finding))
+        constant_better = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
+        return Use(purpose, "partly", (controls_known, constant_better))
     return Use(purpose, "yes", (controls_known,))
+
+
+def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
+    """Return half widths of 95 % bands over values, of controls and fast modes; None without controls."""
+    table = mechanics.derivatives
+    bands = table.loc[table.index.isin(CONTROLS), ["value", "std"]]
+    if bands.empty:
+        return None
+    if mechanics.modes is not None:
+        is_fast = mechanics.mode_kinds.isin(FAST_MODES)
+        fast = mechanics.modes.loc[is_fast, ["frequency", "frequency_std"]]
+        bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
+    return half_width(0.95) * bands["std"] / bands["value"].abs()
 
 
 def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str, str]:
@@ -344,30 +277,115 @@ def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str,
     return parts
 
 
-def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
-    """Return half widths of 95 % bands over values, of controls and fast modes; None without controls."""
-    table = mechanics.derivatives
-    bands = table.loc[table.index.isin(CONTROLS), ["value", "std"]]
-    if bands.empty:
+def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
+    """Return a judgement by one finding."""
+    return Use(purpose, fit, (Finding(code, numbers=numbers),))
+
+
+def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) -> Use:
+    """Return a judgement by the scores, no better than the data and the estimates behind them allow.
+
+    "no" and "unknown" remain. Of a model from too little data nothing is known. Doubts turn "yes"
+    into "partly", and the doubt of a failed estimate both into "no".
+    """
+    if use.fit not in ("yes", "partly"):
+        return use
+    if too_little is not None:
+        return Use(use.purpose, "unknown", (too_little,))
+    if any(map(_is_failure, doubts)):
+        return Use(use.purpose, "no", (*use.findings, *doubts))
+    if doubts and use.fit == "yes":
+        return Use(use.purpose, "partly", (*use.findings, *doubts))
+    return use
+
+
+def _too_little(record: FitRecord) -> Finding | None:
+    """Return the finding of a model that learned from too few seconds or rows to be judged, if it did."""
+    training = record.training
+    if training is None:
         return None
-    if mechanics.modes is not None:
-        is_fast = mechanics.mode_kinds.isin(FAST_MODES)
-        fast = mechanics.modes.loc[is_fast, ["frequency", "frequency_std"]]
-        bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
-    return 1.96 * bands["std"] / bands["value"].abs()
+    seconds = np.inf if training.flown is None else training.flown
+    rows_by_regressor = training.samples / len(record.regressors)
+    if seconds >= THRESHOLDS.flown and rows_by_regressor >= THRESHOLDS.rows:
+        return None
+    numbers = {
+        "seconds": seconds,
+        "each": rows_by_regressor,
+        "least_seconds": THRESHOLDS.flown,
+        "least_rows": THRESHOLDS.rows,
+    }
+    return Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers)
 
 
-def _scored(
+def _doubts(record: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
+    """Return the doubts of the fit, and further ones of the test flights, one of each code."""
+    doubts: dict[Code, Finding] = {}
+    for finding in [*record.doubts, *findings]:
+        if finding.severity is Severity.DOUBT:
+            doubts.setdefault(finding.code, finding)
+    return list(doubts.values())
+
+
+def _is_failure(doubt: Finding) -> bool:
+    """Return whether the air was estimated and the estimate did not converge, so that alpha and beta are wrong."""
+    cause = doubt.numbers.get("cause")
+    return cause is not None and cause.code is Code.AIR_NOT_CONVERGED
+
+
+def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
+    """Return the findings of derivatives of other sign than on a conventional stable aircraft, if any.
+
+    Wrong is a sign that the 95 % band excludes; the others are not known.
+    """
+    if derivatives.empty:
+        return []
+    signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
+    wrong = derivatives["value"].reindex(signed.index[signed < 0])
+    # side force and yawing moment of the rudder
+    by_rudder = derivatives["value"].reindex([*OPPOSITE])
+    if (by_rudder > 0).all() or (by_rudder < 0).all():
+        wrong = wrong.combine_first(by_rudder.iloc[:1])
+    is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
+    of_signs = {Code.WRONG_SIGNS: wrong[is_known], Code.SIGNS_UNKNOWN: wrong[~is_known]}
+    return [_of_derivatives(code, values) for code, values in of_signs.items() if len(values)]
+
+
+def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
+    """Return the finding of derivatives that are surely larger than on any aircraft, if any."""
+    if derivatives.empty:
+        return []
+    values = derivatives.loc[derivatives.index.isin(LARGEST), ["value", "std"]]
+    least = values["value"].abs() - half_width(0.95) * values["std"]
+    large = values.loc[least > pd.Series(LARGEST).reindex(values.index), "value"]
+    return [] if large.empty else [_of_derivatives(Code.IMPLAUSIBLE_SIZES, large)]
+
+
+def _of_derivatives(code: Code, values: pd.Series) -> Finding:
+    """Return a finding of derivatives with their values."""
+    return Finding(code, numbers={"values": values.to_dict(), "names": list(values.index)})
+
+
+def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the coefficients whose error is smaller, and larger, than by least squares on the same rows."""
+    if "least_squares_normalized_rmse" not in table:
+        return (), ()
+    ratio = table["normalized_rmse"] / table["least_squares_normalized_rmse"]
+    better = ratio.index[ratio < 1 - THRESHOLDS.tie]
+    worse = ratio.index[ratio > 1 + THRESHOLDS.tie]
+    return tuple(better), tuple(worse)
+
+
+def _warnings_of_scores(
     table: pd.DataFrame, evaluations: Sequence[Evaluation], worse: Sequence[str]
 ) -> list[Finding]:
-    """Return the findings of the scores, the costliest first."""
+    """Return the warnings of the scores, the costliest first."""
     findings = []
-    bad = []
+    diverging = []
     for flight in evaluations:
         if flight.scores["measured"].loc[table.index, "normalized_rmse"].mean() > 1:
-            bad.append(flight.name)
-    if bad:
-        numbers = {"flights": bad, "worse": len(bad), "tested": len(evaluations)}
+            diverging.append(flight.name)
+    if diverging:
+        numbers = {"flights": diverging, "worse": len(diverging), "tested": len(evaluations)}
         findings.append(Finding(Code.CONSTANT_BETTER_IN_FLIGHTS, numbers=numbers))
     means = table.mean()
     limit = (1 + THRESHOLDS.tie) * means.get("least_squares_normalized_rmse", np.inf)

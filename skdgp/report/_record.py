@@ -68,8 +68,8 @@ class FitRecord:
         At the end of the search.
     iterations : int
         Of the search.
-    limit_reached, converged, interrupted : bool
-        Whether the search took as many iterations as allowed, converged, or was ended by Ctrl-C.
+    converged, interrupted : bool
+        Whether the search converged, or was ended by Ctrl-C.
     noise_std, input_noise_std : mapping of str to float
         Standard deviations of the noise of coefficients and of regressors.
     paths_not_converged : sequence of str
@@ -89,7 +89,6 @@ class FitRecord:
     regressors: Sequence[str]
     log_marginal_likelihood: float
     iterations: int
-    limit_reached: bool
     converged: bool
     interrupted: bool
     noise_std: Mapping[str, float]

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from functools import cache
 from importlib.metadata import distributions
 from pathlib import Path
@@ -79,6 +80,11 @@ class Kept:
             raise SystemExit(f"Got runs of another commit than {commit()}: remove {self.path}.")
         self.memory = {run["name"]: run for run in lines}
 
+    @property
+    def table(self):
+        """A row for each run."""
+        return pd.DataFrame([*self.memory.values()])
+
     def run(self, key, function, *arguments):
         """Return key, seconds and result, a dict, of a function."""
         name = ", ".join(map(str, key.values()))
@@ -96,7 +102,7 @@ class Kept:
 
 
 def limited(limit, function, *arguments):
-    """Return the result of a function, or why there is none."""
+    """Return the result of a function, without its warnings, or why there is none."""
 
     def stop(*_):
         raise TimeoutError(f"more than {limit} s")
@@ -104,7 +110,9 @@ def limited(limit, function, *arguments):
     signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
-        return function(*arguments)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return function(*arguments)
     except (TimeoutError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"failed": repr(error)}
     finally:
@@ -128,6 +136,12 @@ def winners(errors, notes=None, missing=f"none in {LIMIT} s"):
         if name in (notes or {}):
             shown[name] += f" ({notes[name]})"
     return shown
+
+
+def ranges(values):
+    """Return the least and the largest value of each method, as cells."""
+    methods = values.groupby("method", sort=False)
+    return {name: f"{cell(some.min())} to {cell(some.max())}" for name, some in methods}
 
 
 def markdown(rows):

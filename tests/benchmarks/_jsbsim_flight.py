@@ -324,6 +324,11 @@ def learned_derivatives(model, aircraft, at, airspeed, names=STEADY):
     return table[table["coefficient"].isin(COEFFICIENTS) & table["regressor"].isin(names)].copy()
 
 
+def true_values(table, known):
+    """Return the known values (n,) of the rows of a table of derivatives."""
+    return np.array([known.loc[row.coefficient, row.regressor] for row in table.itertuples()])
+
+
 def milspec_rates(table, span):
     """Return the rates of the air that JSBSim's turbulence makes of its wind, (n, 3) in body axes [rad/s].
 

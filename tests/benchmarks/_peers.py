@@ -4,12 +4,9 @@
 standard deviations (n, P): of the function, and of a new measurement.
 """
 
-import warnings
-
 import numpy as np
 from scipy.stats import f as f_distribution
 from sklearn.ensemble import HistGradientBoostingRegressor
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.linear_model import LinearRegression
@@ -122,9 +119,7 @@ class IndependentProcesses:
         kernel = ConstantKernel() * RBF(np.full(X.shape[1], 3.0), (1e-1, 1e4)) + WhiteKernel(
             0.1, (1e-6, 1e2)
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            self.models = [GaussianProcessRegressor(kernel, random_state=0).fit(X, y) for y in Y.T]
+        self.models = [GaussianProcessRegressor(kernel, random_state=0).fit(X, y) for y in Y.T]
         return self
 
     def predict(self, X):

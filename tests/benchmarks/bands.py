@@ -10,14 +10,12 @@ one fit and one output are correlated, so coverage has a standard error of some 
 the centre.
 """
 
-import warnings
-
 import numpy as np
-import pandas as pd
 from _common import Kept, finish, parser_of
 from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
+from skdgp.metrics import interval_coverage
 
 NOISE = 0.5
 POINTS = 50
@@ -51,22 +49,20 @@ def inside(name, d, n, seed):
     X = rng.normal(size=(n, d))
     function = FUNCTIONS[name]
     Y = function(X, W) + 3.0 + rng.normal(0, NOISE, (n, 2))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of few rows
-        model = DependentGPRegressor(random_state=0).fit(X, Y)
+    model = DependentGPRegressor(random_state=0).fit(X, Y)
     held = {}
     for place, (near, far) in PLACES.items():
         direction = rng.normal(size=(POINTS, d))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         asked = direction * np.sqrt(d) * rng.uniform(near, far, (POINTS, 1))
         mean, std = model.predict(asked, return_std=True)
-        held[place] = float(np.mean(np.abs(mean - function(asked, W) - 3.0) < 1.96 * std))
+        held[place] = float(interval_coverage(function(asked, W) + 3.0, mean, std))
     return held
 
 
 def table(runs):
     """Return a row for each function, number of regressors and of rows, with the mean over seeds in percent."""
-    groups = pd.DataFrame(runs).groupby(["function", "regressors", "rows"], sort=False)
+    groups = runs.groupby(["function", "regressors", "rows"], sort=False)
     means = 100 * groups[[*PLACES]].mean().add_suffix(", %")
     means.index = [f"{name}, {d} regressors, {n} rows" for name, d, n in means.index]
     return means.reset_index(names="function").to_dict("records")
@@ -83,7 +79,7 @@ def main(words=None):
                 for seed in range(seeds):
                     key = {"function": name, "regressors": d, "rows": n, "seed": seed}
                     kept.run(key, inside, name, d, n, seed)
-    finish(options, "bands", by_place=table([*kept.memory.values()]))
+    finish(options, "bands", by_place=table(kept.table))
 
 
 if __name__ == "__main__":

@@ -199,8 +199,7 @@ def main(words=None):
             for seed in range(2 if method == "skdgp pipeline" and not options.smoke else 1):
                 key = {"flight": flight, "method": method, "seed": seed}
                 kept.run(key, scored, task, method, seed)
-    table = pd.DataFrame([*kept.memory.values()])
-    finish(options, "comparison", errors=errors(table), pipeline=of_pipeline(table))
+    finish(options, "comparison", errors=errors(kept.table), pipeline=of_pipeline(kept.table))
 
 
 if __name__ == "__main__":

@@ -11,11 +11,8 @@ observed in different places, as in GPy's tutorial of coregionalisation; only th
 bands refer to places where the output was not observed.
 """
 
-import warnings
-
 import numpy as np
 from _common import Kept, finish, parser_of
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -144,9 +141,7 @@ METHODS = {"skdgp": defaults, "one structure": one_structure, "scikit-learn": se
 def scored(problem, method, seed):
     """Return the error over the spread of the truth, and the fraction of points inside the band."""
     X, Y, points, truth = PROBLEMS[problem](np.random.default_rng(seed))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        mean, std = METHODS[method](X, Y, points)
+    mean, std = METHODS[method](X, Y, points)
     error = np.sqrt(np.nanmean((mean - truth) ** 2, axis=0)) / np.nanstd(truth, axis=0)
     known = np.isfinite(truth)
     inside = np.abs(mean - truth)[known] < 1.96 * std[known]
@@ -155,18 +150,12 @@ def scored(problem, method, seed):
 
 def table(runs):
     """Return a row for each problem: error, and percentage inside, of each method, over the seeds."""
-    rows = []
-    for problem in PROBLEMS:
-        row = {"problem": problem}
-        for method in METHODS:
-            some = [run for run in runs if (run["problem"], run["method"]) == (problem, method)]
-            if some:
-                error = np.mean([run["error"] for run in some])
-                inside = np.mean([run["inside"] for run in some])
-                seconds = np.mean([run["seconds"] for run in some])
-                row[method] = f"{error:.3f}, {100 * inside:.0f} %, {seconds:.1f} s"
-        rows.append(row)
-    return rows
+    means = runs.groupby(["problem", "method"], sort=False)[["error", "inside", "seconds"]].mean()
+    rows = {}
+    for (problem, method), (error, inside, seconds) in means.iterrows():
+        row = rows.setdefault(problem, {"problem": problem})
+        row[method] = f"{error:.3f}, {100 * inside:.0f} %, {seconds:.1f} s"
+    return [*rows.values()]
 
 
 def draw(path):
@@ -210,7 +199,7 @@ def main(words=None):
                 kept.run(key, scored, problem, method, seed)
     if options.figure:
         draw(options.figure)
-    finish(options, "dependence", problems=table([*kept.memory.values()]))
+    finish(options, "dependence", problems=table(kept.table))
 
 
 if __name__ == "__main__":

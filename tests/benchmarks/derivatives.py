@@ -15,14 +15,11 @@ Gusts: value over the known derivative by models of flights in calm, light and m
 example aircraft at the middle trim and of JSBSim's Cessna 172 at the mean of its flight.
 """
 
-import warnings
-
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
 from _jsbsim_flight import exact_regressors, flight_of, known_derivatives, learned_derivatives
 from freeflight_air import learned
-from sklearn.exceptions import ConvergenceWarning
 
 from skdgp import make_identification_pipeline
 from skdgp.datasets import load_example_flights
@@ -118,9 +115,7 @@ def measured(air):
     truth = data.truth
     model = make_identification_pipeline(data.aircraft)
     model.set_params(dependentgpregressor__random_state=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
+    model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
     table = compared(model, truth, data)
     middle = table.loc[AIRSPEEDS.index(36.0)]
     shown = middle.loc[[*SHOWN], ["value", "std", "known", "merged"]]

@@ -16,7 +16,6 @@ import warnings
 from functools import partial
 
 import numpy as np
-import pandas as pd
 from _common import Kept, finish, parser_of
 from numpy.random import default_rng
 from scipy import signal
@@ -222,7 +221,7 @@ def main(words=None):
             wrong = scaled(recorded["ahead, without beta"], -1.0, ["rudder"])
             case = "sign of rudder, ahead, without beta"
             kept.run(key | {"case": case, "kind": "fault"}, score, wrong, ["rudder"])
-    runs = pd.DataFrame([*kept.memory.values()])
+    runs = kept.table
     runs["accused"] = runs["accused"].str.len() > 0
     shares = (
         runs.groupby(["kind", "case"], sort=False)[["found", "accused"]].mean().mul(100).round(1)

@@ -19,8 +19,6 @@ The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182, and that of b
 changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p and t6texan2.
 """
 
-import warnings
-
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
@@ -35,12 +33,12 @@ from _jsbsim_flight import (
     flight_of,
     learned_derivatives,
     sensed,
+    true_values,
 )
 from sklearn.linear_model import LinearRegression
 
 from skdgp import make_identification_pipeline
 from skdgp.dynamics import (
-    SimulationWarning,
     aerodynamic_coefficients,
     simulate,
     trajectory_bands,
@@ -88,7 +86,7 @@ def model_row(name, model, log, aircraft, flown):
     known = evaluated_derivatives(name, calm, aircraft, at)
     airspeed = calm["airspeed_true"].mean()
     table = learned_derivatives(model[-3:], aircraft, at, airspeed, STEADY[:8])
-    true = [known.loc[one.coefficient, one.regressor] for one in table.itertuples()]
+    true = true_values(table, known)
     inside = np.abs(table["value"] - true) < 2 * table["std"]
     row["derivatives"] = 100.0 * inside[np.abs(true) > 0].mean()
     X, Y = model[:-2].transform(log)[names], aerodynamic_coefficients(log, aircraft)
@@ -132,11 +130,7 @@ def flown_rows(model, aircraft, flown):
         starts = starts.drop(columns=UNKNOWN, errors="ignore")
         told = {"wind": {"air": stretches}} | ({"nothing": {}} if air == TRAINING[1] else {})
         for said, options in told.items():
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SimulationWarning)
-                paths = simulate(
-                    model, aircraft, starts, stretches, STEP, n_paths=N_PATHS, **options
-                )
+            paths = simulate(model, aircraft, starts, stretches, STEP, n_paths=N_PATHS, **options)
             for kind, level in LEVELS.items():
                 for t in HORIZONS:
                     rows[kind][f"{air}, {said}, {t:g} s"] = held(paths, stretches, t, level)

@@ -11,10 +11,7 @@ noise-free columns. Their bands are value +- 1.96 sqrt(std^2 + std_aircraft^2). 
 percentage inside, the median ratio of bands to those with everything told, and wrong signs.
 """
 
-import warnings
-
 import numpy as np
-import pandas as pd
 from _common import Kept, finish, parser_of
 from _jsbsim_flight import (
     FLOWN,
@@ -25,6 +22,7 @@ from _jsbsim_flight import (
     flight_of,
     known_derivatives,
     learned_derivatives,
+    true_values,
 )
 
 from skdgp.dynamics import Aircraft
@@ -67,11 +65,9 @@ def withhold(thing, aircraft, kind, flight):
 def learned(thing, aircraft, kind, train, at, airspeed):
     """Return the table of derivatives."""
     told, train = withhold(thing, aircraft, kind, train)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = identify(train, told, samples=SAMPLES)
-        # its aircraft has the deviation of thrust
-        table = learned_derivatives(found.pipeline, found.aircraft, at, airspeed, REGRESSORS)
+    found = identify(train, told, samples=SAMPLES)
+    # its aircraft has the deviation of thrust
+    table = learned_derivatives(found.pipeline, found.aircraft, at, airspeed, REGRESSORS)
     return table.assign(std_aircraft=table.get("std_aircraft", 0.0))
 
 
@@ -84,7 +80,7 @@ def true_derivatives(name, flights, aircraft, at):
 
 def compared(table, known):
     """Return the table with true values, bands, and how far values lie from the truth over deviations."""
-    true = np.array([known.loc[row.coefficient, row.regressor] for row in table.itertuples()])
+    true = true_values(table, known)
     table = table.assign(true=true, band=np.hypot(table["std"], table["std_aircraft"]))
     return table.assign(off=(table["value"] - true) / table["band"])
 
@@ -115,7 +111,7 @@ def main(words=None):
     kept = Kept(options, "little_told")
     for name in options.aircraft:
         kept.run({"aircraft": name}, measured, name, options.data)
-    runs = pd.DataFrame([*kept.memory.values()]).set_index("aircraft")
+    runs = kept.table.set_index("aircraft")
     rows = runs[[*WITHHELD]].T.reset_index(names="withheld").to_dict("records")
     finish(options, "little_told", bands=rows)
 

@@ -163,7 +163,7 @@ def result(task, seed):
 
 def of_pairs(runs):
     """Return a row for each pair: medians over seeds, ratios to least squares; then geometric means."""
-    table = pd.DataFrame(runs).groupby("pair", sort=False).median(numeric_only=True)
+    table = runs.groupby("pair", sort=False).median(numeric_only=True)
     ratios = table[[*KINDS]].div(table["least squares"], axis=0).rename(columns=KINDS)
     means = f"geometric mean of the {len(table)}"
     ratios.loc[means] = np.exp(np.log(ratios).mean(skipna=False))
@@ -186,7 +186,7 @@ def main(words=None):
         task = task_of_pair(pair, options.repository, options.data)
         for seed in range(3):
             kept.run({"pair": pair, "seed": seed}, result, task, seed)
-    finish(options, "pairs", of_pairs=of_pairs([*kept.memory.values()]))
+    finish(options, "pairs", of_pairs=of_pairs(kept.table))
 
 
 if __name__ == "__main__":

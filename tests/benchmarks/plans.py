@@ -10,18 +10,15 @@ range of the promise, the fraction of goals that promise more than before, and t
 promised and found over before.
 """
 
-import warnings
-
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
-from small_uav import AIRCRAFT, STALL, TERMS
+from small_uav import AIRCRAFT, STALL, TERMS, aircraft_of
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.design import Envelope, doublet, plan, wavetrain
 from skdgp.dynamics import (
     Aerodynamics,
-    Aircraft,
     FlightComputer,
     aerodynamic_coefficients,
     dryden_wind,
@@ -58,8 +55,7 @@ def truth_of(plane):
             X[..., 0] = STALL * np.tanh(X[..., 0] / STALL)
         return np.concatenate([level, X, abs_beta], axis=-1) @ W.T
 
-    sizes = {name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
-    return Aerodynamics(coefficients, names), Aircraft(**sizes)
+    return Aerodynamics(coefficients, names), aircraft_of(plane)
 
 
 def fly(truth, aircraft, airspeed, train, seconds, wind_at_6m, seed):
@@ -165,16 +161,14 @@ def main(words=None):
     parser.add_argument("--wind", nargs="+", type=float, default=[2.0, 6.0])
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     options = parser.parse_args(words)
-    warnings.simplefilter("ignore")
     kept = Kept(options, "plans")
     for name in options.aircraft:
         for wind in options.wind:
             for seed in options.seeds:
                 key = {"aircraft": name, "wind": wind, "seed": seed}
                 kept.run(key, loop, AIRCRAFT[name], wind, seed)
-    runs = pd.DataFrame([*kept.memory.values()])
     columns = ["before", "promised", "low", "high", "found"]
-    goals = runs.explode(["goal", *columns])
+    goals = kept.table.explode(["goal", *columns])
     goals[columns] = goals[columns].astype(float)
     rows = [row_of(name, some) for name, some in goals.groupby("aircraft", sort=False)]
     rows.append(row_of("all", goals))

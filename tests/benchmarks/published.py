@@ -21,17 +21,15 @@ The Friedman cases need no file: complete outputs, where methods differ in time 
 No setting is chosen by a hidden value.
 """
 
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from _common import Kept, cell, finish, parser_of, winners
+from _common import Kept, finish, parser_of, ranges, winners
 from numpy.random import default_rng
 from scipy.io import loadmat
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.experimental import enable_iterative_imputer  # noqa: F401 - makes it importable
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
@@ -260,9 +258,7 @@ SEEDS = {IMPUTE: range(5)}
 
 def scored(case, method, seed):
     """Return errors, and fraction in the 95 % band, of each tested output."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        mean, std = METHODS[method](case, seed)
+    mean, std = METHODS[method](case, seed)
     errors, held = [], []
     for k in case.tested.values():
         asked = np.isfinite(case.hidden[:, k])
@@ -281,7 +277,7 @@ def scored(case, method, seed):
 
 def tables(runs):
     """Return a row for each method, error and percentage in the band of each case; and complete outputs."""
-    means = pd.DataFrame(runs).groupby(["case", "method"], sort=False)
+    means = runs.groupby(["case", "method"], sort=False)
     means = means[["error", "held", "seconds"]].mean()
     cells, complete = {}, []
     for case, scores in means.groupby("case", sort=False):
@@ -294,9 +290,8 @@ def tables(runs):
                 scores["error"], scores["held"].dropna().map("{:.0f} %".format).to_dict()
             )
     cells = pd.DataFrame(cells)
-    seconds = means.loc[[*cells], "seconds"].where(means["error"].notna()).groupby("method")
-    low, high = seconds.min(), seconds.max()
-    cells["CPU s"] = [f"{cell(low[name])} to {cell(high[name])}" for name in cells.index]
+    seconds = means.loc[[*cells], "seconds"].where(means["error"].notna())
+    cells["CPU s"] = pd.Series(ranges(seconds))
     cells.loc["published figures"] = pd.Series(PUBLISHED)
     return {"errors": cells.reset_index(names="method").to_dict("records"), "complete": complete}
 
@@ -314,7 +309,7 @@ def main(words=None):
             for seed in [0] if everything or options.smoke else SEEDS.get(method, [0]):
                 key = {"case": name, "method": method, "seed": seed}
                 kept.run(key, scored, case, method, seed)
-    finish(options, "published", **tables([*kept.memory.values()]))
+    finish(options, "published", **tables(kept.table))
 
 
 if __name__ == "__main__":

@@ -41,6 +41,13 @@ def aircraft(sizes):
     return sizes | {"inertia": inertia, "derivatives": W.to_numpy().T}
 
 
+def aircraft_of(plane):
+    """Return the aircraft that is told."""
+    return Aircraft(
+        **{name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
+    )
+
+
 FILE = Path(__file__).with_suffix(".toml")
 AIRCRAFT = {name: aircraft(sizes) for name, sizes in tomllib.loads(FILE.read_text()).items()}
 SENSORS = {
@@ -247,12 +254,11 @@ def truth_of(plane, alpha, load):
 
 def score(table, plane, lag):
     """Return z, errors and half bands of the derivatives, then other figures, of one flight."""
-    sizes = {name: plane[name] for name in ("mass", "wing_area", "span", "chord", "inertia")}
     alpha = table.pop("alpha_true")
     qS = 0.5 * DENSITY * table["airspeed"] ** 2 * plane["wing_area"]
     load = (table["thrust_x"] / qS).mean()
     try:
-        found = estimate_air_motion(table, Aircraft(**sizes))
+        found = estimate_air_motion(table, aircraft_of(plane))
     except ValueError:  # it says that it diverged
         return {"z": [], "error": [], "half": [], "converged": False}
     truth = truth_of(plane, alpha.mean(), load)
@@ -305,7 +311,7 @@ def main(words=None):
         table = logged(flown[:, k], rngs[k], case[0])
         key = dict(zip(("sensors", "aircraft", "air", "seed"), case, strict=True))
         kept.run(key, score, table, planes[k], lags[k] if case[0] == "real" else 0.0)
-    runs = pd.DataFrame([*kept.memory.values()])
+    runs = kept.table
     columns = {SENSORS[kind]: column(some) for kind, some in runs.groupby("sensors", sort=False)}
     rows = pd.DataFrame(columns).reset_index(names="air").to_dict("records")
     finish(options, "small_uav", derivatives=rows)

@@ -11,15 +11,12 @@ by means, and regressors are scaled, for every method. scikit-learn's process le
 log densities are of outputs over their deviation in training.
 """
 
-import warnings
-
 import numpy as np
 import pandas as pd
-from _common import Kept, cell, finish, parser_of, winners
+from _common import Kept, finish, parser_of, ranges, winners
 from _peers import IndependentProcesses, trees
 from scipy.io import arff
 from scipy.stats import norm
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.impute import SimpleImputer
 from sklearn.linear_model import BayesianRidge
 from sklearn.model_selection import train_test_split
@@ -27,6 +24,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
+from skdgp.metrics import interval_coverage
 
 MULAN = {"andro": 6, "slump": 3, "edm": 2, "jura": 3, "enb": 2, "scpf": 3, "atp1d": 6}  # outputs
 UCI = ("yacht", "bostonHousing", "concrete", "energy", "wine-quality-red", "kin8nm", "power-plant")
@@ -87,9 +85,7 @@ def scored(data, method):
     """Return the scores of one fit."""
     X, Y, asked, truth = data
     scaler = StandardScaler().fit(Y)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        mean, std = METHODS[method](X, scaler.transform(Y), asked)
+    mean, std = METHODS[method](X, scaler.transform(Y), asked)
     y = scaler.transform(truth)
     mean, std = np.reshape(mean, y.shape), np.reshape(std, y.shape)
     spread = np.sqrt(np.mean(y**2, axis=0))
@@ -98,30 +94,25 @@ def scored(data, method):
         "size": f"{len(X)}, {X.shape[1]}, {Y.shape[1]}",
     }
     if np.isfinite(std).all():
-        result["held"] = 100 * float(np.mean(np.abs(y - mean) <= 1.96 * std))
+        result["held"] = 100 * float(interval_coverage(y, mean, std))
         result["density"] = -float(np.mean(norm.logpdf(y, mean, std)))
     return result
 
 
 def errors(runs):
     """Return errors, fractions in bands and negative log densities of the sets, means over splits; then seconds."""
-    rows, table = [], pd.DataFrame(runs)
-    means = table.groupby(["set", "method"], sort=False)
+    rows = []
+    means = runs.groupby(["set", "method"], sort=False)
     means = means[["error", "held", "density", "seconds"]].mean()
     for name, some in means.groupby("set", sort=False):
         some = some.droplevel("set")
-        size = table.loc[table["set"] == name, "size"].dropna().iloc[0]
+        size = runs.loc[runs["set"] == name, "size"].dropna().iloc[0]
         probable = some.dropna().itertuples()
         notes = {row.Index: f"{row.held:.0f} %, {row.density:.2f}" for row in probable}
         rows.append(
             {TITLE: f"{name}: {size}"} | winners(some["error"], notes, f"none in {LIMIT} s")
         )
-    seconds = means["seconds"].groupby("method", sort=False)
-    low, high = seconds.min(), seconds.max()
-    return [
-        *rows,
-        {TITLE: "CPU s"} | {name: f"{cell(low[name])} to {cell(high[name])}" for name in low.index},
-    ]
+    return [*rows, {TITLE: "CPU s"} | ranges(means["seconds"])]
 
 
 def main(words=None):
@@ -132,7 +123,7 @@ def main(words=None):
             data = loaded(options.data, name, split)
             for method in METHODS:
                 kept.run({"set": name, "method": method, "split": split}, scored, data, method)
-    finish(options, "tabular", errors=errors([*kept.memory.values()]))
+    finish(options, "tabular", errors=errors(kept.table))
 
 
 if __name__ == "__main__":

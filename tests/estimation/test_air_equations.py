@@ -25,7 +25,13 @@ from skdgp.estimation._air_covariance import (
 )
 from skdgp.estimation._air_linearization import N_STATES, Layout, linearized
 from skdgp.estimation._air_model import Inputs
-from skdgp.estimation._air_parameters import DERIVATIVES, OWN, SHARED, TERMS, derivatives_of
+from skdgp.estimation._air_parameters import (
+    AIRCRAFT_CONSTANTS,
+    DERIVATIVES,
+    FLIGHT_CONSTANTS,
+    TERMS,
+    derivatives_of,
+)
 from skdgp.estimation._air_records import Record, servo_output
 from skdgp.estimation._kalman import (
     Linearization,
@@ -69,7 +75,8 @@ def flight_of_sines(n=30):
     derivatives = derivatives_of(TERMS, SURFACES)
     value = {name: DERIVATIVES.get(name, (0.01, 0))[0] for name in derivatives}
     value |= {
-        name: mean + 0.3 * min(std, 5.0) for name, (mean, std) in (dict(SHARED) | OWN).items()
+        name: mean + 0.3 * min(std, 5.0)
+        for name, (mean, std) in (dict(AIRCRAFT_CONSTANTS) | FLIGHT_CONSTANTS).items()
     }
     value |= {"servo_lag": 0.03}
     states = 0.2 * wave(N_STATES)
@@ -197,7 +204,7 @@ def linear_system(rng, n=7, N=3, m=2):
         surface_noise=np.zeros((n - 1, N, N)),
         surface_readings=np.zeros((n - 1, m)),
         missing=np.zeros((n - 1, m)),
-        response=zero,
+        instrument_terms=zero,
     )
     noises = Noise(
         rate=rng.uniform(1, 2, (1, N)),

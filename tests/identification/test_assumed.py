@@ -111,8 +111,8 @@ def test_a_table_without_thrust():
     flight["ax"] += 20 * flight["throttle"] / UNKNOWN.mass
     found = quietly(flight, UNKNOWN, samples=100, horizons=[1.0])
     assert "throttle" in found.fit.regressors
-    assert found.settings["thrust"] is None
-    assert "servos" not in found.settings
+    assert found.options["thrust"] is None
+    assert "servos" not in found.options
     for findings in (found.assumptions, found.findings):
         assert Code.THRUST_IN_COEFFICIENTS in {finding.code for finding in findings}
     assert "wing area 0.432 m^2 ± 35 %" in found.assumed[0]

@@ -195,7 +195,7 @@ class TestIdentify:
         assert re.search(
             rf"^CZ +{100 * of['median_relative_error']:.1f} ", result.summary(), re.MULTILINE
         )
-        assert result.fit.training.samples == result.settings["samples"] == 40
+        assert result.fit.training.samples == result.options["samples"] == 40
         assert result.fit.training.flights == {"lateral": 400, "latlon": 400}
         assert result.held_out is None
 

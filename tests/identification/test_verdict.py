@@ -30,7 +30,6 @@ FIT = FitRecord(
     regressors=NAMES,
     log_marginal_likelihood=0.0,
     iterations=1,
-    limit_reached=False,
     converged=True,
     interrupted=False,
     noise_std={},
@@ -134,7 +133,7 @@ def identification(
     return Identification(
         pipeline=model or glider(),
         aircraft=aircraft,
-        settings=SETTINGS | settings,
+        options=SETTINGS | settings,
         fit=fit,
         train=dict(enumerate(train)),
         evaluations=evaluations,
@@ -357,6 +356,20 @@ class TestControl:
         found = verdict([evaluation(inside=[True, inside, True, True, True, True])])
         assert use(found, "design a controller")[0] == fit
         assert ("bands do not hold" in use(found, "design a controller")[1]) == (not inside)
+
+    def test_derivatives_by_no_control(self):
+        angles = pd.DataFrame({"value": [-4.5], "std": [0.1]}, index=["CZ_alpha"])
+        fit, reason = use(verdict(derivatives=angles), "design a controller")
+        assert (fit, reason) == (
+            "no",
+            "the model has none of the controls elevator, aileron, rudder",
+        )
+
+    def test_a_trim_beyond_what_was_flown(self):
+        beyond = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
+        fit, reason = use(verdict(trim=beyond), "design a controller")
+        assert fit == "no"
+        assert reason.startswith("the trim is outside the flown range in alpha")
 
     def test_no_steady_flight(self):
         found = verdict(trim=None, notes=(NO_TRIM,))

@@ -1,0 +1,298 @@
+"""The three kinds of checks: equality, sign and exchange, and how the slopes of each are judged.
+
+A slope contradicts a relation if it is outside of the admissible interval by 5 standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skdgp._compute.findings import Code, Finding
+from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
+from skdgp._flight.physics._settings import PhysicsSettings
+from skdgp._flight.physics._signals import Signals
+
+
+class Interval(NamedTuple):
+    """Admissible slopes, and their text in a finding."""
+
+    least: float
+    most: float
+    text: str
+
+
+EQUAL = Interval(1 / 1.5, 1.5, "1")
+# gusts move the air past the aircraft, which follows them
+GUSTY = Interval(-0.5, 1.5, "0 to 1")
+POSITIVE = Interval(0.0, np.inf, "a positive one")
+NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
+NONE = Interval(0.0, 0.0, "0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relation:
+    """Signals y and x of a flight, and the channels that they are computed from."""
+
+    #: Channels that are compared: one of them is wrong where the relation fails
+    channels: tuple[str, ...]
+    #: Further channels
+    uses: tuple[str, ...]
+    y: str
+    x: str
+    regression: Callable[[Signals], Regression]
+    #: Lags that are tried [s]
+    lags: tuple[float, ...] = (0.0,)
+
+    @property
+    def needs(self) -> set[str]:
+        """All channels."""
+        return {*self.channels, *self.uses}
+
+    def slopes(self, signals: Signals) -> dict[float, Slope]:
+        """Return the slopes by lag [s], where the rows determine them; empty where a channel is missing."""
+        if not self.needs <= signals.channels.keys():
+            return {}
+        y, x, others = self.regression(signals)
+        slopes: dict[float, Slope] = {}
+        for lag in self.lags:
+            regression = Regression(y, signals.ahead(x, -lag), others)
+            slope = estimated_slope(regression, signals.settings)
+            if slope is not None:
+                slopes[lag] = slope
+        return slopes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contradiction:
+    """A relation that flights contradict, and the numbers."""
+
+    relation: Relation
+    #: Channels that may be wrong
+    channels: tuple[str, ...]
+    admissible: Interval
+    slope: Slope
+    #: Distance from the admissible values, in standard deviations
+    t: float
+    #: Lag that contradicts the relation, in place of the slope [s], and its standard deviation
+    lag: tuple[float, float] | None = None
+    #: None for all flights together
+    flight: Any = None
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the compared signals, y over x, and the numbers."""
+        quantity, (value, std) = "slope", self.slope[:2]
+        if self.lag is not None:
+            quantity, (value, std) = "lag", self.lag
+        numbers = {
+            "channels": list(self.channels),
+            "y": self.relation.y,
+            "x": self.relation.x,
+            "expected": self.admissible.text,
+            quantity: value,
+            "std": std,
+            "t": self.t,
+            "correlation": self.slope.correlation,
+            "effective_samples": self.slope.n_effective,
+        }
+        return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
+
+
+class Confirmation(NamedTuple):
+    """Channels that an equality confirms."""
+
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Equality:
+    """Kinematics make y and x equal: the slope is 1, at a lag of no more than usual."""
+
+    relation: Relation
+    #: Error of x [unit of x]: a signal of no larger root mean square decides nothing
+    noise: float
+    #: Whether x is of accelerometers, whose noise has no bound: engines shake them
+    vibrates: bool = False
+    #: Whether x holds gusts, which y follows
+    gusts_lead: bool = False
+
+    def judge(self, signals: Signals) -> Contradiction | Confirmation | None:
+        """Return what flights say of the relation, None if they decide nothing."""
+        settings = signals.settings
+        slopes = self.relation.slopes(signals)
+        best = _best(slopes, self.noise, settings)
+        if best is None:
+            return None
+        distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
+        is_equal = distance_inside > settings.least_t * best.std
+        late = self._late(slopes, settings)
+        if late is not None and (is_equal or best.correlation > settings.lagged_correlation):
+            return late
+        if is_equal:
+            return Confirmation(self.relation.channels)
+        return self._of_wrong_scale(slopes[0.0], best.size, signals)
+
+    def _late(self, slopes: dict[float, Slope], settings: PhysicsSettings) -> Contradiction | None:
+        """Return the contradiction of a best lag that is longer than usual, if it is."""
+        usual_lag = settings.usual_lag
+        least_t = settings.least_t
+        if self.gusts_lead:
+            usual_lag = settings.usual_airspeed_lag
+            least_t = settings.least_airspeed_t
+        best_lag, best = max(slopes.items(), key=lambda item: item[1].explained)
+        if abs(best_lag) <= usual_lag:
+            return None
+        explained = 0.0  # at the best of the usual lags
+        for lag, slope in slopes.items():
+            if abs(lag) <= usual_lag:
+                explained = max(explained, slope.explained)
+        # likelihood ratio: t^2 = n log of the ratio of unexplained variances
+        ratio = (1 + best.explained) / (1 + explained)
+        t = float(np.sqrt(best.n_effective * np.log(ratio)))
+        if t < least_t:
+            return None
+        # a uniform distribution between the lags that are tried, where they are farthest apart
+        std = float(np.diff(sorted(slopes)).max(initial=0.0) / np.sqrt(12))
+        return Contradiction(
+            relation=self.relation,
+            channels=self.relation.channels,
+            admissible=EQUAL,
+            slope=best,
+            t=t,
+            lag=(best_lag, std),
+        )
+
+    def _of_wrong_scale(self, slope: Slope, size: float, signals: Signals) -> Contradiction | None:
+        """Return the contradiction of a slope at lag zero, for x of root mean square ``size``, if it is one."""
+        # the error of x attenuates the slope (Fuller 1987, section 1.1)
+        least = EQUAL.least * (1 - (self.noise / size) ** 2)
+        t = slope.t(least, EQUAL.most)
+        if abs(t) < signals.settings.least_t:
+            return None
+        is_attenuated = self.vibrates and 0 < slope.value < least
+        if is_attenuated and self._is_reverse_equal(signals):
+            return None
+        return _of_slope(self.relation, EQUAL, slope, t)
+
+    def _is_reverse_equal(self, signals: Signals) -> bool:
+        """Return whether x over y has an admissible slope: equal signals, of which x alone is noisy.
+
+        Noise of x attenuates the slope of y over x, not this one (Frisch 1934); a wrong scale
+        changes both.
+        """
+        y, x, others = self.relation.regression(signals)
+        settings = signals.settings
+        reverse = estimated_slope(Regression(x, y, others), settings)
+        if reverse is None or reverse.std > settings.reverse_std:
+            return False
+        return abs(reverse.t(EQUAL.least, EQUAL.most)) < settings.reverse_t
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sign:
+    """Aerodynamics give the sign of the slope."""
+
+    relation: Relation
+    admissible: Interval
+    #: As of `Equality`
+    noise: float = 0.0
+    #: Angle of the flow that the response depends on, if one
+    angle: str | None = None
+    #: Another sign that must be wrong, too. Accelerometers ahead of the centre of gravity feel the
+    #: yawing by beta, so the sign of ay alone tells nothing.
+    witness: Sign | None = None
+
+    def judge(self, signals: Signals) -> Contradiction | None:
+        """Return the contradiction of a wrong sign, if it is one."""
+        settings = signals.settings
+        slopes = self.relation.slopes(signals)
+        if _best(slopes, self.noise, settings) is None:
+            return None
+        slope = self._judged_slope(slopes, signals)
+        t = slope.t(self.admissible.least, self.admissible.most)
+        if _is_weak(slope, t, settings):
+            return None
+        if self.witness is not None and self.witness.judge(signals) is None:
+            return None
+        return _of_slope(self.relation, self.admissible, slope, t)
+
+    def _judged_slope(self, slopes: dict[float, Slope], signals: Signals) -> Slope:
+        """Return of all lags that explain y about as well as the best the slope nearest to its expected sign.
+
+        Under feedback a late servo turns the sign at lag zero. Where the angle was not measured, the
+        earliest lag: the angle answers to a surface, with the other sign.
+        """
+        settings = signals.settings
+        best = max(slope.explained for slope in slopes.values())
+        if self.angle is not None and self.angle not in signals:
+            enough = settings.possible_lag_without_angle * best
+            return slopes[min(lag for lag, slope in slopes.items() if slope.explained >= enough)]
+        enough = settings.possible_lag * best
+        possible = [slope for slope in slopes.values() if slope.explained >= enough]
+        least, most, _ = self.admissible
+        return min(possible, key=lambda slope: abs(slope.t(least, most)))
+
+
+class Alternative(NamedTuple):
+    """Two relations of one response: with the channel of another axis, and with its own."""
+
+    wrong: Relation
+    right: Relation
+
+    def judge(self, signals: Signals) -> Contradiction | None:
+        """Return the contradiction of a wrong channel that explains the response better than the right one."""
+        slopes = self.wrong.slopes(signals)
+        if not slopes:
+            return None
+        best = _most_explained(slopes)
+        right = self.right.slopes(signals)
+        t = best.t(NONE.least, NONE.most)
+        explained = _most_explained(right).explained if right else 0.0
+        if _is_weak(best, t, signals.settings) or best.explained <= explained:
+            return None
+        return _of_slope(self.wrong, NONE, best, t)
+
+
+class Exchange(NamedTuple):
+    """Two channels, each of which explains the response of the other better."""
+
+    first: Alternative
+    second: Alternative
+
+    def judge(self, signals: Signals) -> Contradiction | None:
+        """Return the contradiction of the first response, if both channels are exchanged."""
+        contradiction = self.first.judge(signals)
+        if contradiction is None or self.second.judge(signals) is None:
+            return None
+        return contradiction
+
+
+def _most_explained(slopes: dict[float, Slope]) -> Slope:
+    """Return the slope at the lag that explains y best."""
+    return max(slopes.values(), key=lambda slope: slope.explained)
+
+
+def _best(slopes: dict[float, Slope], noise: float, settings: PhysicsSettings) -> Slope | None:
+    """Return the slope at the best lag, None if x hardly moves or too few samples are independent."""
+    if not slopes:
+        return None
+    best = _most_explained(slopes)
+    if best.size <= noise or best.n_effective < settings.least_samples:
+        return None
+    return best
+
+
+def _is_weak(slope: Slope, t: float, settings: PhysicsSettings) -> bool:
+    """Return whether a slope outside of its interval by t is too weak an effect, or not surely outside."""
+    return abs(slope.correlation) < settings.least_correlation or abs(t) < settings.least_t
+
+
+def _of_slope(relation: Relation, admissible: Interval, slope: Slope, t: float) -> Contradiction:
+    """Return the contradiction of a slope."""
+    return Contradiction(
+        relation=relation, channels=relation.channels, admissible=admissible, slope=slope, t=t
+    )

@@ -1,0 +1,107 @@
+"""Contradictions of flights, with only the channels that are probably wrong."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from skdgp._flight.channels import ELEVONS, MIXED
+from skdgp._flight.physics._checks import Confirmation, Contradiction, Exchange, Sign
+from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, SIGNS
+from skdgp._flight.physics._settings import PHYSICS_SETTINGS, PhysicsSettings
+from skdgp._flight.physics._signals import Signals, signals_of
+from skdgp._flight.tables import FlightTable
+
+
+def find_contradictions(
+    flights: FlightTable, settings: PhysicsSettings = PHYSICS_SETTINGS
+) -> list[Contradiction]:
+    """Return the relations that flights contradict.
+
+    All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
+    """
+    contradictions = _contradictions_of(flights, settings)
+    if contradictions or len(flights.clock.names) < 2:
+        return contradictions
+    for name, flight in flights.flights.items():
+        if np.ptp(flight.time) >= settings.long_flight:
+            for contradiction in _contradictions_of(flight, settings):
+                contradictions.append(replace(contradiction, flight=name))
+    return contradictions
+
+
+def _contradictions_of(flights: FlightTable, settings: PhysicsSettings) -> list[Contradiction]:
+    """Return the contradictions of all rows together."""
+    signals = signals_of(flights, CHANNELS, settings)
+    judgements = [check.judge(signals) for check in EQUALITIES]
+    unequal = [item for item in judgements if isinstance(item, Contradiction)]
+    confirmed: set[str] = set()
+    for judgement in judgements:
+        if isinstance(judgement, Confirmation):
+            confirmed.update(judgement.channels)
+    # others may be consequences of the first
+    contradictions = [
+        *_contradicted([EARTH_AXES], signals),
+        *_clearest_first(unequal),
+        *_clearest_first(_contradicted(SIGNS, signals)),
+        *_contradicted(EXCHANGES, signals),
+    ]
+    causes = _causes(contradictions, confirmed)
+    if {*ELEVONS} <= {*flights.table.columns}:
+        return [_of_elevons(contradiction) for contradiction in causes]
+    return causes
+
+
+def _contradicted(checks: Iterable[Sign | Exchange], signals: Signals) -> list[Contradiction]:
+    """Return the contradictions among checks."""
+    judgements = [check.judge(signals) for check in checks]
+    return [contradiction for contradiction in judgements if contradiction is not None]
+
+
+def _clearest_first(contradictions: list[Contradiction]) -> list[Contradiction]:
+    """Return contradictions in the order of their correlations."""
+    return sorted(contradictions, key=lambda item: abs(item.slope.correlation), reverse=True)
+
+
+def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
+    """Return contradictions with only their suspects, without those that follow from the ones before.
+
+    A contradiction follows if it uses a suspect of an earlier one, or has no further suspect.
+    """
+    counts: Counter[str] = Counter()
+    for contradiction in contradictions:
+        counts.update(contradiction.channels)
+    accused: set[str] = set()
+    causes = []
+    for contradiction in contradictions:
+        suspects = _suspects(contradiction, confirmed, counts)
+        uses_accused = not accused.isdisjoint(contradiction.relation.uses)
+        if not uses_accused and not accused.issuperset(suspects):
+            accused.update(suspects)
+            causes.append(replace(contradiction, channels=suspects))
+    return causes
+
+
+def _suspects(
+    contradiction: Contradiction, confirmed: set[str], counts: Counter[str]
+) -> tuple[str, ...]:
+    """Return the channels of a contradiction that no equality confirms, of several the most often contradicted ones.
+
+    All channels count where all are confirmed, and of a lag: either of two signals may be late.
+    """
+    channels = contradiction.channels
+    if contradiction.lag is None and not confirmed.issuperset(channels):
+        channels = tuple(name for name in channels if name not in confirmed)
+    most = max(counts[name] for name in channels)
+    return tuple(name for name in channels if counts[name] == most)
+
+
+def _of_elevons(contradiction: Contradiction) -> Contradiction:
+    """Return a contradiction with the elevons in place of the elevator or aileron that they make."""
+    first, *others = contradiction.channels
+    if first not in MIXED:
+        return contradiction
+    return replace(contradiction, channels=(*ELEVONS, *others))

@@ -1,0 +1,256 @@
+"""All checks, with the channels that each compares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    EARTH_VELOCITY,
+    EULER,
+    RATES,
+    SPECIFIC_FORCE,
+    VANES,
+)
+from skdgp._flight.physics import _relations as equations
+from skdgp._flight.physics._checks import (
+    GUSTY,
+    NEGATIVE,
+    POSITIVE,
+    Alternative,
+    Equality,
+    Exchange,
+    Interval,
+    Relation,
+    Sign,
+)
+from skdgp._flight.physics._regression import Regression
+from skdgp._flight.physics._settings import LAGS
+from skdgp._flight.physics._signals import COMMANDED, Signals
+
+FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
+LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
+
+
+# -- equalities
+
+
+def _integral(name: str, rate: str, regression: Callable, uses: tuple[str, ...] = ()) -> Relation:
+    """Return the relation of the change of a channel with the integral of its rate."""
+    return Relation(
+        channels=(name, rate),
+        uses=uses,
+        y=f"the change of {name}",
+        x=f"the integral of {rate}",
+        regression=regression,
+        lags=LAGS.kinematic,
+    )
+
+
+def _position(name: str, velocity: str) -> Relation:
+    """Return the relation of a coordinate with its velocity."""
+    regression = partial(equations.position, name=name, velocity=velocity)
+    return _integral(name, velocity, regression)
+
+
+def _level_force(channels: tuple[str, ...], axis: int) -> Equality:
+    """Return the check of a level component of the specific force by the ground velocity."""
+    relation = Relation(
+        channels=channels,
+        uses=FORCE_CHANNELS,
+        y="the change of velocity",
+        x="the integral of specific force and gravity",
+        regression=partial(equations.level_force, axis=axis),
+        lags=LAGS.kinematic,
+    )
+    return Equality(relation=relation, noise=0.5, vibrates=True)
+
+
+ROLL = _integral("phi", "p", equations.roll, ("q", "r", "theta"))
+PITCH = _integral("theta", "q", equations.pitch, ("r", "phi"))
+YAW = _integral("psi", "r", equations.yaw, ("q", "phi", "theta"))
+NORTH = _position("north", "v_north")
+EAST = _position("east", "v_east")
+DOWN = _position("down", "v_down")
+ALTITUDE = _position("altitude", "v_down")
+AIRSPEED = Relation(
+    channels=("airspeed", "psi", "v_north", "v_east"),
+    uses=(*EULER, *EARTH_VELOCITY),
+    y="the ground velocity less a steady wind",
+    x="airspeed",
+    regression=equations.velocity_along,
+    lags=(*LAGS.kinematic, *LAGS.airspeed),
+)
+# without lags: gravity hardly varies, and the vertical force tells them
+GRAVITY = Relation(
+    channels=("az",),
+    uses=FORCE_CHANNELS,
+    y="the integral of specific force",
+    x="the change of velocity less gravity",
+    regression=equations.gravity,
+)
+
+# noise: angles [rad], positions [m], velocities [m/s]
+EQUALITIES = (
+    Equality(relation=ROLL, noise=0.008),
+    Equality(relation=PITCH, noise=0.008),
+    Equality(relation=YAW, noise=0.008),
+    Equality(relation=NORTH, noise=0.3),
+    Equality(relation=EAST, noise=0.3),
+    Equality(relation=DOWN, noise=0.3),
+    Equality(relation=ALTITUDE, noise=0.3),
+    Equality(relation=AIRSPEED, noise=3.0, gusts_lead=True),
+    Equality(relation=GRAVITY, noise=0.5),
+    _level_force(("theta", "psi", "v_north", "v_east", "ax", "az"), axis=0),
+    _level_force(("phi", "psi", "v_north", "v_east", "ay", "az"), axis=1),
+    _level_force(("v_down", "az"), axis=2),
+)
+
+
+# -- signs
+
+
+def _vane(name: str, x: str) -> Sign:
+    """Return the check of a vane by the ground velocity across the body axis."""
+    relation = Relation(
+        channels=(name,),
+        uses=(*EULER, *EARTH_VELOCITY, "airspeed"),
+        y=f"V {name}",
+        x=x,
+        regression=partial(equations.velocity_across, angle=name),
+    )
+    return Sign(relation=relation, admissible=GUSTY, noise=0.5)
+
+
+def _sensor_force(name: str, axis: int) -> Sign:
+    """Return the check of one accelerometer by the ground velocity."""
+    relation = Relation(
+        channels=(name,),
+        uses=FORCE_CHANNELS,
+        y="the change of velocity less the other forces",
+        x=f"the integral of {name}",
+        regression=partial(equations.force_of_one_sensor, axis=axis),
+        lags=LAGS.kinematic,
+    )
+    return Sign(relation=relation, admissible=POSITIVE, noise=0.05)
+
+
+def _response(name: str, effects: tuple[str, ...]) -> Relation:
+    """Return the relation of a rate or specific force with the first of its effects."""
+    x = effects[0]
+    return Relation(
+        channels=(x, name),
+        uses=("airspeed",),
+        y=f"the change of {name}" if name in RATES else name,
+        x=x,
+        regression=partial(equations.response, name=name, effects=effects),
+        lags=LAGS.surface if x in ALL_SURFACES else (0.0,),
+    )
+
+
+def _effect(name: str, effects: tuple[str, ...], admissible: Interval) -> Sign:
+    """Return the check of the sign of the first effect on a rate or specific force."""
+    angle = next((effect for effect in effects if effect in VANES), None)
+    return Sign(relation=_response(name, effects), admissible=admissible, angle=angle)
+
+
+def _with_witness(sign: Sign, witness: Sign) -> Sign:
+    """Return the check of a sign that is wrong only where another one is."""
+    _, response = witness.relation.channels
+    relation = replace(sign.relation, uses=(*sign.relation.uses, response))
+    return replace(sign, relation=relation, witness=witness)
+
+
+SIDEFORCE = _effect("ay", ("beta", *LATERAL_EFFECTS), NEGATIVE)
+WEATHERCOCK = _effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
+THRUST = Relation(
+    channels=("throttle", "ax"),
+    uses=("airspeed", "az"),
+    y="ax",
+    x="throttle",
+    regression=equations.thrust,
+)
+
+SIGNS = (
+    _vane("beta", "the lateral ground velocity less a wind"),
+    _vane("alpha", "the normal ground velocity less a wind"),
+    _sensor_force("ax", axis=0),
+    _sensor_force("ay", axis=1),
+    _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
+    _with_witness(SIDEFORCE, WEATHERCOCK),
+    _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
+    _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
+    _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
+    Sign(relation=THRUST, admissible=POSITIVE, noise=0.01),
+)
+
+
+# -- exchanges
+
+
+def _with_exchanged(relation: Relation, first: str, second: str) -> Alternative:
+    """Return an integral as if two channels were exchanged, beside the one as they are."""
+
+    def regression(flight: Signals) -> Regression:
+        return relation.regression(flight.exchanged(first, second))
+
+    response, rate = relation.channels
+    other = second if rate == first else first
+    wrong = replace(
+        relation,
+        channels=(rate, other),
+        uses=(response, *relation.uses),
+        x=f"the integral of {other}",
+        regression=regression,
+    )
+    return Alternative(wrong, relation)
+
+
+def _by_other_axis(
+    name: str, wrong: str, right: str, others: tuple[str, ...], response_of_other: str
+) -> Alternative:
+    """Return a response by the channel of another axis and by its own one, beside other effects."""
+    by_wrong = _response(name, (wrong, right, *others))
+    by_right = _response(name, (right, wrong, *others))
+    uses = (name, response_of_other, "airspeed")
+    return Alternative(replace(by_wrong, channels=(wrong, right), uses=uses), by_right)
+
+
+def _horizontal_force(axis: int, axes: str) -> Relation:
+    """Return the relation of a change of velocity with an accelerometer, taken in "body" or "earth" axes."""
+    return Relation(
+        channels=("ax", "ay"),
+        uses=FORCE_CHANNELS,
+        y=f"the change of {EARTH_VELOCITY[axis]}",
+        x=f"the integral of {SPECIFIC_FORCE[axis]} taken in {axes} axes",
+        regression=partial(equations.horizontal_force, axis=axis, in_earth_axes=axes == "earth"),
+    )
+
+
+def _in_earth_axes(axis: int) -> Alternative:
+    """Return a change of velocity by an accelerometer in earth axes, beside the one in body axes."""
+    return Alternative(_horizontal_force(axis, "earth"), _horizontal_force(axis, "body"))
+
+
+# Accelerometers in earth axes, from which other contradictions follow
+EARTH_AXES = Exchange(_in_earth_axes(0), _in_earth_axes(1))
+EXCHANGES = (
+    Exchange(_with_exchanged(PITCH, "q", "r"), _with_exchanged(YAW, "q", "r")),
+    Exchange(
+        _with_exchanged(NORTH, "v_north", "v_east"), _with_exchanged(EAST, "v_north", "v_east")
+    ),
+    Exchange(
+        _by_other_axis("p", "elevator", "aileron", ("beta", "p", "r", "rudder"), "q"),
+        _by_other_axis("q", "aileron", "elevator", ("alpha", "q"), "p"),
+    ),
+    Exchange(
+        _by_other_axis("az", "beta", "alpha", ("q", "elevator"), "ay"),
+        _by_other_axis("ay", "alpha", "beta", LATERAL_EFFECTS, "az"),
+    ),
+)
+
+RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS)]
+CHANNELS = sorted({*COMMANDED}.union(*[relation.needs for relation in RELATIONS]))
+"""Channels that the checks use."""

@@ -1,0 +1,183 @@
+"""Equations of flight as regressions: y, x and the other regressors, from the signals of flights.
+
+Kinematics are integrated over a window, so that y is a change and x an integral. Forces and moments
+are linear in angles, rates and surfaces.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import EARTH_VELOCITY, RATES, SPECIFIC_FORCE, VANES
+from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.physics._regression import Regression
+from skdgp._flight.physics._signals import Signals
+
+# -- attitude and position
+
+
+def roll(flight: Signals) -> Regression:
+    """Return the terms of phi_dot = p + (q sin phi + r cos phi) tan theta."""
+    phi = flight["phi"]
+    by_pitch = flight["q"] * np.sin(phi)
+    by_yaw = flight["r"] * np.cos(phi)
+    coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
+    return _integrated(flight, phi, flight["p"], coupling)
+
+
+def pitch(flight: Signals) -> Regression:
+    """Return the terms of theta_dot = q cos phi - r sin phi."""
+    phi = flight["phi"]
+    by_pitch = flight["q"] * np.cos(phi)
+    by_yaw = flight["r"] * np.sin(phi)
+    return _integrated(flight, flight["theta"], by_pitch, by_yaw)
+
+
+def yaw(flight: Signals) -> Regression:
+    """Return the terms of psi_dot = (q sin phi + r cos phi) / cos theta."""
+    phi = flight["phi"]
+    cosine = np.cos(flight["theta"])
+    by_pitch = flight["q"] * np.sin(phi) / cosine
+    by_yaw = flight["r"] * np.cos(phi) / cosine
+    return _integrated(flight, flight["psi"], by_yaw, by_pitch)
+
+
+def position(flight: Signals, name: str, velocity: str) -> Regression:
+    """Return the change of a coordinate and the integral of its velocity."""
+    sign = -1.0 if name == "altitude" else 1.0
+    return _integrated(flight, sign * flight[name], flight[velocity])
+
+
+def _integrated(flight: Signals, y: Vector, rate: Vector, *others: Vector) -> Regression:
+    """Return the terms of dy / dt = rate + others: the change, and the integrals."""
+    change = flight.change(y)
+    integral = flight.integral(rate)
+    return Regression.with_intercept(change, integral, *map(flight.integral, others))
+
+
+# -- velocity through the air: R^T v_ground = v_air + R^T wind, in a steady horizontal wind
+
+
+def velocity_along(flight: Signals) -> Regression:
+    """Return the terms of the component along x, where the air velocity is about V."""
+    ground, wind = _velocity_terms(flight, 0)
+    return Regression(ground, flight["airspeed"], wind)
+
+
+def velocity_across(flight: Signals, angle: str) -> Regression:
+    """Return the terms of the component along y or z, where the air velocity is about V beta or V alpha.
+
+    Gusts move the vane alone, so it is the response.
+    """
+    airspeed = flight["airspeed"]
+    ground, wind = _velocity_terms(flight, {"beta": 1, "alpha": 2}[angle])
+    return Regression(airspeed * flight[angle], ground, [*wind, airspeed])
+
+
+def _velocity_terms(flight: Signals, axis: int) -> tuple[Vector, list[Vector]]:
+    """Return the ground velocity along a body axis, and its slopes by wind north and east."""
+    direction = flight.rotation[:, :, axis]  # of the axis, in earth axes
+    ground = np.sum(direction * flight.vector(EARTH_VELOCITY), axis=1)
+    north, east, _ = direction.T
+    return ground, [north, east]
+
+
+# -- forces: v_dot = R f + g
+
+
+def level_force(flight: Signals, axis: int) -> Regression:
+    """Return the terms along forward, right or down: changes of velocity and impulses."""
+    force = flight.vector(SPECIFIC_FORCE)
+    return Regression.with_intercept(*_level_terms(flight, axis, force))
+
+
+def force_of_one_sensor(flight: Signals, axis: int) -> Regression:
+    """Return the terms along a level axis that one accelerometer has a part in.
+
+    Its impulse is x, and y the change of velocity less the impulse of the others.
+    """
+    force = flight.vector(SPECIFIC_FORCE)
+    of_sensor = np.zeros_like(force)
+    of_sensor[:, axis] = force[:, axis]
+    change, x = _level_terms(flight, axis, of_sensor)
+    _, others = _level_terms(flight, axis, force - of_sensor)
+    return Regression.with_intercept(change - others, x)
+
+
+def gravity(flight: Signals) -> Regression:
+    """Return the terms of (R f)_down = v_down_dot - g, without an intercept.
+
+    The force is the response: without gravity in it, it hardly varies with x.
+    """
+    change, impulse = _level_terms(flight, 2, flight.vector(SPECIFIC_FORCE))
+    window = flight.step * flight.window_rows(flight.settings.kinematic_window)
+    return Regression(impulse, change - STANDARD_GRAVITY * window, [])
+
+
+def _level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vector]:
+    """Return the change of velocity and the impulse of a force (n, 3), body axes, along forward, right or down.
+
+    Forward and right are level, by the heading at the middle of the window.
+    """
+    change = flight.change(flight.vector(EARTH_VELOCITY))
+    impulse = flight.integral(_in_earth_axes(flight, force))
+    if axis == 2:
+        return change[:, 2], impulse[:, 2]
+    middle = flight.settings.kinematic_window / 2
+    heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
+    direction = np.column_stack([np.cos(heading), np.sin(heading)])
+    return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
+
+
+def horizontal_force(flight: Signals, axis: int, in_earth_axes: bool) -> Regression:
+    """Return the terms along north or east, with accelerometers in body axes, or as if they were in earth axes."""
+    force = flight.vector(SPECIFIC_FORCE)
+    if not in_earth_axes:
+        force = _in_earth_axes(flight, force)
+    change = flight.change(flight.vector(EARTH_VELOCITY))
+    impulse = flight.integral(force)
+    return Regression.with_intercept(change[:, axis], impulse[:, axis])
+
+
+def _in_earth_axes(flight: Signals, force: Matrix) -> Matrix:
+    """Return R f (n, 3)."""
+    return np.einsum("nij,nj->ni", flight.rotation, force)
+
+
+# -- aerodynamics and thrust
+
+
+def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression:
+    """Return a rate or specific force, and its effects, of which the first is x.
+
+    Responses over V^2 are linear in angles, rates over V and surfaces. Where an angle was not
+    measured, all are changes from one window to the next, in which it hardly moves. A specific force
+    would not stand for it: ahead of the centre of gravity it holds the angular acceleration.
+    """
+    window = flight.settings.response_window
+    airspeed = flight["airspeed"]
+    columns = []
+    for effect in effects:
+        if effect in RATES and effect in flight:
+            columns.append(airspeed * flight[effect])
+        elif effect in flight:
+            columns.append(airspeed**2 * flight[effect])
+    columns.append(airspeed**2)
+    grows = flight.change if name in RATES else flight.integral
+    signals = [grows(flight[name], window)]
+    signals += [flight.integral(column, window) for column in columns]
+    if any(effect in VANES and effect not in flight for effect in effects):
+        signals = [flight.change(signal, window) for signal in signals]
+    y, x, *others = signals
+    return Regression(y, x, others)
+
+
+def thrust(flight: Signals) -> Regression:
+    """Return the terms of ax = thrust - parasitic and induced drag."""
+    squared = flight["airspeed"] ** 2
+    az = flight["az"]
+    drags = [squared, az, az**2 / squared]
+    y = flight.integral(flight["ax"])
+    x = flight.integral(flight["throttle"])
+    return Regression.with_intercept(y, x, *map(flight.integral, drags))

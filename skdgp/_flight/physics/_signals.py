@@ -1,0 +1,162 @@
+"""Signals of the checks: channels of flights at one rate, their changes and integrals over windows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, by_elevons
+from skdgp._flight.clock import median_step, n_rows
+from skdgp._flight.frames import euler_to_matrix
+from skdgp._flight.physics._settings import PhysicsSettings
+from skdgp._flight.tables import FlightTable
+
+COMMANDED = (*ALL_SURFACES, "throttle")
+"""Channels of which a repeated value is a new sample."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Channels of flights at one rate, and the segment of each row. A missing value is NaN."""
+
+    channels: dict[str, Vector]
+    segment: Indices
+    step: float  # [s]
+    settings: PhysicsSettings
+
+    def __getitem__(self, name: str) -> Vector:
+        return self.channels[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.channels
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation matrices from body to earth axes (n, 3, 3)."""
+        return euler_to_matrix(self["phi"], self["theta"], self["psi"])
+
+    def exchanged(self, first: str, second: str) -> Signals:
+        """Return the signals with two channels exchanged."""
+        changed = {first: self[second], second: self[first]}
+        return replace(self, channels=self.channels | changed)
+
+    def vector(self, names: tuple[str, ...]) -> Matrix:
+        """Return channels as vectors (n, k)."""
+        return np.column_stack([self[name] for name in names])
+
+    def window_rows(self, seconds: float) -> int:
+        """Return the steps of a window, at least one."""
+        return max(round(seconds / self.step), 1)
+
+    def change(self, values: Array, seconds: float | None = None) -> Array:
+        """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end.
+
+        A window has the length of the settings for kinematics, unless ``seconds`` are given.
+        """
+        length = self.window_rows(self.settings.kinematic_window if seconds is None else seconds)
+        is_inside = self.segment[length:] == self.segment[:-length]
+        difference = values[length:] - values[:-length]
+        change = np.full(values.shape, np.nan)
+        change[:-length][is_inside] = difference[is_inside]
+        return change
+
+    def integral(self, values: Array, seconds: float | None = None) -> Array:
+        """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
+        is_missing = ~np.isfinite(values)
+        filled = np.where(is_missing, 0.0, values)
+        total = np.cumsum(filled, axis=0) - filled / 2
+        integral = self.step * self.change(total, seconds)
+        n_missing = self.change(np.cumsum(is_missing, axis=0, dtype=float), seconds)
+        integral[is_missing | (n_missing > 0)] = np.nan
+        return integral
+
+    def ahead(self, values: Vector, seconds: float) -> Vector:
+        """Return the value of each row ``seconds`` later, NaN beyond its segment."""
+        rows = np.arange(len(values))
+        place = rows + seconds / self.step
+        ahead = np.interp(place, rows, values, left=np.nan, right=np.nan)
+        for end in (np.floor(place), np.ceil(place)):
+            row = np.clip(end, 0, len(rows) - 1).astype(int)
+            is_outside = self.segment[row] != self.segment
+            ahead[is_outside] = np.nan
+        return ahead
+
+
+def signals_of(flights: FlightTable, names: Iterable[str], settings: PhysicsSettings) -> Signals:
+    """Return channels of flights at about ``settings.rate``, without the rows on the ground.
+
+    With elevons, elevator and aileron follow from them.
+    """
+    time = flights.time
+    segments = [rows for rows in flights.segments if n_rows(rows) > 1]
+    if not segments:
+        return Signals({}, np.empty(0, int), 1.0, settings)
+    usual_step = median_step(time, segments)
+    n_averaged = max(1, int(1 / usual_step // settings.rate))
+    step = usual_step * n_averaged
+    clocks = [_block_clock(time[rows], step) for rows in segments]
+    lengths = [len(clock) for clock in clocks]
+    channels = {}
+    for name, values in flights.numeric_channels(names).items():
+        parts = []
+        for rows, clock in zip(segments, clocks, strict=True):
+            time_of_samples, samples = _samples(name, time[rows], values[rows], settings)
+            parts.append(_averaged(time_of_samples, samples, clock))
+        channel = np.concatenate(parts)
+        if np.isfinite(channel).any():
+            channels[name] = channel
+    if {*ELEVONS} <= channels.keys():
+        channels |= by_elevons(channels)
+    channels = _in_flight(channels, settings)
+    return Signals(channels, np.repeat(np.arange(len(segments)), lengths), step, settings)
+
+
+def _block_clock(time: Vector, step: float) -> Matrix:
+    """Return the times of whole blocks (n, k) of ``step`` [s], with the k samples of the segment's own rate."""
+    n_samples = round(step / np.median(np.diff(time)))
+    size = max(1, n_samples)
+    spacing = step / size
+    # the tolerance is of rounded clocks
+    n = 1 + int(np.ptp(time) / spacing + 1e-3)
+    n_blocks = n // size
+    points = time[0] + spacing * np.arange(n_blocks * size)
+    return np.minimum(points, time[-1]).reshape(-1, size)
+
+
+def _samples(
+    name: str, time: Vector, values: Vector, settings: PhysicsSettings
+) -> tuple[Vector, Vector]:
+    """Return time and value of the samples of a channel, angles without jumps.
+
+    A sensor that repeats its value holds it: only the first is a sample, as the others are late.
+    """
+    rows = np.flatnonzero(np.isfinite(values))
+    if rows.size and name not in COMMANDED:
+        is_first = np.diff(values[rows], prepend=np.nan) != 0
+        is_first[-1] = True
+        rows = rows[is_first]
+    samples = values[rows]
+    if rows.size and name in EULER:
+        is_degrees = np.abs(samples).max() > settings.largest_radians
+        samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
+    return time[rows], samples
+
+
+def _averaged(time: Vector, samples: Vector, clock: Matrix) -> Vector:
+    """Return means over the blocks of a clock (n, k) of samples, linear between them; NaN without samples."""
+    if not samples.size:
+        return np.full(len(clock), np.nan)
+    sampled = np.interp(clock, time, samples, left=np.nan, right=np.nan)
+    return sampled.mean(axis=1)
+
+
+def _in_flight(channels: dict[str, Vector], settings: PhysicsSettings) -> dict[str, Vector]:
+    """Return the channels without rows on the ground."""
+    if "airspeed" not in channels:
+        return channels
+    airspeed = channels["airspeed"]
+    on_ground = airspeed < settings.flying * np.nanmedian(airspeed)
+    return {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}

@@ -126,7 +126,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     max_iter : int or None
         Largest number of iterations of a joint search, half with widths that outputs share.
         The preceding fits of single outputs use at most twice as many each. None: 60 for a time
-        series, and up to 60 more while the error of held-out blocks falls; else 100.
+        series, and up to 60 more while the error of held-out blocks falls; else 100, and
+        more while the error of held-out values falls, or for effects of single regressors that it
+        missed.
     random_state : int, RandomState or None
         Seed of the starting values.
 

@@ -41,8 +41,9 @@ class RegressorSettings:
     n_latent: tuple[int, int] = (2, 4)
     #: Iterations for a time series
     time_series_iterations: int = 60
-    #: How often this search goes on by half as many while the errors of held-out blocks fall: of a
-    #: solar aircraft's flight they fell by 4 % in 30 further iterations, and by 1 % in 30 more
+    #: How often a search goes on while the errors of held-out values fall, of a time series by half as
+    #: many iterations: of a solar aircraft's flight they fell by 4 % in 30 further iterations, and by
+    #: 1 % in 30 more; of other data also with effects that it missed
     further: int = 2
     #: Iterations for other data
     iterations: int = 100
@@ -201,7 +202,7 @@ class Recipe:
             n_restarts=self.n_restarts_optimizer,
             shifts=len(kernels) > 1,
             time_series=self.time_series,
-            further=self.settings.further if self.time_series and self.max_iter is None else 0,
+            further=self.settings.further if self.max_iter is None else 0,
             settings=self.settings.search,
         )
         is_exact = self.inference_of(data.n_values) == "exact"

@@ -36,6 +36,7 @@ from skdgp.inference._likelihood import TileSettings as TileSettings
 from skdgp.inference._misfit import Misfit as Misfit
 from skdgp.inference._misfit import misfit_of as misfit_of
 from skdgp.inference._misfit import misfit_variance
+from skdgp.inference._missed import Effect, missed_effects
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings
 from skdgp.inference._optimizer import Optimum, maximize
@@ -52,9 +53,9 @@ from skdgp.inference._posterior import check_spread as check_spread
 from skdgp.inference._search import Objective as Objective
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
-from skdgp.inference._search import stratified
 from skdgp.inference._search import search as search
 from skdgp.inference._search import some_rows as some_rows
+from skdgp.inference._search import stratified
 from skdgp.inference._sparse import ShareSettings as ShareSettings
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._starts import (
@@ -79,6 +80,7 @@ __all__ = [
     "AveragePosterior",
     "CentredTerm",
     "Data",
+    "Effect",
     "ExactPosterior",
     "ExpectedErrors",
     "Fit",
@@ -103,6 +105,7 @@ __all__ = [
     "maximize",
     "mean_errors",
     "misfit_variance",
+    "missed_effects",
     "mixture_of",
     "residual_drift",
     "stratified",

@@ -1,14 +1,14 @@
-r"""Effects of single regressors that a search missed, by a score test.
+r"""Effects of single regressors that a search missed.
 
-An amplitude of zero is a stationary point of the likelihood, from which no search comes back. The
-score test (Rao 1948) asks whether a process of variance v beside the kernel would raise it: with
-:math:`\alpha = K^{-1} y` and the covariance C of this process for v = 1,
+An amplitude of zero is a stationary point of the likelihood, from which no search comes back. So
+processes of one regressor and one output are tried beside the kernel. With features
+:math:`\Phi` of such a process of variance 1, the eigenvalues :math:`\lambda_j` and eigenvectors
+U of :math:`\Phi^T K^{-1} \Phi`, and :math:`t = U^T \Phi^T K^{-1} y`, a variance v raises the log
+likelihood by
 
-.. math:: s = \frac{1}{2} (\alpha^T C \alpha - \mathrm{tr}(K^{-1} C)), \quad
-          I = \frac{1}{2} \mathrm{tr}(K^{-1} C K^{-1} C)
+.. math:: \frac{1}{2} \sum_j \left(\frac{v t_j^2}{1 + v \lambda_j} - \log(1 + v \lambda_j)\right),
 
-are slope and expected curvature of the log likelihood at v = 0. To second order it rises by
-:math:`s^2 / 2 I`, at :math:`v = s / I`.
+by the matrix determinant lemma (Rasmussen & Williams 2006, equations A.9 and A.10).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.linalg.blas import dsymv
 
 from skdgp._compute.linalg import cholesky_inverse, column_scale, consecutive, jittered_cholesky
 from skdgp._compute.parallel import threads_for
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._likelihood import Data, covariance
 from skdgp.kernels import MultiOutputKernel
 
@@ -34,19 +34,21 @@ class MissedSettings:
 
     #: Widths of the processes, in standard deviations of their regressor
     widths: tuple[float, ...] = (0.5, 1.0, 2.0)
+    #: Least and largest variance over that of the output, and their number
+    variances: tuple[float, float, int] = (1e-4, 10.0, 26)
     #: Inducing inputs of a process, at quantiles of its regressor, and their jitter
     n_inducing: int = 12
     jitter: float = 1e-6
-    #: Rise of the log likelihood above which an effect counts: the price of amplitude and width, and
-    #: of the choice among some dozens [nats]
-    least_rise: float = 6.0
+    #: Rise of the log likelihood above which an effect counts [nats]: chance explains it in one of
+    #: 2000 processes
+    least_rise: float = 4.0
 
 
 SETTINGS = MissedSettings()
 
 
 class Effect(NamedTuple):
-    """A process of one regressor for one output, and the expected rise of the log likelihood."""
+    """A process of one regressor for one output, and how far it raises the log likelihood [nats]."""
 
     output: int
     regressor: int
@@ -79,27 +81,25 @@ def missed_effects(
     list of Effect
     """
     processes = _processes(X, settings)
-    slope = np.zeros((len(batches[0].y), len(processes)))
-    curvature = np.zeros_like(slope)
+    variances = []
+    for y in zip(*(data.y for data in batches), strict=True):
+        variances.append(np.var(np.concatenate(y)) * np.geomspace(*settings.variances))
+    rises = np.zeros((len(variances), len(processes), settings.variances[2]))
     for data in batches:
-        of_batch = _slope_and_curvature(kernel, noise, data, processes)
-        slope += of_batch[0]
-        curvature += of_batch[1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rise = np.where(slope > 0, slope**2 / (2.0 * curvature), 0.0)
+        _add_rises(rises, kernel, noise, data, processes, variances)
     effects = []
-    for output, best in enumerate(rise.argmax(axis=1)):
-        if rise[output, best] > settings.least_rise:
+    for output, of_output in enumerate(rises):
+        best, k = np.unravel_index(of_output.argmax(), of_output.shape)
+        rise = float(of_output[best, k])
+        if rise > settings.least_rise:
             process = processes[best]
-            variance = slope[output, best] / curvature[output, best]
-            effects.append(
-                Effect(output, process.regressor, process.width, variance, rise[output, best])
-            )
+            variance = float(variances[output][k])
+            effects.append(Effect(output, process.regressor, process.width, variance, rise))
     return effects
 
 
 class _Process(NamedTuple):
-    """A Gaussian process of one regressor with unit variance, and its inducing inputs with their factor."""
+    """A Gaussian process of one regressor with unit variance, its inducing inputs and their factor."""
 
     regressor: int
     width: float
@@ -121,7 +121,7 @@ def _processes(X, settings):
             continue
         for width in scale * np.array(settings.widths):
             own = _gaussian(inducing, inducing, width) + settings.jitter * np.eye(len(inducing))
-            processes.append(_Process(k, width, inducing, np.linalg.cholesky(own)))
+            processes.append(_Process(k, float(width), inducing, np.linalg.cholesky(own)))
     return processes
 
 
@@ -129,21 +129,19 @@ def _gaussian(a, b, width):
     return np.exp(-0.5 * (np.subtract.outer(a, b) / width) ** 2)
 
 
-def _slope_and_curvature(kernel, noise, data, processes) -> tuple[Array, Array]:
-    """Return s and I of each output and process, (P, processes)."""
+def _add_rises(rises, kernel, noise, data, processes, variances):
+    """Add the rises of a batch (P, processes, variances)."""
     y = np.concatenate(data.y)
     with threads_for(data.n_values):
         inverse = cholesky_inverse(jittered_cholesky(lambda: covariance(kernel, noise, data)))
         alpha = dsymv(1.0, inverse, y, lower=1)
-    slope = np.zeros((len(data.y), len(processes)))
-    curvature = np.zeros_like(slope)
     for i, rows in enumerate(consecutive(data.y)):
         own = np.tril(inverse[rows, rows])
         own += np.tril(own, -1).T
         for k, process in enumerate(processes):
             features = process.features(data.X[i])
-            projected = features.T @ own @ features
-            explained = features.T @ alpha[rows]
-            slope[i, k] = 0.5 * (explained @ explained - np.trace(projected))
-            curvature[i, k] = 0.5 * np.sum(projected**2)
-    return slope, curvature
+            values, vectors = np.linalg.eigh(features.T @ own @ features)
+            explained = vectors.T @ (features.T @ alpha[rows])
+            growth = np.multiply.outer(variances[i], np.maximum(values, 0.0))
+            gain = np.multiply.outer(variances[i], explained**2) / (1.0 + growth)
+            rises[i, k] += 0.5 * np.sum(gain - np.log1p(growth), axis=-1)

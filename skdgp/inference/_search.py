@@ -7,7 +7,7 @@
 
 Stages 2 to 4 learn from ``some_rows``. Each stage is a call of ``climb``, which maximises one
 likelihood from one starting point by ``maximize``. Stage 3 of rows that are no time series learns
-from batches, whose likelihoods add up.
+from batches, whose likelihoods add up, and goes on where a test finds ``missed_effects``.
 """
 
 from __future__ import annotations
@@ -63,8 +63,6 @@ class SearchSettings:
     #: Values of a batch of other rows, and most batches; the time grows with their number
     batch_values: int = 1000
     most_batches: int = 3
-    #: How often latents without effect get effects that the search missed
-    most_revivals: int = 2
     #: Most values that shared widths are learned from
     coarse_values: int = 900
     #: Most values, and iterations, of a trial of several structures
@@ -128,7 +126,8 @@ class SearchOptions:
     time_series : bool
         Whether the rows are a time series, so that convergence is judged by held-out blocks.
     further : int
-        How often the last stage goes on with as many iterations, as long as it has not converged.
+        How often the last stage goes on with as many iterations, as long as it has not converged,
+        and, if the rows are no time series, with effects that it missed.
     settings : SearchSettings
     """
 
@@ -471,7 +470,7 @@ class _JointSearch(NamedTuple):
         return self._all_learned(kernel, start, noise, data, end.n_iter)
 
     def _all_learned(self, kernel, start, noise, data, n_iter) -> Hyperparameters:
-        """Return all hyperparameters from a start (stage 3), for exact regressors."""
+        """Return all hyperparameters of a ``kernel`` from a start (stage 3), for exact regressors."""
         n_left = self.options.max_iter - n_iter
         learned = self._converging(start, noise, self.bounds, data, n_left)
         if not self.options.time_series:
@@ -479,19 +478,18 @@ class _JointSearch(NamedTuple):
         return learned._replace(n_iter=n_iter + learned.n_iter)
 
     def _with_missed_effects(self, kernel, learned, data, n_iter) -> Hyperparameters:
-        """Return hyperparameters with the effects that latents without effect can still explain."""
+        """Return hyperparameters with effects of single regressors that this search missed."""
         batches = data.batches(self.n_batches(data))
-        for _ in range(self.options.settings.most_revivals):
+        for _ in range(self.options.further):
             if self.stop.is_set():
                 break
             effects = missed_effects(learned.kernel, learned.noise, batches, self.X)
-            if not effects:
-                break
             start = with_effects(kernel, learned.kernel, effects, self.X)
-            if (start.theta == learned.kernel.theta).all():
+            if np.array_equal(start.theta, learned.kernel.theta):
                 break
             other = self._converging(start, learned.noise, self.bounds, data, n_iter)
-            if other.log_likelihood <= learned.log_likelihood + len(effects):
+            rise = other.log_likelihood - learned.log_likelihood
+            if rise <= n_mattering(other.kernel, self.X) - n_mattering(learned.kernel, self.X):
                 break
             learned = other._replace(n_iter=learned.n_iter + other.n_iter)
         return learned

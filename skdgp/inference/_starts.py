@@ -213,7 +213,8 @@ def _with_effects(effects, X, term, fitted, settings=SETTINGS):
         return fitted
     amplitude = fitted.filters.amplitude
     lengths = fitted.filters.length_scale
-    may_feed = term._feeds(amplitude.shape[1])
+    (index,) = (each.index for each in fitted.free_parameters() if each.name == "amplitude")
+    may_feed = np.broadcast_to(index >= 0, amplitude.shape)
     total = np.sqrt(np.sum(amplitude**2, axis=0))
     for effect in effects:
         acts = np.abs(amplitude) > settings.least_amplitude * total

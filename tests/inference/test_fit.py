@@ -125,7 +125,7 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
     for k in range(3):
         Y[50 * k : 50 * k + 50, k] = np.nan
     Y[20:, 12] = np.nan  # of one output hardly anything is known
-    rows = some_rows(Y, np.random.RandomState(0))
+    rows = some_rows(Y, np.random.RandomState(0), time_series=True)
     of_output = np.isfinite(Y[rows]).sum(axis=0)
     assert len(np.unique(rows)) == len(rows)
     assert of_output[12] == 20

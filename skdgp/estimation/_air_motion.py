@@ -31,12 +31,12 @@ from skdgp._flight.tables import FlightTable, has_values
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.estimation._air_covariance import (
+    add_attenuation,
     error_fractions,
     estimate_covariance,
     inflate_for_misfit,
     misfit_of_sensors,
     misfit_of_surfaces,
-    mix_with_prior,
     unfinished_covariance,
     with_model_errors,
 )
@@ -408,7 +408,8 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
         air = smoothed_air(fit, fitted, covariance, n_rows)
-        covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
+        fraction = error_fractions(fit, fitted)
+        covariance = add_attenuation(covariance, fit.x, prior_std, fraction)
         std = np.sqrt(np.diag(covariance))
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}

@@ -76,13 +76,25 @@ def add_scale_error(covariance: Matrix, slopes: Vector, fraction: float) -> Matr
     return total
 
 
-def mix_with_prior(covariance: Matrix, prior_std: Vector, fraction: Vector) -> Matrix:
-    """Return the covariance where a ``fraction`` (p,) of each parameter's evidence is error of the sensors.
+def add_attenuation(
+    covariance: Matrix, values: Vector, prior_std: Vector, fraction: Vector
+) -> Matrix:
+    r"""Return the covariance where a ``fraction`` f (p,) of each parameter's evidence is error of the sensors.
 
-    Variances are means of estimate and prior, weighted by one less the squared fraction, and by it.
+    A slope by a term of which the fraction f is error seems to be flatter by up to f (Fuller 1987,
+    section 1.1): of the estimate :math:`\hat\theta` with the variance :math:`\sigma^2`,
+
+    .. math:: f^2 \mathrm E \theta^2, \quad
+              \mathrm E \theta^2 = \min\left(s^2, (\hat\theta^2 + \sigma^2) / (1 - f)^2\right),
+
+    is added to the part :math:`1 - f^2` of the variance. Where all is error, this is the prior
+    variance :math:`s^2`.
     """
+    variance = np.diag(covariance)
+    motion = np.maximum(1 - fraction, np.finfo(float).eps)
+    mean_square = np.minimum(prior_std**2, (values**2 + variance) / motion**2)
     weight = np.sqrt(1 - fraction**2)
-    return weight[:, None] * covariance * weight + np.diag((fraction * prior_std) ** 2)
+    return weight[:, None] * covariance * weight + np.diag(fraction**2 * mean_square)
 
 
 def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> Matrix:

@@ -149,13 +149,13 @@ class Layout(NamedTuple):
         By the `variable_slopes`, and the terms (n, f) of derivatives and instruments.
         """
         by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
-        chained = by_variables @ slopes
-        by_derivatives = chained[..., N_STATES : N_STATES + self.n_derivatives]
-        by_derivatives[:] = by_coefficients * terms[:, None, self.columns]
-        if not self.by_instruments:
-            return chained
-        by_instruments = by_coefficients * instrument_terms[:, None, self.columns]
-        return np.concatenate([chained, by_instruments], axis=-1)
+        by_states = by_variables @ slopes[..., :N_STATES]
+        by_derivatives = by_coefficients * terms[:, None, self.columns]
+        by_constants = by_variables @ slopes[..., N_STATES + self.n_derivatives :]
+        parts = [by_states, by_derivatives, by_constants]
+        if self.by_instruments:
+            parts.append(by_coefficients * instrument_terms[:, None, self.columns])
+        return np.concatenate(parts, axis=-1)
 
 
 def motion_model(layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:

@@ -8,7 +8,7 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -31,12 +31,12 @@ from skdgp._flight.tables import FlightTable, has_values
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
 from skdgp.estimation._air_covariance import (
+    add_attenuation,
     error_fractions,
     estimate_covariance,
     inflate_for_misfit,
     misfit_of_sensors,
     misfit_of_surfaces,
-    mix_with_prior,
     unfinished_covariance,
     with_model_errors,
 )
@@ -97,6 +97,9 @@ class AirMotion:
         Root mean square of the sensors' constants over their prior standard deviations, at least
         one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge
         1932).
+    is_complete : bool
+        Whether ``air`` is of all records of the flights, none of which was shortened or too short
+        to learn from.
     """
 
     derivatives: pd.DataFrame
@@ -108,6 +111,7 @@ class AirMotion:
     converged: bool
     seconds: float
     misfit: float = 1.0
+    is_complete: bool = False
 
     @property
     def summary(self) -> str:
@@ -267,11 +271,17 @@ def estimate_air_motion(
         derivatives = _as_prior(known.derivatives)
     if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
         thrust = None
+    every = _records(table, surfaces, aircraft, thrust, settings)
+    if known is None:
+        records = _to_learn_from(every, settings)
+    else:
+        records = every
+        _check_any(records, settings.fewest_known)
+    is_complete = _n_samples(records) == _n_samples(every)
     if thrust is None:
         # the measured axial force takes the place of thrust and CX: in `_records`, and `_parameters`
         # without a scale of the thrust
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
-    records = _records(table, surfaces, aircraft, thrust, known is not None, settings)
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     parameters = _parameters(derivatives, known, n_flights)
@@ -280,7 +290,8 @@ def estimate_air_motion(
         fit = AirFit(records, aircraft, layout, parameters, noises, settings)
         try:
             converged = fit.search(n_before)
-            return _air_motion(fit, converged, surfaces, len(table))
+            motion = _air_motion(fit, converged, surfaces, len(table))
+            return replace(motion, is_complete=is_complete)
         except np.linalg.LinAlgError:  # the search diverged
             continue
     raise ValueError(DIVERGED)
@@ -291,22 +302,34 @@ def _records(
     surfaces: list[str],
     aircraft: Aircraft,
     thrust: str | None,
-    is_known: bool,
     settings: AirSettings,
 ) -> list[Record]:
     """Return the records of the flights; without thrust with the measured axial force in its place."""
-    fewest = 2 if is_known else settings.fewest_samples
     loads = np.hstack(propulsive_loads(table, aircraft, thrust))
-    records = records_of(table, surfaces, loads, fewest, settings)
+    records = records_of(table, surfaces, loads, settings.fewest_known, settings)
+    if thrust is None:
+        records = [record.with_axial_force(aircraft.mass) for record in records]
+    return records
+
+
+def _to_learn_from(records: list[Record], settings: AirSettings) -> list[Record]:
+    """Return the records that are long enough, the first parts of many samples."""
+    long = [record for record in records if len(record.rows) >= settings.fewest_samples]
+    _check_any(long, settings.fewest_samples)
+    return shortened(long, settings)
+
+
+def _n_samples(records: list[Record]) -> int:
+    """Return the number of samples of records."""
+    return sum(len(record.rows) for record in records)
+
+
+def _check_any(records: list[Record], fewest: int) -> None:
+    """Raise ValueError without a record of at least so many samples."""
     if not records:
         raise ValueError(
             f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
         )
-    if not is_known:
-        records = shortened(records, settings)
-    if thrust is None:
-        records = [record.with_axial_force(aircraft.mass) for record in records]
-    return records
 
 
 def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
@@ -383,10 +406,10 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
         covariance = with_model_errors(covariance, fit)
-    # the air has the errors of the estimates; derivatives without evidence get their prior's below
+    # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:
-        covariance = mix_with_prior(covariance, prior_std, error_fractions(fit, fitted))
+        covariance = add_attenuation(covariance, fit.x, prior_std, error_fractions(fit, fitted))
     std = np.sqrt(np.diag(covariance))
     if not fit.is_known:
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step

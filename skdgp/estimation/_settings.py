@@ -90,6 +90,8 @@ class AirSettings:
 
     # samples of a shortest record of flights to learn from
     fewest_samples: int = 100
+    # the same of flights of a known aircraft: a step
+    fewest_known: int = 2
     # samples to learn from at most, of all records
     most_samples: int = 12000
     # rate of samples [Hz]; faster logs are thinned to 50 to 100 Hz

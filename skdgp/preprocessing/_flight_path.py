@@ -12,7 +12,7 @@ import pandas as pd
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
-from skdgp._compute.sklearn_compat import Interval
+from skdgp._compute.sklearn_compat import Interval, fit_context
 from skdgp._compute.typing import Indices, Vector
 from skdgp._compute.wording import reason_of
 from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, EULER, RATES, VANES
@@ -43,7 +43,13 @@ from skdgp.estimation import (
     path_columns,
 )
 from skdgp.preprocessing._cleaning import FlightSmoother
-from skdgp.preprocessing._table import TableTransformer, with_columns, with_names, wrapped_near
+from skdgp.preprocessing._table import (
+    TableTransformer,
+    as_pandas,
+    with_columns,
+    with_names,
+    wrapped_near,
+)
 
 
 class FlightPart(NamedTuple):
@@ -195,7 +201,24 @@ class FlightPathReconstruction(TableTransformer):
         """Why ``transform`` reconstructs flights, or not, in words."""
         return reason_of(self.finding_)
 
+    @fit_context(prefer_skip_nested_validation=True)
+    def fit_transform(self, X: Any, y: Any = None) -> Any:
+        """Fit to the flight table X, and return it transformed; y is ignored.
+
+        A motion of the air that converged on all rows is the result for these flights.
+        ``transform`` would estimate it again, with the aircraft held, and differ by a small
+        fraction of its standard deviation.
+        """
+        motion = self._fit_returning_motion(self._checked(X))
+        table = self._as_table(as_pandas(X))
+        is_final = motion is not None and motion.converged and motion.is_complete
+        return self._transformed(table, motion if is_final else None)
+
     def _fit_table(self, table):
+        self._fit_returning_motion(table)
+
+    def _fit_returning_motion(self, table: pd.DataFrame) -> AirMotion | None:
+        """Set the fitted attributes; return the motion of the air, if it can be estimated."""
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
         self.used_ = not self.missing_
@@ -204,13 +227,13 @@ class FlightPathReconstruction(TableTransformer):
         self.doubt_: Finding | None = None
         self.converged_: dict[Any, bool] = {}
         if self.missing_:
-            return
+            return None
         self._check(table)
         has_vanes = has_values(table, *AIR_DATA)
-        if not has_vanes:
-            self._fit_air_motion(table)
-        if self.air_motion_ is None:
+        motion = None if has_vanes else self._fit_air_motion(table)
+        if motion is None:
             self._fit_path(table, has_vanes)
+        return motion
 
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
@@ -231,15 +254,15 @@ class FlightPathReconstruction(TableTransformer):
         if self.used_:
             self._warn_of_diverged(parts)
 
-    def _fit_air_motion(self, table: pd.DataFrame) -> None:
-        """Set the fitted attributes by the motion of the air, if it can be estimated."""
+    def _fit_air_motion(self, table: pd.DataFrame) -> AirMotion | None:
+        """Set the fitted attributes by the motion of the air, and return it, if it can be estimated."""
         if self.aircraft is None:
             cause = Finding(Code.NO_AIRCRAFT)
             self.doubt_ = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
-            return
+            return None
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
-            return
+            return None
         couplings = motion.couplings()
         if motion.converged and couplings:
             finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
@@ -251,6 +274,7 @@ class FlightPathReconstruction(TableTransformer):
         changes = [motion.gust_change(number) for number in range(len(names))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
+        return motion
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: AirMotion | None = None
@@ -280,6 +304,10 @@ class FlightPathReconstruction(TableTransformer):
         return motion, doubt
 
     def _transform_table(self, table):
+        return self._transformed(table, None)
+
+    def _transformed(self, table: pd.DataFrame, motion: AirMotion | None) -> pd.DataFrame:
+        """Return the transformed table, by the motion of its air where this is known."""
         if not self.used_:
             return table
         if self.optional and (missing := missing_channels(table)):
@@ -287,10 +315,12 @@ class FlightPathReconstruction(TableTransformer):
             report(finding, FlightDataWarning, stacklevel=3)
             return FlightSmoother().fit_transform(table)
         self._check(table)
-        if self.air_motion_ is None:
+        if motion is None and self.air_motion_ is not None:
+            motion, _ = self._estimated_motion(table, self.air_motion_)
+        if motion is None:
             new = self._columns_by_path(table)
         else:
-            new = self._columns_by_air(table, self.air_motion_)
+            new = self._columns_by_air(table, motion)
         for name in EULER:
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
@@ -311,11 +341,8 @@ class FlightPathReconstruction(TableTransformer):
             flights.append(pd.DataFrame(columns, index=part.rows))
         return _in_rows(flights)
 
-    def _columns_by_air(self, table: pd.DataFrame, known: AirMotion) -> dict[str, Vector]:
-        """Return the columns of flights by the motion of the air, with the aircraft as ``known``."""
-        motion, _ = self._estimated_motion(table, known)
-        if motion is None:
-            return self._columns_by_path(table)
+    def _columns_by_air(self, table: pd.DataFrame, motion: AirMotion) -> dict[str, Vector]:
+        """Return the columns of flights by the motion of their air."""
         surfaces = [name for name in ALL_SURFACES if has_values(table, name)]
         deflections = numeric(table, surfaces)
         flights = []

@@ -30,10 +30,14 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:
         """Check the columns of the flight table X, and learn from them; y is ignored."""
+        self._fit_table(self._checked(X))
+        return self
+
+    def _checked(self, X: Any) -> pd.DataFrame:
+        """Return the table of ``fit``, and store the names of its columns."""
         table = check_table(as_pandas(X))
         validate_data(self, table, skip_check_array=True)
-        self._fit_table(table)
-        return self
+        return table
 
     def transform(self, X: Any) -> Any:
         """Return the transformed flight table X, with its index."""

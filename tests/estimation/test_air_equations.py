@@ -12,12 +12,12 @@ from scipy.linalg import block_diag
 from skdgp.dynamics import Aircraft, euler_to_matrix
 from skdgp.estimation import AirSettings
 from skdgp.estimation._air_covariance import (
+    add_attenuation,
     add_model_error,
     add_scale_error,
     correlated_scatter,
     inflate_for_misfit,
     misfit_of,
-    mix_with_prior,
     sandwich,
     spread_of,
     widen,
@@ -341,10 +341,26 @@ def test_errors_of_the_model_are_independent_and_those_of_an_angle_are_common():
 
 
 def test_parameters_without_evidence_have_the_variance_of_their_prior():
-    mixed = mix_with_prior(COVARIANCE, PRIOR_STD, np.array([0.0, 1.0, 0.6]))
-    assert_allclose(mixed[0, :2], [COVARIANCE[0, 0], 0.0])
-    assert_allclose(mixed[1], [0.0, 4.0, 0.0])
-    assert_allclose(mixed[2, 2], 0.64 * COVARIANCE[2, 2] + 0.36 * 9.0)
+    values = np.array([0.5, 0.1, 50.0])
+    wide = add_attenuation(COVARIANCE, values, PRIOR_STD, np.array([0.0, 1.0, 0.6]))
+    assert_allclose(wide[0, :2], [COVARIANCE[0, 0], 0.0])
+    assert_allclose(wide[1], [0.0, 4.0, 0.0])
+    assert_allclose(wide[2, 2], 0.64 * COVARIANCE[2, 2] + 0.36 * 9.0)
+
+
+def test_error_of_a_slope_covers_its_attenuation():
+    """The root mean square of the slope times the fraction of errors, as far as the estimate shows it."""
+    covariance = 1e-6 * np.eye(1)
+    fraction = np.array([0.1])
+    wide = add_attenuation(covariance, np.array([-0.9]), np.array([100.0]), fraction)
+    assert_allclose(np.sqrt(wide), 0.1, rtol=1e-4)  # of a slope of -1 that seems to be -0.9
+    # regression on a regressor with errors of a tenth of its variance
+    rng = default_rng(0)
+    motion = rng.normal(0, 3, 100_000)
+    measured = motion + rng.normal(0, 1, motion.size)
+    seen = (measured @ motion) / (measured @ measured)
+    wide = add_attenuation(covariance, np.array([seen]), np.array([100.0]), fraction)
+    assert abs(seen - 1) < 1.05 * np.sqrt(wide)
 
 
 def test_a_search_that_still_moves_has_the_spread_of_its_last_passes():

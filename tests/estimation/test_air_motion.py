@@ -224,6 +224,31 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
     assert list(reconstruction().get_feature_names_out()) == list(out)
 
 
+def test_flights_of_the_fit_have_the_motion_that_the_fit_found():
+    """Estimated again with the aircraft held, it differs by a fraction of its standard deviation."""
+    flight = in_gusts()
+    step = FlightPathReconstruction(aircraft=flight.aircraft)
+    at_once = step.fit_transform(flight.table)
+    again = step.transform(flight.table)
+    assert list(at_once) == list(again)
+    air = flight.estimate(known=step.air_motion_).air
+    for name in ("alpha", "beta", "airspeed"):
+        difference = (at_once[name] - again[name]) / air[f"{name}_std"]
+        assert np.sqrt(np.mean(difference**2)) < 0.1
+
+
+def test_shortened_flights_are_not_complete():
+    flight = flown("calm", 4.0)
+    assert flight.estimate(settings=AirSettings(max_passes=1)).is_complete
+    few = AirSettings(max_passes=1, most_samples=150)
+    short = flight.estimate(settings=few)
+    assert not short.is_complete
+    step = FlightPathReconstruction(aircraft=flight.aircraft, settings=few)
+    with pytest.warns(UserWarning, match="did not converge"):
+        out = step.fit_transform(flight.table)
+    assert np.isfinite(out["alpha"]).all()
+
+
 def test_slopes_of_a_model_are_the_derivatives_with_their_covariance():
     found = found_in_gusts()
     value, errors = found.slopes(["CX", "Cm"], ["alpha", "q_hat", "throttle"])

@@ -148,8 +148,8 @@ class Hyperparameters(NamedTuple):
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
     noise, None for exact regressors. ``remaining`` is the expected rise of the likelihood by
     further iterations. ``is_unbiased``: variances are multiplied by ``unbiased_factor``.
-    ``log_likelihood`` is of the values of the search. ``price`` is one for each
-    hyperparameter that matters, and the price of shifts.
+    ``log_likelihood`` is of the values of the search, a sum over ``n_batches``. ``price`` is one for
+    each hyperparameter that matters, and the price of shifts.
     """
 
     kernel: MultiOutputKernel
@@ -161,11 +161,15 @@ class Hyperparameters(NamedTuple):
     converged: bool = True
     is_unbiased: bool = False
     log_likelihood: float = -np.inf
+    n_batches: int = 1
     price: float = 0.0
 
     def score(self, times: float = 1.0) -> float:
-        """Return the logarithm of the weight among structures, for a likelihood of so many times the values."""
-        return times * self.log_likelihood - self.price
+        """Return the logarithm of the weight among structures, for a likelihood of so many times the values.
+
+        Of batches it is the mean, as they may show the same function.
+        """
+        return times * self.log_likelihood / self.n_batches - self.price
 
     def noisy(self, data: Data, passes: int = 2) -> Data:
         """Return observed values of exact regressors with the noise of the regressors.
@@ -333,7 +337,8 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
                     break
     if few is joint or joint.stop.is_set():
         return found
-    scores = np.array([each.score(joint.n_values / few.n_values) for each in found])
+    batch = joint.n_values / joint.n_batches(joint.n_values)
+    scores = np.array([each.score(batch / few.n_values) for each in found])
     margin, of_richest = joint.options.settings.trial_margins
     margins = np.full(len(found), margin)
     margins[len(kernels) - 1] = of_richest
@@ -366,11 +371,11 @@ class _JointSearch(NamedTuple):
         """Number of observed values."""
         return int(np.isfinite(self.Y).sum())
 
-    def n_batches(self, data: Data) -> int:
-        """Return the number of batches whose likelihoods add up, one of a time series."""
+    def n_batches(self, n_values: int) -> int:
+        """Return the number of batches of so many values whose likelihoods add up, one of a time series."""
         if self.options.time_series:
             return 1
-        return max(1, round(data.n_values / self.options.settings.batch_values))
+        return max(1, round(n_values / self.options.settings.batch_values))
 
     def trial(self) -> _JointSearch:
         """Return a short search, on few values where there are more.
@@ -479,7 +484,7 @@ class _JointSearch(NamedTuple):
 
     def _with_missed_effects(self, kernel, learned, data, n_iter) -> Hyperparameters:
         """Return hyperparameters with effects of single regressors that this search missed."""
-        batches = data.batches(self.n_batches(data))
+        batches = data.batches(self.n_batches(data.n_values))
         for _ in range(self.options.further):
             if self.stop.is_set():
                 break
@@ -556,6 +561,7 @@ class _JointSearch(NamedTuple):
             remaining=point.end.remaining,
             converged=converged,
             log_likelihood=point.end.value,
+            n_batches=self.n_batches(data.n_values),
         )
 
     def _gains_nothing(
@@ -579,7 +585,7 @@ class _JointSearch(NamedTuple):
         if end.n_since < settings.optimizer.recent - 1:  # too few evaluations to extrapolate
             return False
         n_blocks = settings.n_blocks if self.options.time_series else None
-        data = data.batches(self.n_batches(data))[0]
+        data = data.batches(self.n_batches(data.n_values))[0]
         latest = held_out_error(kernel, noise, data, n_blocks)
         if before is not None:
             fall = held_out_error(before.kernel, before.noise, data, n_blocks) - latest
@@ -602,7 +608,7 @@ class _JointSearch(NamedTuple):
             self.stop,
             optimizer=self.options.settings.optimizer,
             common=self.exact,
-            n_batches=self.n_batches(data),
+            n_batches=self.n_batches(data.n_values),
         )
 
 

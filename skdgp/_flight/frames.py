@@ -128,10 +128,11 @@ def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     [30.0, 0.1, -0.05]
     """
     u, v, w = components(velocity)
-    airspeed = np.sqrt(u * u + v * v + w * w)
+    across = u * u + w * w
+    airspeed = np.sqrt(across + v * v)
     alpha = np.arctan2(w, u)
     # atan2 keeps beta accurate near 90 degrees and defined at rest, where asin(v / V) is neither.
-    beta = np.arctan2(v, np.hypot(u, w))
+    beta = np.arctan2(v, np.sqrt(across))
     return airspeed, alpha, beta
 
 
@@ -288,7 +289,9 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
 def density_or_nan(altitude: np.ndarray) -> np.ndarray:
     """Return the density of `standard_density` [kg/m^3], NaN outside of the atmosphere."""
     is_inside = (altitude > LOWEST) & (altitude < HIGHEST)
-    return _density(np.where(is_inside, altitude, np.nan))
+    if not is_inside.all():
+        altitude = np.where(is_inside, altitude, np.nan)
+    return _density(altitude)
 
 
 def _density(altitude: np.ndarray) -> np.ndarray:
@@ -299,8 +302,9 @@ def _density(altitude: np.ndarray) -> np.ndarray:
     gas_constant = 287.05287  # of dry air [J/(kg K)]
     temperature = sea_level_temperature - lapse * np.minimum(altitude, tropopause)
     exponent = STANDARD_GRAVITY / (gas_constant * lapse)
-    below = SEA_LEVEL_PRESSURE * (temperature / sea_level_temperature) ** exponent
-    height = np.maximum(altitude - tropopause, 0.0)
-    scale = gas_constant * temperature
-    pressure = below * np.exp(-STANDARD_GRAVITY * height / scale)
-    return pressure / scale
+    sea_level_density = SEA_LEVEL_PRESSURE / (gas_constant * sea_level_temperature)
+    density = sea_level_density * (temperature / sea_level_temperature) ** (exponent - 1.0)
+    if (altitude > tropopause).any():
+        height = np.maximum(altitude - tropopause, 0.0)
+        density = density * np.exp(-STANDARD_GRAVITY * height / (gas_constant * temperature))
+    return density

@@ -120,5 +120,5 @@ class GustyAir:
         velocity, acceleration, rotation = (part[stage] for part in self.gusts)
         steady = self.wind(stage, state)
         if steady is None:
-            steady = LocalAir()
-        return steady._replace(gust=velocity, gust_rate=acceleration, rotation=rotation)
+            return LocalAir(None, None, velocity, acceleration, rotation)
+        return LocalAir(steady.wind, steady.wind_rate, velocity, acceleration, rotation)

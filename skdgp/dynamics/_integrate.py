@@ -189,16 +189,15 @@ class Integrator:
         """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
         *_, middle, last = (stage.regressors for stage in stages)
         coefficients = self.motion.evaluated(last)
-        error = coefficients - tangent(last)
-        is_far = tangent.is_far(last)
-        if is_far:
-            # Simpson's rule; the error is zero at the beginning
+        distance = last - tangent.regressors
+        if tangent.is_far(distance):
+            # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
             halfway = self.motion.evaluated(middle) - tangent(middle)
-            mean_error = (4.0 * halfway + error) / 6.0
-        else:
-            mean_error = tangent.mean_error(error)
-        change = self.dt * self.motion.response(stages[-1], mean_error)
-        if is_far or tangent.age + 1 >= self._renewal:
+            change = self.dt * self.motion.response(stages[-1], (2.0 / 3.0) * halfway)
+            return change, self._tangent(last, coefficients)
+        error = coefficients - tangent.linear(distance)
+        change = self.dt * self.motion.response(stages[-1], tangent.mean_error(error))
+        if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
         return change, tangent.moved(last, coefficients, error)
 
@@ -349,4 +348,4 @@ def end_reasons(state: Array, now: Instant, limits: FlightLimits) -> dict[str, A
         "diverged": ~(is_finite & is_slow & is_turning_slowly),
         "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),
     }
-    return {reason: where for reason, where in reasons.items() if np.any(where)}
+    return {reason: where for reason, where in reasons.items() if where.any()}

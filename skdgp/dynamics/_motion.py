@@ -119,14 +119,18 @@ class Tangent(NamedTuple):
 
     def __call__(self, X: Array) -> Array:
         """Return the coefficients (..., 6) at regressors (..., d)."""
-        if self.is_far(X):
-            return self.model(X)
         change = X - self.regressors
-        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
+        if self.is_far(change):
+            return self.model(X)
+        return self.linear(change)
 
-    def is_far(self, X: Array) -> bool:
-        """Return whether any regressors (..., d) are out of reach."""
-        return bool((np.abs(X - self.regressors) > self.reach).any())
+    def is_far(self, change: Array) -> bool:
+        """Return whether any regressors are out of reach, by their ``change`` x - x_0 (..., d)."""
+        return bool((np.abs(change) > self.reach).any())
+
+    def linear(self, change: Array) -> Array:
+        """Return C_0 + J (x - x_0), (..., 6), by the ``change`` x - x_0 (..., d)."""
+        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
 
     def mean_error(self, error: Array) -> Array:
         """Return the mean error over a step of the ``error`` at its end, whose curve is a parabola.
@@ -205,6 +209,7 @@ class Motion:
                 f"Got a model with the regressors {unknown}, which are neither controls nor "
                 f"rebuilt along a flight: learn one without them. What is rebuilt: {', '.join(FOLLOWING)}."
             )
+        self._needs_velocity = not set(BODY_VELOCITY).isdisjoint(self.regressors)
         self._needs_angles = not set(EULER).isdisjoint(self.regressors)
         # Of regressors that follow from the coefficients: their places, and those in `IMPLICIT`
         self.implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
@@ -340,24 +345,28 @@ class Motion:
         rates = state[..., RATES]
         if air is not None and air.rotation is not None:
             rates = rates - air.rotation
-        values = dict(controls)
-        values |= by_name(BODY_VELOCITY, state[..., VELOCITY])
-        values |= by_name(RATE_NAMES, rates)
+        values = {**controls, **by_name(RATE_NAMES, rates)}
+        if self._needs_velocity:
+            values |= by_name(BODY_VELOCITY, state[..., VELOCITY])
         values |= zip(Flow._fields[2:], flow[2:], strict=True)
         if self._needs_angles:
             values |= by_name(EULER, quaternion_to_euler(state[..., ATTITUDE]))
         X = np.empty((*state.shape[:-1], len(self.regressors)))
         for k, name in enumerate(self.regressors):
-            if name not in IMPLICIT:
-                X[..., k] = values[name] * self.factor(k, flow.airspeed)
+            if name in IMPLICIT:
+                continue
+            value = values[name]
+            if self._sources[k][1] is not None:
+                value = value * self.factor(k, flow.airspeed)
+            X[..., k] = value
         return X
 
     def evaluated(self, X: Array) -> Array:
         """Return the model's coefficients (..., 6) at regressors (..., d), NaN where a state has diverged."""
+        if np.isfinite(X).all():
+            return self.aerodynamics(X)
         # models refuse infinite values
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
-        if finite.all():
-            return self.aerodynamics(X)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
 
     def tangent(self, X: Array, coefficients: Array, reach: float) -> Tangent:
@@ -384,8 +393,8 @@ class Motion:
     ) -> Instant:
         """Return what happens at coefficients (..., 6), with force and moment of engine and ground."""
         force, moment = aerodynamic_loads(C, flow.airspeed, flow.density, self.aircraft)
-        force = force + other_loads[0]
-        moment = moment + other_loads[1]
+        force += other_loads[0]
+        moment += other_loads[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         air = (flow.airspeed, flow.alpha, flow.beta, flow.density)
         return Instant(derivative, C, X, *air, force, None, True)

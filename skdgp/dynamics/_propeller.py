@@ -282,7 +282,7 @@ class Propeller:
         n = np.asarray(propeller_speed, dtype=float) / (2.0 * np.pi)
         advance = np.asarray(airspeed, dtype=float) / self.diameter
         c0, c1, c2 = (*coefficients, 0.0, 0.0, 0.0)[:3]
-        load = c0 * n**2 + c1 * n * advance + c2 * advance**2
+        load = (c0 * n + c1 * advance) * n + c2 * advance * advance
         return np.asarray(density, dtype=float) * self.diameter**power * load
 
 

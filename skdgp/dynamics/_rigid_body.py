@@ -76,16 +76,17 @@ def rigid_body_derivative(
     rows = rotation_rows(q0, e1, e2, e3)
     down = rows[2]
     turning = (q * w - r * v, r * u - p * w, p * v - q * u)  # omega x v
-    shape = np.broadcast_shapes(state.shape[:-1], force.shape[:-1], moment.shape[:-1])
+    shape = np.broadcast(state[..., 0], force[..., 0], moment[..., 0]).shape
     derivative = empty_vectors(shape, len(STATE_NAMES))
     for k, (x, y, z) in enumerate(rows):
         derivative[..., k] = x * u + y * v + z * w
     for k, f in enumerate(components(force)):
         derivative[..., 3 + k] = f / aircraft.mass + gravity * down[k] - turning[k]
-    derivative[..., 6] = -0.5 * (e1 * p + e2 * q + e3 * r)
-    derivative[..., 7] = 0.5 * (q0 * p + e2 * r - e3 * q)
-    derivative[..., 8] = 0.5 * (q0 * q + e3 * p - e1 * r)
-    derivative[..., 9] = 0.5 * (q0 * r + e1 * q - e2 * p)
+    p, q, r = 0.5 * p, 0.5 * q, 0.5 * r
+    derivative[..., 6] = -(e1 * p + e2 * q + e3 * r)
+    derivative[..., 7] = q0 * p + e2 * r - e3 * q
+    derivative[..., 8] = q0 * q + e3 * p - e1 * r
+    derivative[..., 9] = q0 * r + e1 * q - e2 * p
     net_moment = moment - gyroscopic_moment(state[..., RATES], aircraft)
     derivative[..., RATES] = net_moment @ aircraft.inertia_inverse
     return derivative

@@ -27,7 +27,7 @@ from skdgp.dynamics._integrate import FLYING, channels, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
 from skdgp.dynamics._path_air import paths_air
 from skdgp.dynamics._starts import UncertainStart, as_starts, initial_states, perturbed
-from skdgp.dynamics._trajectories import beyond, trajectory_table, warn_of
+from skdgp.dynamics._trajectories import beyond, farthest_beyond, trajectory_table, warn_of
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._turbulence import Turbulence
 
@@ -154,9 +154,11 @@ def simulate(
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
     record = fly_record(motion, commands, local, clock, states, drifts)
-    warn_of(record, motion)
+    farthest = farthest_beyond(motion, record.regressors)
+    warn_of(record, motion, farthest)
     firsts = [float(table["time"].iloc[0]) for table in tables_of(controls)]
-    table = trajectory_table(record, motion, np.broadcast_to(firsts or 0.0, len(starts)))
+    first_times = np.broadcast_to(firsts or 0.0, len(starts))
+    table = trajectory_table(record, motion, farthest, first_times)
     table.attrs["air"] = sentence
     return table
 

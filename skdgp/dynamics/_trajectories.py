@@ -33,11 +33,13 @@ class SimulationWarning(UserWarning):
     """A trajectory ended early, or left the range of the training data."""
 
 
-def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.DataFrame:
+def trajectory_table(
+    record: Record, motion: Motion, farthest: Array, first_times: Array
+) -> pd.DataFrame:
     """Return the record as one flight table: path by path, start by start, row by row.
 
-    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``first_times``
-    (n_starts,) is the time at each start.
+    The record's trajectories are (), (n_starts,) or (n_paths, n_starts); ``farthest``
+    (n_times, ...) is as of `farthest_beyond`, ``first_times`` (n_starts,) the time at each start.
     """
     shape = record.ended.shape
     n_times = len(record.time)
@@ -52,8 +54,7 @@ def trajectory_table(record: Record, motion: Motion, first_times: Array) -> pd.D
     table: dict[str, Any] = {"time": column(times), **_identity(shape, n_times)}
     for name, values in _columns(record).items():
         table[name] = column(values)
-    farthest = column(farthest_beyond(motion, record.regressors))
-    table["beyond"] = _named(farthest, ["", *motion.regressors])
+    table["beyond"] = _named(column(farthest), ["", *motion.regressors])
     reasons, ended = np.unique(np.append(FLYING, record.ended), return_inverse=True)
     is_over = np.isnan(record.states).any(axis=-1)
     ended = np.where(is_over, ended[1:].reshape(shape), ended[0])
@@ -113,9 +114,12 @@ def beyond(motion: Motion, regressors: Array) -> np.ndarray:
     return names[farthest_beyond(motion, regressors)]
 
 
-def warn_of(record: Record, motion: Motion) -> None:
-    """Warn of trajectories that ended early, and of trajectories that left the training ranges."""
-    for message in (_ended_message(record), _beyond_message(record, motion)):
+def warn_of(record: Record, motion: Motion, farthest: Array) -> None:
+    """Warn of trajectories that ended early, and of those that left the training ranges.
+
+    ``farthest`` (n_times, ...) is as of `farthest_beyond`.
+    """
+    for message in (_ended_message(record), _beyond_message(record, motion, farthest)):
         if message:
             warn(message, SimulationWarning, stacklevel=3)
 
@@ -135,10 +139,10 @@ def _ended_message(record: Record) -> str:
     )
 
 
-def _beyond_message(record: Record, motion: Motion) -> str:
+def _beyond_message(record: Record, motion: Motion, farthest: Array) -> str:
     """Return a sentence on trajectories that left the training ranges, "" without any."""
     model = motion.aerodynamics
-    farthest = farthest_beyond(motion, record.regressors).reshape(len(record.time), -1)
+    farthest = farthest.reshape(len(record.time), -1)
     outside = farthest > 0
     if not outside.any():
         return ""

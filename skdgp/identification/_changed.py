@@ -15,14 +15,16 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._display.page import section
 from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import flight_regressors, regressor_names
+from skdgp.inference import bias_ratio, training_inputs
 
 WHOLE = "whole"
 
@@ -118,8 +120,16 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
 
     The first part is the jackknife over B blocks of the flight, which are longer than the residuals
     e of this fit are correlated (Bell & McCaffrey 2002): rougher air widens it. The second part is
-    the uncertainty K of the model's function. With k weights and :math:`\nu = B - 1`,
-    :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
+    the uncertainty K of the function, in which the bias of the fit is replaced. Noise of the
+    regressors and gusts that move the aircraft bias the slopes of least squares, in the fit by
+    :math:`m_j` (:func:`skdgp.inference.function_errors`). With the covariance :math:`S_0` of the
+    regressors in the fit, and S in the flight, the bias of the flight differs by
+
+    .. math:: a_j = (S^{-1} S_0 - I)\, m_j,
+
+    which is zero in flights with the same motion, and large in gentler ones (Fuller 1987,
+    section 1.1). With k weights and
+    :math:`\nu = B - 1`, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The p-values of the coefficients are combined into the whole by
     Simes' test, which allows for positive dependence (Simes 1986).
 
@@ -187,15 +197,40 @@ def _terms(X: Matrix) -> Matrix:
     return np.column_stack([np.ones(len(X)), X])
 
 
-def _function_covariance(regressor: Any, X: Matrix, settings: ChangeSettings) -> Array:
+def _function_covariance(
+    regressor: DependentGPRegressor, X: Matrix, settings: ChangeSettings
+) -> Array:
     """Return G Q^T K Q G of each output, (P, d + 1, d + 1), from evenly spaced rows of X (n, d)."""
     n_rows = min(settings.n_rows, len(X))
     rows = np.linspace(0, len(X) - 1, n_rows).astype(int)
     mean, cov = regressor.predict(X[rows], return_cov=True, include_input_noise=False)
     n_outputs = mean.shape[1]
     blocks = cov.reshape(n_outputs, n_rows, n_outputs, n_rows)
+    in_fit, further = _biases(regressor, X, rows)
     fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
-    return np.stack([fitting @ blocks[i, :, i] @ fitting.T for i in range(n_outputs)])
+    covariances = []
+    for i in range(n_outputs):
+        # the function's uncertainty includes the bias of the fit
+        K = blocks[i, :, i] - in_fit[..., i].T @ in_fit[..., i]
+        K = K + further[..., i].T @ further[..., i]
+        covariances.append(fitting @ K @ fitting.T)
+    return np.stack(covariances)
+
+
+def _biases(regressor: DependentGPRegressor, X: Matrix, rows: Indices) -> tuple[Array, Array]:
+    """Return the biases m_j of the fit and the further ones a_j of a flight X (n, d), each (J, n_rows, P).
+
+    A bias of slopes turns the function about the mean of the regressors.
+    """
+    errors = regressor.function_errors()
+    if errors is None:
+        nothing = np.zeros((0, len(rows), len(regressor.scale_)))
+        return nothing, nothing
+    slopes = errors.method[:, 1:]
+    ratio = bias_ratio(training_inputs(regressor.posterior_), X)
+    in_fit = (X[rows] - errors.centre) @ slopes
+    in_flight = (X[rows] - X.mean(axis=0)) @ (ratio @ slopes)
+    return in_fit, in_flight - in_fit
 
 
 def block_weights(

@@ -27,6 +27,7 @@ from skdgp.inference._errors import (
     function_errors,
     mean_errors,
 )
+from skdgp.inference._errors import bias_ratio as bias_ratio
 from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mixture_of
 from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._further_rows import ExpectedErrors, expected_errors

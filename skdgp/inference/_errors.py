@@ -404,6 +404,20 @@ def _attenuation(
     return attenuation
 
 
+def bias_ratio(learned_from: Matrix, others: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
+    r"""Return the matrix (d, d) that turns biases of slopes by samples into those by other samples.
+
+    Least squares has the bias :math:`C^{-1} c`, with the covariance C of the regressors, and their
+    covariance c with the errors of the samples, such as :math:`-S J` by noise of the regressors. If
+    c is the same,
+
+    .. math:: C_2^{-1} c = (C_2^{-1} C_1)\, C_1^{-1} c.
+    """
+    first = np.atleast_2d(np.cov(learned_from.T))
+    other = np.atleast_2d(np.cov(others.T))
+    return settings.inverse(other) @ first
+
+
 def linear_basis(x: Array) -> Array:
     """Return (1, x), (..., d + 1), for x (..., d)."""
     return np.concatenate([np.ones((*x.shape[:-1], 1)), x], axis=-1)

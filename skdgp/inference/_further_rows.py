@@ -14,6 +14,7 @@ from skdgp.inference._errors import (
     ErrorSettings,
     FunctionErrors,
     PosteriorWithErrors,
+    bias_ratio,
     linear_basis,
     mean_errors,
     mean_noise,
@@ -94,7 +95,8 @@ def expected_errors(
         random[:, 1:, i] *= _least_squares_ratio(Q, Q_added, settings)
         biases = method[:, 1:, i]
         is_biased = np.any(biases != 0, axis=0)
-        method[:, 1:, i] = is_biased * (biases @ _bias_ratio(x, added, settings).T)
+        ratio = bias_ratio(x, np.vstack([x, added]), settings)
+        method[:, 1:, i] = is_biased * (biases @ ratio.T)
     width = column_scale(np.vstack([longest, added]))
     discrepancy = errors.discrepancy
     if misfit is not None:
@@ -122,10 +124,3 @@ def _least_squares_ratio(Q: Matrix, added: Matrix, settings: ErrorSettings) -> V
     after = np.diag(settings.inverse(Q.T @ Q + added.T @ added))
     ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
     return np.sqrt(np.minimum(ratio, 1.0))[1:]
-
-
-def _bias_ratio(x: Matrix, added: Matrix, settings: ErrorSettings) -> Matrix:
-    """Return the matrix (d, d) that makes the biases of slopes with added rows of those without."""
-    before = np.atleast_2d(np.cov(x.T))
-    after = np.atleast_2d(np.cov(np.vstack([x, added]).T))
-    return settings.inverse(after) @ before

@@ -383,9 +383,6 @@ class WaveSums(PathBundle):
         self.phase = phase
         self.weights = weights
         self.along = along
-        self._half_omega = 0.5 * omega
-        self._half_phase = 0.5 * phase
-        self._sum = weights.sum(axis=2)[:, None]
 
     def take(self, index):
         return type(self)(self.omega[index], self.phase[index], self.weights[index], self.along)
@@ -411,19 +408,18 @@ class Waves(WaveSums):
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
 
-    def _tangents(self, X):
-        """Return tan(x / 2) of the arguments x of the waves, (S, n, C)."""
-        half = X[..., self.along].astype(self.omega.dtype) @ self._half_omega
-        half += self._half_phase
-        return np.tan(half, out=half)
+    def _arguments(self, X):
+        """Return the arguments of the waves, (S, n, C)."""
+        x = X[..., self.along].astype(self.omega.dtype) @ self.omega
+        x += self.phase
+        return x
 
     def each(self, X):
-        wave = _raised_cosine(self._tangents(X))
-        values = (self.weights @ wave.swapaxes(1, 2)).swapaxes(1, 2)
-        return (values - self._sum).astype(float)
+        wave = _cosine(self._arguments(X))
+        return (self.weights @ wave.swapaxes(1, 2)).swapaxes(1, 2).astype(float)
 
     def gradient(self, X):
-        wave = _negative_sine(self._tangents(X))
+        wave = _negative_sine(self._arguments(X))
         of_outputs = wave[:, :, None] * self.weights[:, None]
         slopes = np.zeros((*of_outputs.shape[:3], X.shape[-1]))
         slopes[..., self.along] = of_outputs @ self.omega.swapaxes(1, 2)[:, None]
@@ -474,36 +470,44 @@ class SingleWaves(WaveSums):
     def doubles(self, same_points):
         return self.omega.size
 
-    def _tangents(self, X):
-        """Return tan(x / 2) of the arguments x of the waves, (S, n, P, W)."""
-        x = X.astype(self.omega.dtype)[..., None, self.along]
-        half = x * self._half_omega[:, None]
-        half += self._half_phase[:, None]
-        return np.tan(half, out=half)
+    def _arguments(self, X):
+        """Return the arguments of the waves, (S, n, P, W)."""
+        x = X.astype(self.omega.dtype)[..., None, self.along] * self.omega[:, None]
+        x += self.phase[:, None]
+        return x
 
     def each(self, X):
-        wave = _raised_cosine(self._tangents(X))
-        values = np.einsum("snpw,spw->snp", wave, self.weights)
-        return (values - self._sum).astype(float)
+        wave = _cosine(self._arguments(X))
+        return np.einsum("snpw,spw->snp", wave, self.weights).astype(float)
 
     def gradient(self, X):
-        slopes = _negative_sine(self._tangents(X))
+        slopes = _negative_sine(self._arguments(X))
         slopes *= (self.weights * self.omega)[:, None]
         is_along = np.equal.outer(self.along, np.arange(X.shape[-1]))
         return (slopes @ is_along.astype(slopes.dtype)).astype(float)
 
 
-def _raised_cosine(tangent: Array) -> Array:
-    """Return cos(x) + 1 = 2 / (1 + tan(x / 2)^2) in the memory of tan(x / 2).
+def _cosine(x: Array) -> Array:
+    """Return cos(x) in the memory of x.
 
-    NumPy's tangent is vectorised in both precisions, and of double precision ten times as fast as
-    its sine and cosine.
+    NumPy's sine and cosine are vectorised in single precision. In double precision its tangent is
+    ten times as fast: cos(x) = 2 / (1 + tan(x / 2)^2) - 1.
     """
+    if x.dtype == np.float32:
+        return np.cos(x, out=x)
+    x *= 0.5
+    tangent = np.tan(x, out=x)
     tangent *= tangent
     tangent += 1.0
-    return np.divide(2.0, tangent, out=tangent)
+    cosine = np.divide(2.0, tangent, out=tangent)
+    cosine -= 1.0
+    return cosine
 
 
-def _negative_sine(tangent: Array) -> Array:
-    """Return -sin(x) of tan(x / 2)."""
+def _negative_sine(x: Array) -> Array:
+    """Return -sin(x) in the memory of x, as `_cosine`."""
+    if x.dtype == np.float32:
+        return np.negative(np.sin(x, out=x), out=x)
+    x *= 0.5
+    tangent = np.tan(x, out=x)
     return -2.0 * tangent / (1.0 + tangent * tangent)

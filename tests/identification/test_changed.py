@@ -13,6 +13,7 @@ from skdgp.identification import changes_of
 from skdgp.preprocessing import RegressorSelector
 
 NAMES = ["alpha", "q_hat", "elevator"]
+ALPHA_NOISE = 0.03
 SLOPES = np.array([[0.3, 0.0, -4.0, 0.0, -0.5, 0.0], [0.0] * 6, [0.0] * 4 + [-0.6, 0.0]])
 
 
@@ -85,6 +86,45 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert abs(row["change"] - 0.2) < 3 * row["std"]
     assert "has changed" in result.summary()[0]
     assert "Cm_alpha" in result.summary()[0]
+
+
+def with_noise_of_alpha(seed, size):
+    """Return a flight with motion of a ``size`` whose alpha is measured with the noise ALPHA_NOISE."""
+    true, Y = flight(seed, 0.0)
+    rng = np.random.default_rng(1000 + seed)
+    X = size * true
+    measured = X.copy()
+    measured["alpha"] += ALPHA_NOISE * rng.normal(size=len(X))
+    Y = X.to_numpy() @ SLOPES + 0.02 * lasting(rng, Y.shape, 5)
+    return measured, Y
+
+
+def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
+    """Least squares returns lambda b, lambda = var x / (var x + s^2) (Fuller 1987, section 1.1)."""
+    X, Y = with_noise_of_alpha(0, 1.0)
+    scaler = StandardScaler().fit(X)
+    input_noise = np.array([ALPHA_NOISE, 0.0, 0.0]) / scaler.scale_
+    regressor = DependentGPRegressor(structure="trend", input_noise=input_noise, random_state=0)
+    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
+    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+
+    size = 0.3
+    names = [str(seed) for seed in range(1, 13)]
+    gentle = {name: with_noise_of_alpha(int(name), size) for name in names}
+    result = changes(pipeline, gentle)
+    assert (result.p_values["whole"] < 0.05).mean() < 0.2
+
+    motion = 0.1
+    in_fit = 1 / (1 + (ALPHA_NOISE / motion) ** 2)
+    in_gentle = 1 / (1 + (ALPHA_NOISE / (size * motion)) ** 2)
+    expected = SLOPES[0, 2] * (in_gentle - in_fit)
+    rows = result.derivatives.xs("CZ_alpha", level="derivative")
+    assert rows["change"].mean() == pytest.approx(expected, rel=0.2)
+    # instruments, which are earlier regressors, may find the same bias once more
+    assert abs(expected) < rows["std"].mean() < 2 * abs(expected)
+
+    large = {"iced": with_noise_of_alpha(20, 1.0)}
+    assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01
 
 
 def test_a_short_flight_tells_nothing(model):

@@ -94,7 +94,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
-        from at most 1800 values of a time series, and else from up to three batches of 1000 values,
+        from at most 1800 values of a time series, and else from two or three batches of 1000 values,
         whose likelihoods add up. "auto" is "exact" up to 1000 observed values of a time series, and
         "sparse" for more. Without ``time`` it is "exact" up to 6000, but above 1500 "sparse" where
         the inducing inputs leave at most 0.003 of the noise variance unexplained (Burt, Rasmussen &

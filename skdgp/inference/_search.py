@@ -60,9 +60,11 @@ class SearchSettings:
     #: Fewest and most values that the joint search of a time series learns from; its time grows with
     #: their third power
     values: tuple[int, int] = (1000, 1800)
-    #: Values of a batch of other rows, and most batches; the time grows with their number
+    #: Values of a batch of other rows, fewest and most batches, and observed values for each; the time
+    #: grows with the number of batches
     batch_values: int = 1000
-    most_batches: int = 3
+    batches: tuple[int, int] = (2, 3)
+    values_for_batch: int = 2000
     #: Most values that shared widths are learned from
     coarse_values: int = 900
     #: Most values, and iterations, of a trial of several structures
@@ -687,7 +689,8 @@ def some_rows(
     """
     observed = np.isfinite(Y)
     P = Y.shape[1]
-    n_values = settings.most_batches * settings.batch_values
+    n_batches = np.clip(round(observed.sum() / settings.values_for_batch), *settings.batches)
+    n_values = int(n_batches) * settings.batch_values
     if time_series:
         n_values = int(np.clip(P * settings.output_values, *settings.values))
     share = -(-n_values // P)

@@ -48,7 +48,11 @@ SETTINGS = MissedSettings()
 
 
 class Effect(NamedTuple):
-    """A process of one regressor for one output, and how far it raises the log likelihood [nats]."""
+    """A process of one regressor for one output.
+
+    ``width`` has the unit of the regressor, ``variance`` the squared unit of the output. ``rise`` is
+    how far the process raises the log likelihood [nats].
+    """
 
     output: int
     regressor: int
@@ -73,7 +77,7 @@ def missed_effects(
     batches : sequence of Data
         Their likelihoods add up.
     X : ndarray (n, d)
-        Of all samples, which show the scales of the regressors.
+        Regressors of all samples.
     settings : MissedSettings
 
     Returns

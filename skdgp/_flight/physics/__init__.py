@@ -10,7 +10,7 @@ Signals are changes and integrals over windows, so no noisy signal is differenti
 report: they never change a flight.
 
 In the order of the computation: channels at one rate (``_signals.py``), y and x by the equations of
-flight (``_relations.py``), the slope and its error (``_regression.py``), the judgement of a slope
+flight (``_equations.py``), the slope and its error (``_regression.py``), the judgement of a slope
 (``_checks.py``), the list of all checks (``_list.py``), and the channels that are probably wrong
 (``_contradictions.py``).
 """

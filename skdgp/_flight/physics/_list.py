@@ -14,7 +14,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     VANES,
 )
-from skdgp._flight.physics import _relations as equations
+from skdgp._flight.physics import _equations as equations
 from skdgp._flight.physics._checks import (
     GUSTY,
     NEGATIVE,

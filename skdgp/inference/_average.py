@@ -258,10 +258,15 @@ def held_out(
     order = np.arange(len(Y)) if order is None else order
     mean = np.full(Y.shape, np.nan)
     variance = np.full(Y.shape, np.nan)
-    for left_out in _folds(Y, order, settings):
-        data = Data.from_table(X, np.where(left_out, np.nan, Y), inflated)
+    folds = list(_folds(Y, order, settings))
+    data = Data.from_table(X, Y, inflated)
+    parts = []
+    for left_out in folds:
+        kept = Data.from_table(X, np.where(left_out, np.nan, Y), inflated)
+        parts.append((kept, Data.from_table(X, np.where(left_out, Y, np.nan), inflated)))
+    posteriors = posterior.folds(noise * inflation, data, parts)
+    for left_out, remaining in zip(folds, posteriors, strict=True):
         inside = np.flatnonzero(left_out.any(axis=1))
-        remaining = posterior.of(data, noise * inflation)
         means, variances = remaining.predict(X[inside], return_variance=True)
         mean[left_out] = means[left_out[inside]]
         variance[left_out] = variances[left_out[inside]]

@@ -8,7 +8,7 @@ prior, f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -112,6 +112,16 @@ class SinglePosterior(Posterior):
     @abstractmethod
     def of(self, data: Data, noise: Vector) -> SinglePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters."""
+
+    def folds(
+        self, noise: Vector, data: Data, parts: Sequence[tuple[Data, Data]]
+    ) -> Iterator[SinglePosterior]:
+        """Yield the posteriors of the values that remain without each part of the data.
+
+        ``parts`` are the values that remain and those left out, which together are ``data``.
+        """
+        for remaining, _ in parts:
+            yield self.of(remaining, noise)
 
     @abstractmethod
     def term(self, kernel: MultiOutputKernel) -> SinglePosterior:

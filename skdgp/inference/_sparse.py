@@ -17,10 +17,11 @@ another machine can run them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import combinations_with_replacement
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state, gen_batches
@@ -98,8 +99,8 @@ class SparsePosterior(SinglePosterior):
         self.features = features
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
-        # Of independent noise at the unit, so that another noise needs no sample.
-        unit = np.ones_like(self.noise) if data.sample_noise is None else self.noise
+        self.share_settings = share_settings
+        unit = self._unit_noise
         if sums is None:
             with threads_for(self.size):
                 Lu = jittered_cholesky(lambda: np.asfortranarray(features.Kuu()))
@@ -108,6 +109,11 @@ class SparsePosterior(SinglePosterior):
             sums = SparseSums(Lu, statistics)
         self.sums = sums
         self._condition(self.noise / unit)
+
+    @property
+    def _unit_noise(self):
+        """Noise (P,) of the sums: one where it is independent, so that another noise needs no sample."""
+        return np.ones_like(self.noise) if self.data.sample_noise is None else self.noise
 
     @property
     def Lu(self) -> Matrix:
@@ -198,6 +204,29 @@ class SparsePosterior(SinglePosterior):
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
         return SparsePosterior(self.kernel, self.features, noise, data)
+
+    def folds(
+        self, noise: Vector, data: Data, parts: Sequence[tuple[Data, Data]]
+    ) -> Iterator[SinglePosterior]:
+        if data.sample_noise is not None and any(_have_common_samples(*part) for part in parts):
+            yield from super().folds(noise, data, parts)
+            return
+        whole = self.of(data, noise)
+        for remaining, left_out in parts:
+            yield whole.without(left_out, remaining)
+
+    def without(self, left_out: Data, remaining: Data) -> SparsePosterior:
+        """Return the posterior of the values that remain, whose sums are those of all less those left out."""
+        settings = self.share_settings
+        sums = dict(self.sums.statistics)
+        shares = shares_of(left_out, settings)
+        unit = self._unit_noise
+        parts = compute_statistics(self.kernel, self.features, unit, self.Lu, shares, settings)
+        for outputs, part in parts.items():
+            sums[outputs] = sums[outputs].less(part)
+        return SparsePosterior(
+            self.kernel, self.features, self.noise, remaining, SparseSums(self.Lu, sums), settings
+        )
 
     @cached_property
     def mean_function(self) -> PathBundle:
@@ -330,6 +359,17 @@ class Statistics(NamedTuple):
     log_determinant: float
     n: int
 
+    def less(self, part: Statistics) -> Statistics:
+        """Return the sums over the samples that are not among those of ``part``."""
+        return Statistics(
+            self.outer - part.outer,
+            self.inner - part.inner,
+            self.square - part.square,
+            self.variance - part.variance,
+            self.log_determinant - part.log_determinant,
+            self.n - part.n,
+        )
+
     @property
     def unexplained(self) -> float:
         """Prior variance that the features do not explain."""
@@ -341,18 +381,17 @@ def compute_statistics(
 ) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
     of_share = thread_map(partial(_share_sums, kernel, features, noise, Lu, settings), shares)
-    parts: dict[tuple[int, ...], list[Statistics]] = {}
-    for share, part in zip(shares, of_share, strict=True):
-        parts.setdefault(share.outputs, []).append(part)
-    statistics = {}
-    for outputs, of_shares in parts.items():
-        sums: Any = map(sum, zip(*of_shares, strict=True))
-        statistics[outputs] = Statistics(*sums)
-    return statistics
+    totals: dict[tuple[int, ...], _JointSums] = {}
+    for share, sums in zip(shares, of_share, strict=True):
+        if share.outputs in totals:
+            totals[share.outputs].add_sums(sums)
+        else:
+            totals[share.outputs] = sums
+    return {outputs: total.statistics() for outputs, total in totals.items()}
 
 
 def _share_sums(kernel, features, noise, Lu, settings, share):
-    """Return the statistics of a share; one output uses only its own features."""
+    """Return the sums over a share; one output uses only its own features."""
     sums = _SingleSums if len(share.outputs) == 1 else _JointSums
     total = sums(kernel, features, Lu, share.outputs)
     noise = noise[list(share.outputs)]
@@ -362,7 +401,7 @@ def _share_sums(kernel, features, noise, Lu, settings, share):
         precision, log_determinants = precisions(Y, share.loading[rows], noise)
         total.add(X, np.nan_to_num(Y), precision, settings)
         total.log_determinant += log_determinants.sum()
-    return total.statistics(len(share.X))
+    return total
 
 
 class _JointSums:
@@ -381,9 +420,11 @@ class _JointSums:
         self.square = 0.0
         self.variance = 0.0
         self.log_determinant = 0.0
+        self.n = 0
 
     def add(self, X, Y, precision, settings):
         """Add the sums over samples X (n, d) with targets Y (n, p), zero where missing, and the inverse noise."""
+        self.n += len(X)
         weighted = np.einsum("nij,nj->ni", precision, Y)
         V = []
         for i, factor in zip(self.outputs, self.factors, strict=True):
@@ -409,7 +450,18 @@ class _JointSums:
             variance = _variance(self.kernel, i, j, X, settings.diagonal_rows)
             self.variance += times * weight @ variance
 
-    def statistics(self, n):
+    def add_sums(self, other):
+        """Add the sums over other samples of the same outputs."""
+        for pair, block in other.blocks.items():
+            self.blocks[pair] += block
+        for total, part in zip(self.inner, other.inner, strict=True):
+            total += part
+        self.square += other.square
+        self.variance += other.variance
+        self.log_determinant += other.log_determinant
+        self.n += other.n
+
+    def statistics(self):
         """Return the sums, in the order of all features."""
         size = self.features.size
         outer = np.zeros((size, size))
@@ -420,16 +472,22 @@ class _JointSums:
                 outer[np.ix_(self.columns[b], self.columns[a])] += block.T
         for columns, part in zip(self.columns, self.inner, strict=True):
             inner[columns] += part
-        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, n)
+        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, self.n)
 
 
 class _SingleSums(_JointSums):
     """Sums over samples of one output, of its own features alone."""
 
-    def statistics(self, n):
+    def statistics(self):
         outer = self.blocks[0, 0]
         inner = self.inner[0]
-        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, n)
+        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, self.n)
+
+
+def _have_common_samples(first, second):
+    """Return whether some sample has values in both."""
+    samples = np.concatenate(first.sample), np.concatenate(second.sample)
+    return len(np.intersect1d(*samples)) > 0
 
 
 def sub_factor(Lu, columns):

@@ -497,14 +497,27 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return self.k2.residual(X, self.k1.residual(X, Y))
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
-        n = self.k1.n_dims
-        return Sum(self.k1.clone_with_theta(theta[:n]), self.k2.clone_with_theta(theta[n:]))
+        kernel, rest = _with_first(self, theta)
+        if len(rest):
+            n_dims = len(theta) - len(rest)
+            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({n_dims},).")
+        return kernel
 
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
+
+
+def _with_first(kernel, theta):
+    """Return a kernel with the first entries of theta, and the other entries."""
+    if isinstance(kernel, Sum):
+        first, theta = _with_first(kernel.k1, theta)
+        second, theta = _with_first(kernel.k2, theta)
+        return Sum(first, second), theta
+    n_dims = kernel.n_dims
+    return kernel.clone_with_theta(theta[:n_dims]), theta[n_dims:]
 
 
 def _common(name, first, second):

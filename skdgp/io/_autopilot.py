@@ -62,7 +62,7 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
+NOT_FLYING_ON_WINGS = ("multicopter", "helicopter", "rover", "boat", "submarine", "antenna tracker")
 # fields that say whether motors may run, and their value then
 ARMED = (
     ("actuator_armed", "armed", 1.0),
@@ -569,10 +569,16 @@ def _landed_throughout(part: Part) -> list[str]:
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:
-    """Return the airspeed (n,), or of a vehicle with wings the speed over ground; NaN where there is none."""
+    """Return the airspeed (n,), or of a vehicle with wings the speed over ground; NaN where there is none.
+
+    A sensor with one value throughout measures nothing.
+    """
+    has_ground_speed = {"v_north", "v_east"} <= {*table} and log.vehicle not in NOT_FLYING_ON_WINGS
     if "airspeed" in table:
-        return table["airspeed"].to_numpy()
-    if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
+        is_dead = table["airspeed"].nunique() == 1
+        if not (is_dead and has_ground_speed):
+            return table["airspeed"].to_numpy()
+    if not has_ground_speed:
         return np.full(len(table), np.nan)
     return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
 

@@ -171,7 +171,7 @@ def _source(
 def _field_words(fields: tuple[str, ...]) -> str:
     """Return the names of fields, of an array q[0..3]."""
     first, last = fields[0], fields[-1]
-    if len(fields) > 1 and first.endswith("[0]"):
+    if len(fields) > 1 and first.endswith("[0]") and last.endswith("]"):
         return f"{first[:-1]}..{last.split('[')[1]}"
     return " ".join(fields)
 

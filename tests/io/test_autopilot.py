@@ -197,6 +197,12 @@ class TestFlights:
         log = log().topic("vehicle_land_detected", [0.0, 30.0], landed=("bool", [1, 0]))
         assert read(log).time.min() == pytest.approx(30.0, abs=0.05)
 
+    def test_a_dead_airspeed_sensor_hides_no_flight(self, read, log):
+        """It shows 0 throughout, at a ground speed of 15 m/s from 20 s on."""
+        north = np.where(self.t > 20, 15.0, 1.0)
+        log = log(0.0).topic("vehicle_local_position", self.t, vx=north, vy=0 * north, vz=0 * north)
+        assert read(log).time.min() == pytest.approx(20.0, abs=0.1)
+
     def test_rolling_on_the_ground_is_not_flight(self, read, log):
         """Fast and no longer reported as landed from 10 s, half a metre above the runway at 22.5 s."""
         log = log().topic("vehicle_land_detected", [0.0, 10.0], landed=("bool", [1, 0]))

@@ -1,5 +1,6 @@
 """Telemetry logs: what was sent is read like a log of the autopilot itself."""
 
+import math
 import struct
 import sys
 
@@ -96,6 +97,22 @@ def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
     with pytest.warns(FlightDataWarning, match="rotors lift"):
         table = read(b"".join(log), "log.tlog")
     assert 19.8 < table.time.min() < 20.5
+
+
+def test_engines_by_their_controllers(tlog, read):
+    """Arrays of four; the second two are none."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    rpm = [6000, 6000, 0, 0]
+    four = [1] * 4
+    log = []
+    for message in tlog:
+        if is_of(message, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+            sent = mavlink.MAVLink_esc_telemetry_1_to_4_message(four, four, four, four, rpm, four)
+            log.append(message[:8] + sent.pack(plane))
+        log.append(message)
+    table = read(b"".join(log), "log.tlog")
+    assert_allclose(table.propeller_speed.dropna(), 200 * math.pi, rtol=1e-6)
 
 
 def is_of(message, number):

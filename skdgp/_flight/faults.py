@@ -39,7 +39,7 @@ SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, 
 # noise and motion never let them stand still
 SENSORS = {"airspeed"}.union(*SIBLINGS)
 # channels that move only if those of a group do
-WITNESSES = {("airspeed",): (*RATES, *SPECIFIC_FORCE), RATES: EULER, EULER: RATES}
+WITNESSES = {("airspeed",): (*SPECIFIC_FORCE, *EARTH_VELOCITY), RATES: EULER, EULER: RATES}
 
 
 def _within(size: float, *names: str) -> dict[str, tuple[float, float]]:

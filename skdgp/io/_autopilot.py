@@ -29,7 +29,7 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock
-from skdgp.io._dataflash import read_dataflash, read_dataflash_text
+from skdgp.io._dataflash import MARK, read_dataflash, read_dataflash_text
 from skdgp.io._instances import Origin, Source, choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
@@ -49,7 +49,7 @@ from skdgp.io._log import (
 from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
-from skdgp.io._ulog import read_ulog
+from skdgp.io._ulog import HEADER, read_ulog
 from skdgp.io._ulog_csv import is_ulog_csv, name_of_log, read_ulog_csv
 
 # Readers of logs by suffix; another format is one more entry
@@ -60,9 +60,23 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".log": read_dataflash_text,
     ".tlog": read_tlog,
 }
+# how files begin, whatever their suffix
+BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
+    HEADER: read_ulog,
+    MARK: read_dataflash,
+    b"FMT": read_dataflash_text,
+}
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-NOT_FLYING_ON_WINGS = ("multicopter", "helicopter", "rover", "boat", "submarine", "antenna tracker")
+NOT_FLYING_ON_WINGS = (
+    "multicopter",
+    "helicopter",
+    "rover",
+    "boat",
+    "submarine",
+    "airship",
+    "antenna tracker",
+)
 # fields that say whether motors may run, and their value then
 ARMED = (
     ("actuator_armed", "armed", 1.0),
@@ -154,9 +168,14 @@ def is_log(path: object) -> bool:
 
 
 def read_log(path: Path) -> Log:
-    """Return a log of an autopilot as it is."""
+    """Return a log of an autopilot as it is, read by how the file begins, else by its suffix."""
     if is_ulog_csv(path):
         return read_ulog_csv(path)
+    with path.open("rb") as file:
+        first = file.read(max(map(len, BEGINNINGS)))
+    for beginning, read in BEGINNINGS.items():
+        if first.startswith(beginning):
+            return read(path)
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
@@ -569,18 +588,18 @@ def _landed_throughout(part: Part) -> list[str]:
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:
-    """Return the airspeed (n,), or of a vehicle with wings the speed over ground; NaN where there is none.
+    """Return the airspeed (n,), where there is none of a vehicle with wings the speed over ground, else NaN.
 
-    A sensor with one value throughout measures nothing.
+    A sensor with one value throughout measures nothing, where a speed over ground is logged.
     """
-    has_ground_speed = {"v_north", "v_east"} <= {*table} and log.vehicle not in NOT_FLYING_ON_WINGS
+    airspeed = np.full(len(table), np.nan)
     if "airspeed" in table:
-        is_dead = table["airspeed"].nunique() == 1
-        if not (is_dead and has_ground_speed):
-            return table["airspeed"].to_numpy()
-    if not has_ground_speed:
-        return np.full(len(table), np.nan)
-    return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
+        airspeed = table["airspeed"].to_numpy()
+    if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
+        return airspeed
+    ground_speed = np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
+    is_dead = np.nanmax(airspeed, initial=-np.inf) == np.nanmin(airspeed, initial=np.inf)
+    return np.where(np.isnan(airspeed) | is_dead, ground_speed, airspeed)
 
 
 def _landed(time: Vector, log: Log) -> Mask:

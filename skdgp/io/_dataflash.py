@@ -42,6 +42,7 @@ from skdgp.io._log import (
     driving,
     engines_rule,
     from_rpm,
+    in_force,
     instance_name,
     numeric_fields,
     whole,
@@ -206,8 +207,8 @@ def read_dataflash(path: Path) -> Log:
             "but expected messages: was it cut off, or written before 2015?"
         )
     names = file.texts("PARM", "Name")
-    values = map(float, file.numbers("PARM", "Value"))
-    parameters = dict(zip(names, values, strict=False))
+    times = (1e-6 * time for time in file.numbers("PARM", "TimeUS"))
+    parameters = in_force(names, file.numbers("PARM", "Value"), times, topics)
     messages = file.texts("MSG", "Message")
     return _log(topics, parameters, messages, damage(file.skipped, file.cut))
 
@@ -283,11 +284,8 @@ def read_dataflash_text(path: Path) -> Log:
         )
     nothing = Texts("", [], [], [])
     defined = texts.get("PARM", nothing)
-    values = defined.numbers("Value")
-    parameters = {}
-    for name, value in zip(defined.cells("Name"), values.tolist(), strict=True):
-        if np.isfinite(value):
-            parameters[name] = value
+    times = (1e-6 * defined.numbers("TimeUS")).tolist()
+    parameters = in_force(defined.cells("Name"), defined.numbers("Value"), times, topics)
     messages = [row[-1] for row in texts.get("MSG", nothing).rows]
     return _log(topics, parameters, messages, ())
 

@@ -402,6 +402,26 @@ def instance_name(name: str, instance: int) -> str:
     return f"{name}#{instance}" if instance else name
 
 
+def in_force(
+    names: Iterable[str],
+    values: Iterable[float],
+    times: Iterable[float],
+    topics: Mapping[str, Topic],
+) -> dict[str, float]:
+    """Return the value of each parameter in the middle of a log, of values in order of time [s]; NaN are none.
+
+    One that is set later alone has its first value.
+    """
+    begin = min(float(topic.time[0]) for topic in topics.values())
+    end = max(float(topic.time[-1]) for topic in topics.values())
+    middle = (begin + end) / 2
+    parameters: dict[str, float] = {}
+    for name, value, time in zip(names, values, times, strict=False):
+        if np.isfinite(value) and (time <= middle or name not in parameters):
+            parameters[name] = float(value)
+    return parameters
+
+
 # -- servo files (TOML): pulse widths to surface angles; mixing by the parameters of the autopilot
 
 MOVED = (*ALL_SURFACES, *HIGH_LIFT, "throttle")

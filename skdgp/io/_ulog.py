@@ -37,6 +37,7 @@ from skdgp.io._log import (
     engines_rule,
     from_rpm,
     in_flight_axes,
+    in_force,
     instance_name,
     milli,
     numeric_fields,
@@ -300,7 +301,7 @@ def read_ulog(path: Path) -> Log:
     remarks = damage(len(data) - file.end, file.cut)
     if log.file_corruption:
         remarks = ("parts of the file could not be read and were skipped", *remarks)
-    parameters = _parameters(log)
+    parameters = _parameters(log, topics)
     firmware = f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}"
     return px4_log(topics, parameters, kind="PX4 ULog", firmware=firmware, remarks=remarks)
 
@@ -471,12 +472,14 @@ def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     return np.where(believed, sampled, published)
 
 
-def _parameters(log: Any) -> dict[str, float]:
-    """Return the parameters that are numbers, with their last values."""
-    parameters = dict(log.initial_parameters)
-    for _, name, value in log.changed_parameters:
-        parameters[name] = value
-    return {name: float(x) for name, x in parameters.items() if isinstance(x, int | float)}
+def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:
+    """Return the parameters that are numbers."""
+    changes = [(-np.inf, name, value) for name, value in log.initial_parameters.items()]
+    for time, name, value in log.changed_parameters:
+        changes.append((1e-6 * time, name, value))
+    numbers = [change for change in changes if isinstance(change[2], int | float)]
+    times, names, values = zip(*numbers, strict=True) if numbers else ((), (), ())
+    return in_force(names, values, times, topics)
 
 
 def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> str | None:

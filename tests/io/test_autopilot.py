@@ -203,6 +203,15 @@ class TestFlights:
         log = log(0.0).topic("vehicle_local_position", self.t, vx=north, vy=0 * north, vz=0 * north)
         assert read(log).time.min() == pytest.approx(20.0, abs=0.1)
 
+    def test_an_airspeed_sensor_that_dies_ends_no_flight(self, read, log):
+        """It stops at 40 s, at a ground speed of 15 m/s throughout."""
+        measured = np.where(self.t < 40, 20.0 + np.sin(self.t), np.nan)
+        north = np.full(len(self.t), 15.0)
+        log = log(measured).topic("vehicle_local_position", self.t, vx=north, vy=north, vz=north)
+        table = read(log)
+        assert table.time.max() == pytest.approx(self.t[-1], abs=0.1)
+        assert table.airspeed[table.time > 40.1].isna().all()
+
     def test_rolling_on_the_ground_is_not_flight(self, read, log):
         """Fast and no longer reported as landed from 10 s, half a metre above the runway at 22.5 s."""
         log = log().topic("vehicle_land_detected", [0.0, 10.0], landed=("bool", [1, 0]))

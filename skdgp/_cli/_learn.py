@@ -355,8 +355,8 @@ COMMANDS: opt.Commands = {
             "--test": {
                 "metavar": "TEST",
                 "nargs": "+",
-                "help": "flights to judge the model on (default: the last of several, or the last "
-                "quarter of one, is held out)",
+                "help": "flights to judge the model on (default: the last, or the last quarter "
+                "of one with more than half of all rows, is held out)",
             },
             **opt.shared("--thrust", default="auto"),
             **opt.shared("--external-forces", default=[]),

@@ -186,6 +186,19 @@ def test_dropouts_to_the_same_value_are_found_each_time():
     assert faults(table) == [["airspeed", "stuck"]] * 3
 
 
+def test_gaps_of_several_channels_are_told_once():
+    table = log()
+    table.loc[500:540, ["alpha", "beta", "q"]] = np.nan
+    table.loc[900:960, ["beta"]] = np.nan
+    with pytest.warns(FlightDataWarning) as record:
+        FlightCheck().fit_transform(table)
+    (warning,) = record
+    text = str(warning.message)
+    assert text.count("has no value") == 1
+    assert "beta has no value 2 times" in text
+    assert "gaps in 3 channels: alpha, beta, q" in text
+
+
 class TestBridging:
     def test_short_gaps_are_interpolated_and_long_ones_stay(self):
         """9 steps between the samples around, 0.225 s, and 0.275 s."""

@@ -279,8 +279,7 @@ def _problem(source: Source, log: Log, rule: Rule) -> str:
     impossible = is_impossible.any(axis=1).mean()
     # fewer are faults of a sensor
     if impossible > FAULTS.rare:
-        columns = ", ".join(rule.columns)
-        return f"{source.name} cannot be {columns}: {100 * impossible:.0f} % is impossible"
+        return f"{source.name} cannot be {rule.words}: {100 * impossible:.0f} % is impossible"
     return ""
 
 

@@ -136,9 +136,10 @@ def choose(log: Log, rule: Rule) -> Source | None:
     cuts: list[float] = []
     if rule.resets or rule.is_estimate or rule.switches:
         counter += _switched(log, rule, time, values)
-        columns = " ".join(rule.columns)
         is_attitude = rule.columns == QUATERNION
-        values, cuts, remark = correct_resets(columns, time, values, counter, deltas, is_attitude)
+        values, cuts, remark = correct_resets(
+            rule.words, time, values, counter, deltas, is_attitude
+        )
         remarks.append(remark)
     remark = "; ".join(filter(None, remarks))
     names = _names(readings, chosen)
@@ -324,8 +325,7 @@ def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule
     if len(parts) > 4:
         text += f" and {len(parts) - 4} more changes"
     reason = f"as {use} says, where it is healthy" if use else "the healthiest"
-    columns = " ".join(rule.columns)
-    return f"{columns} of {len(readings)} instances: {text} ({reason})"
+    return f"{rule.words} of {len(readings)} instances: {text} ({reason})"
 
 
 def _unmeasured(readings: Readings, rule: Rule) -> str:

@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ALL_SURFACES, EULER, HIGH_LIFT, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
@@ -178,6 +178,13 @@ class Rule(NamedTuple):
     resets: tuple[str, ...] = ()
     is_estimate: bool = False
     switches: tuple[Use, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Names of the columns of the flight table."""
+        if self.columns == QUATERNION:
+            return " ".join(EULER)
+        return " ".join(self.columns).replace(EQUIVALENT, "airspeed")
 
 
 class Servo(NamedTuple):

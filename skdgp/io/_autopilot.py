@@ -85,6 +85,8 @@ ARMED = (
     ("ARM", "ArmState", 1.0),
     ("HEARTBEAT", "armed", 1.0),
 )
+# topics of these that are logged when it changes alone
+ARMING_EVENTS = ("ARM",)
 # usual range of the pulses of servos [us]
 PULSE_RANGE = 1000.0
 # the clock of a table follows the first of these
@@ -541,12 +543,17 @@ def no_flight_because(flown: FlightLog) -> str:
     return ", ".join(reasons)
 
 
-def _unarmed(log: Log) -> list[str]:
-    """Return that the autopilot was never armed, with the field that says so, if it was not."""
+def _unarmed(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
+    """Return that the autopilot was never armed, with the field that says so, if it was not.
+
+    What is disarmed after the beginning was armed before.
+    """
     for name, field, armed in ARMED:
         topic = log.topics.get(name, NOTHING)
         if field in topic:
-            if (topic[field] == armed).any():
+            first = min(each.time[0] for each in log.topics.values() if len(each))
+            was_disarmed = name in ARMING_EVENTS and topic.time[0] > first + settings.longest_edge
+            if was_disarmed or (topic[field] == armed).any():
                 return []
             return [f"the autopilot was never armed: {name}.{field} is never {armed:g}"]
     return []

@@ -417,6 +417,18 @@ class TestOnTheGround:
         with pytest.raises(FlightReadError, match=r"found \(the autopilot was never armed.*landed"):
             read(log)
 
+    @pytest.mark.parametrize(("time", "was_armed"), [(0.0, False), (25.0, True)])
+    def test_a_log_that_begins_armed_and_ends_disarmed(self, read, dataflash, time, was_armed):
+        """ArduPilot logs changes alone."""
+        log = dataflash("ArduPlane V4.5.1").topic("ARM", [time], ArmState=("B", 0))
+        log.topic("ARSP", self.t, Airspeed=("f", 20.0 + np.sin(self.t)))
+        log.topic("IMU", self.t, **{f"Gyr{axis}": ("f", np.sin(self.t)) for axis in "XYZ"})
+        if was_armed:
+            read(log, "log.bin")
+        else:
+            with pytest.warns(FlightDataWarning, match="never armed"):
+                read(log, "log.bin")
+
     def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, read, log):
         with pytest.warns(FlightDataWarning, match="never armed.*are not what flew"):
             assert len(read(log, airborne=6.0)) == len(self.t)

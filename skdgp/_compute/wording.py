@@ -435,8 +435,8 @@ TEXTS = _by_code(
     gusts_unknown=_gusts_unknown,
     lags_corrected=_lags_corrected,
     no_aircraft="no sensor measures alpha and beta, and no aircraft is given.",
-    paths_not_converged="The paths of these flights did not converge: {flights:short}. Their "
-    "sensors contradict one another: look for wrong signs, units or clocks.",
+    paths_not_converged="The paths of these flights did not converge: {flights:short}. Wrong "
+    "signs, units or clocks of their sensors may be the cause.",
     paths_reconstructed=_paths,
     paths_smoothed=_paths,
     sensors_missing="Got flights without {names!r}, which those of the fit had: they are "

@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from enum import IntFlag
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import NamedTuple
 
@@ -171,14 +172,15 @@ ENGINES = ("rpm1", "rpm2")
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
-# fraction of the range of pulses above which a motor runs; a guess
-RUNNING = 0.05
-# servos that tilt motors, forward at the end of their range (ArduPlane/tiltrotor.cpp), and the
-# fraction of it below which the motors still lift; a guess
-TILT_SERVOS = (41, 45, 46, 47, 75, 76)
-FORWARD = 0.9
-# numbers of the modes in which rotors lift, QSTABILIZE to QACRO and LOITER_ALT_QLAND (ArduPlane/mode.h)
-LIFTING_MODES = ((17.0, 23.0), (25.0, 25.0))
+# servos that tilt motors, forward at the end of their range (ArduPlane/tiltrotor.cpp)
+TILT_SERVOS = (
+    ServoFunction.MOTOR_TILT,
+    ServoFunction.MOTOR_TILT_REAR,
+    ServoFunction.MOTOR_TILT_REAR_LEFT,
+    ServoFunction.MOTOR_TILT_REAR_RIGHT,
+    ServoFunction.MOTOR_TILT_LEFT,
+    ServoFunction.MOTOR_TILT_RIGHT,
+)
 # differential spoilers
 OUTER = (ServoFunction.OUTER_SPOILER_LEFT, ServoFunction.OUTER_SPOILER_RIGHT)
 INNER = (ServoFunction.INNER_SPOILER_LEFT, ServoFunction.INNER_SPOILER_RIGHT)
@@ -189,6 +191,32 @@ MIXES = {
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
+
+
+class LiftingMode(IntEnum):
+    """Modes in which rotors lift a VTOL (ArduPlane/mode.h)."""
+
+    QSTABILIZE = 17
+    QHOVER = 18
+    QLOITER = 19
+    QLAND = 20
+    QRTL = 21
+    QAUTOTUNE = 22
+    QACRO = 23
+    LOITER_ALT_QLAND = 25
+
+
+@dataclass(frozen=True)
+class LiftSettings:
+    """Settings of the search for rows in which rotors lift; guesses."""
+
+    # fraction of the range of pulses above which a motor runs
+    running: float = 0.05
+    # fraction of the range of a servo that tilts motors below which these lift
+    forward: float = 0.9
+
+
+LIFT = LiftSettings()
 
 
 def read_dataflash(path: Path) -> Log:
@@ -363,10 +391,12 @@ def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | No
 
 def lifting_modes(topic: str, field: str) -> Lifting:
     """Return the field of the mode, and its numbers while rotors lift a VTOL."""
-    return tuple((topic, field, low, high) for low, high in LIFTING_MODES)
+    return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
 
 
-def _lifting(outputs: Topic, parameters: Mapping[str, float], name: str) -> Lifting:
+def _lifting(
+    outputs: Topic, parameters: Mapping[str, float], name: str, settings: LiftSettings = LIFT
+) -> Lifting:
     """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt.
 
     ``name`` is the channel of output n; none where no such output is logged.
@@ -383,20 +413,22 @@ def _lifting(outputs: Topic, parameters: Mapping[str, float], name: str) -> Lift
     for n, function in functions.items():
         topic, field = name.format(n).split(".")
         if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
-            motors.append((topic, field, low + RUNNING * (high - low), np.inf))
+            motors.append((topic, field, low + settings.running * (high - low), np.inf))
         if function in TILT_SERVOS and tilted:
-            limits = _pulses_short_of_forward(parameters, n)
+            limits = _pulses_short_of(settings.forward, parameters, n)
             tilts.append((topic, field, *limits))
     return tuple(motors or tilts)
 
 
-def _pulses_short_of_forward(parameters: Mapping[str, float], n: int) -> tuple[float, float]:
-    """Return the least and the largest pulse of a servo that tilts motors while these still lift."""
+def _pulses_short_of(
+    fraction: float, parameters: Mapping[str, float], n: int
+) -> tuple[float, float]:
+    """Return the least and the largest pulse of the servo on output n below a fraction of its range."""
     low = parameters.get(f"SERVO{n}_MIN", USUAL_PULSES["MIN"])
     high = parameters.get(f"SERVO{n}_MAX", USUAL_PULSES["MAX"])
     if parameters.get(f"SERVO{n}_REVERSED", 0.0):
-        return high - FORWARD * (high - low), np.inf
-    return NO_PULSE, low + FORWARD * (high - low)
+        return high - fraction * (high - low), np.inf
+    return NO_PULSE, low + fraction * (high - low)
 
 
 def _rules(

@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight
+from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -432,6 +432,11 @@ class TestOnTheGround:
     def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, read, log):
         with pytest.warns(FlightDataWarning, match="never armed.*are not what flew"):
             assert len(read(log, airborne=6.0)) == len(self.t)
+
+    def test_a_speed_finds_the_flight_of_the_summary_too(self, write, log):
+        path = write(log)
+        assert inspect_log(path).flights.empty
+        assert len(inspect_log(path, airborne=6.0).flights) == 1
 
     @pytest.mark.parametrize("given", [True, 30.0])
     def test_the_proposed_speed_finds_the_flight(self, read, log, given):

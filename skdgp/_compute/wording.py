@@ -176,7 +176,7 @@ def _fault(fault: Finding) -> str:
         f"{{channel}} {description} {place}: {REMEDIES[kind]}",
         fault,
         times="once" if times == 1 else f"{times} times",
-        moving=" and ".join(moving),
+        moving=" and ".join(moving) if len(moving) < MOST_NAMES else shortened(moving),
         move="moves" if len(moving) == 1 else "move",
         begin=numbers["start"] - numbers["origin"],
         last=numbers["end"] - numbers["origin"],

@@ -419,9 +419,9 @@ def in_force(
 
     One that is set later alone has its first value.
     """
-    begin = min(float(topic.time[0]) for topic in topics.values())
-    end = max(float(topic.time[-1]) for topic in topics.values())
-    middle = (begin + end) / 2
+    # single time stamps may be wrong
+    middles = [float(np.median(topic.time)) for topic in topics.values() if len(topic)]
+    middle = float(np.median(middles)) if middles else 0.0
     parameters: dict[str, float] = {}
     for name, value, time in zip(names, values, times, strict=False):
         if np.isfinite(value) and (time <= middle or name not in parameters):

@@ -68,13 +68,16 @@ def test_of_two_vehicles_one_is_read(tlog, read):
     assert_frame_equal(table, read(b"".join(tlog), "log.tlog"))
 
 
-@pytest.mark.parametrize("told_by", ["state", "motors"])
+@pytest.mark.parametrize("told_by", ["state", "motors", "mode"])
 def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
-    """It hovers until 20 s, by MAV_VTOL_STATE or by the pulse of a motor that lifts."""
+    """It hovers until 20 s, by MAV_VTOL_STATE, the pulse of a motor that lifts, or QHOVER, number 18."""
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     log = []
-    parameters = {b"Q_ENABLE": 1.0, b"SERVO5_FUNCTION": 33.0} if told_by == "motors" else {}
+    parameters = {} if told_by == "state" else {b"Q_ENABLE": 1.0}
+    if told_by == "motors":
+        parameters[b"SERVO5_FUNCTION"] = 33.0
+    hovers = True
     for name, value in parameters.items():
         message = mavlink.MAVLink_param_value_message(name, value, 9, 2, 0)
         log.append(tlog[0][:8] + message.pack(plane))
@@ -91,9 +94,15 @@ def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
                 message = message[:8] + mavlink.MAVLink_servo_output_raw_message(*output).pack(
                     plane
                 )
-            else:
+            elif told_by == "state":
                 log.append(message[:8] + state.pack(plane))
-        log.append(message)
+            else:
+                mode = 18 if hovers else 5
+                beat = mavlink.MAVLink_heartbeat_message(1, 3, 128, mode, 4, 3)
+                log.append(message[:8] + beat.pack(plane))
+        is_beat = is_of(message, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        if not (is_beat and told_by == "mode"):
+            log.append(message)
     with pytest.warns(FlightDataWarning, match="rotors lift"):
         table = read(b"".join(log), "log.tlog")
     assert 19.8 < table.time.min() < 20.5

@@ -158,8 +158,10 @@ class FlightLog(NamedTuple):
 
     @property
     def highest_speed(self) -> float:
-        """Highest speed [m/s] of the longest part, minus infinity where there is none."""
-        return float(np.nanmax(_speed(self.longest.table, self.log), initial=-np.inf))
+        """Highest speed [m/s] of the longest part while no rotor lifts, minus infinity where there is none."""
+        table, log = self.longest.table, self.longest.log
+        speed = _speed(table, log)[~log.lifts(table["time"].to_numpy())]
+        return float(np.nanmax(speed, initial=-np.inf))
 
 
 def is_log(path: object) -> bool:
@@ -530,7 +532,12 @@ def no_flight_because(flown: FlightLog) -> str:
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
     log = flown.longest.log
-    reasons = [*_unarmed(log), *_landed_throughout(flown.longest), *_unmoved(log)]
+    reasons = [
+        *_unarmed(log),
+        *_landed_throughout(flown.longest),
+        *_lifted_throughout(flown.longest),
+        *_unmoved(log),
+    ]
     channel = "airspeed"
     if "airspeed" not in flown.longest.table:
         channel = "ground speed"
@@ -591,6 +598,13 @@ def _landed_throughout(part: Part) -> list[str]:
         return []
     name, field, value = log.landed
     return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
+
+
+def _lifted_throughout(part: Part) -> list[str]:
+    """Return that rotors lift a VTOL in all rows, if they do."""
+    if not part.log.lifts(part.table["time"].to_numpy()).all():
+        return []
+    return ["rotors lift the VTOL, or it is in transition, in 100 % of the rows"]
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

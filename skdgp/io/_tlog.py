@@ -112,7 +112,12 @@ ENGINES = {
     "RPM": ("rpm1", "rpm2"),
     "ESC_TELEMETRY_1_TO_4": tuple(f"rpm[{k}]" for k in range(4)),
 }
-READ = {rule.topic for rule in RULES} | {
+# further instances of sensors, which have messages of their own
+ALIASES = {
+    "SCALED_IMU": ("SCALED_IMU2", "SCALED_IMU3"),
+    "SCALED_PRESSURE": ("SCALED_PRESSURE2", "SCALED_PRESSURE3"),
+}
+READ = {rule.topic for rule in RULES}.union(*ALIASES.values()) | {
     *ENGINES,
     OUTPUTS,
     "EXTENDED_SYS_STATE",
@@ -168,6 +173,7 @@ def read_tlog(path: Path) -> Log:
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
         controls=outputs.controls,
+        aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
     )

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from skdgp.io import FlightReadError
 from skdgp.preprocessing import FlightDataWarning
 
 T = 10 + np.arange(1500) / 50.0
@@ -62,6 +63,15 @@ def test_the_mode_counts_where_no_output_tells(read, vtol, parameters):
     with pytest.warns(FlightDataWarning, match="rotors lift"):
         table = read(log, "log.bin")
     assert is_in_forward_flight_alone(table)
+
+
+def test_a_flight_in_which_rotors_lift_throughout(read, vtol):
+    log = vtol(**MOTORS)
+    running = dict.fromkeys(("C5", "C6", "C7", "C8"), ("H", 1500))
+    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **running)
+    with pytest.raises(FlightReadError, match=r"rotors lift the VTOL.* in 100 %") as refusal:
+        read(log, "log.bin")
+    assert "all above" not in str(refusal.value)
 
 
 def test_a_mode_that_flies_on_wings_at_first(read, vtol):

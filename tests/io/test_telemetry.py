@@ -108,6 +108,25 @@ def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
     assert 19.8 < table.time.min() < 20.5
 
 
+def test_a_dead_inertial_sensor_gives_way_to_the_second(tlog, read):
+    """Of SCALED_IMU nothing moves; RAW_IMU is left out."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    log = []
+    for message in tlog:
+        if is_of(message, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+            time = plane.decode(bytearray(message[8:])).time_boot_ms
+            for kind, rate in (("scaled_imu", 0), ("scaled_imu2", 100 + time % 7)):
+                sent = getattr(mavlink, f"MAVLink_{kind}_message")
+                values = [0, 0, -1000, rate, rate, rate, 0, 0, 0]
+                log.append(message[:8] + sent(time, *values).pack(plane))
+        if not is_of(message, mavlink.MAVLINK_MSG_ID_RAW_IMU):
+            log.append(message)
+    with pytest.warns(FlightDataWarning, match="SCALED_IMU2"):
+        table = read(b"".join(log), "log.tlog")
+    assert table.p.dropna().between(0.1, 0.106).all()
+
+
 def test_engines_by_their_controllers(tlog, read):
     """Arrays of four; the second two are none."""
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")

@@ -158,6 +158,11 @@ class FlightLog(NamedTuple):
 
     @property
     def highest_speed(self) -> float:
+        """Highest speed [m/s] of the longest part, minus infinity where there is none."""
+        return float(np.nanmax(_speed(self.longest.table, self.log), initial=-np.inf))
+
+    @property
+    def highest_speed_on_wings(self) -> float:
         """Highest speed [m/s] of the longest part while no rotor lifts, minus infinity where there is none."""
         table, log = self.longest.table, self.longest.log
         speed = _speed(table, log)[~log.lifts(table["time"].to_numpy())]
@@ -519,7 +524,7 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
 
 def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
     """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
-    highest = settings.airborne_fraction * flown.highest_speed
+    highest = settings.airborne_fraction * flown.highest_speed_on_wings
     if not highest >= 1.0:
         return ""
     speed = f"{min(flown.speed, highest):.2g}"

@@ -42,7 +42,8 @@ def inspect(run: Run) -> None:
 
     And faults of its channels, and which channels contradict physics (a wrong sign, unit or axis).
 
-    LOG is a PX4 ULog (.ulg), an ArduPilot DataFlash log (.bin), or a table (.csv, .parquet).
+    LOG is a log of PX4 (.ulg, a folder of ulog2csv) or ArduPilot (.bin, in text .log), telemetry of
+    both (.tlog), or a table (.csv, .parquet).
 
     For example:
       skdgp inspect log.ulg
@@ -50,7 +51,7 @@ def inspect(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    summary = inspect_log(options.log, servos=options.servos, rename=dict(options.rename))
+    summary = inspect_log(options.log, **opt.reading(options))
     run.print(str(summary), summary.to_dict())
 
 
@@ -338,7 +339,7 @@ COMMANDS: opt.Commands = {
     inspect: {
         "": {
             "log": {"metavar": "LOG", "help": "the log"},
-            **opt.shared("--servos", "--rename"),
+            **opt.shared("--servos", "--rename", "--airborne"),
         },
     },
     demo: {
@@ -355,8 +356,8 @@ COMMANDS: opt.Commands = {
             "--test": {
                 "metavar": "TEST",
                 "nargs": "+",
-                "help": "flights to judge the model on (default: the last of several, or the last "
-                "quarter of one, is held out)",
+                "help": "flights to judge the model on (default: the last, or the last quarter "
+                "of one with more than half of all rows, is held out)",
             },
             **opt.shared("--thrust", default="auto"),
             **opt.shared("--external-forces", default=[]),

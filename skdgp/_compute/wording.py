@@ -13,6 +13,7 @@ Text: TypeAlias = str | Callable[[Finding], str]
 
 MOST_FAULTS = 8  # lines on faults in one warning
 MOST_NAMES = 3  # names in a list that is shortened
+MOST_CHANNELS = 8  # channels with gaps
 SHORT = "short"  # format spec of such a list
 
 FAULTS = {
@@ -105,16 +106,30 @@ def _with_count(text: str, n_others: int) -> str:
 
 
 def grouped_faults(faults: Iterable[Finding]) -> list[str]:
-    """Return one line for all faults of one kind in one channel: their number and the longest."""
+    """Return one line for all faults of one kind in one channel: their number and the longest.
+
+    Gaps of several channels are one line, as these are often the same.
+    """
     groups: dict[tuple[str | None, Code], list[Finding]] = {}
     for fault in faults:
-        groups.setdefault((fault.channel, fault.code), []).append(fault)
+        channel = None if _is_gap(fault) else fault.channel
+        groups.setdefault((channel, fault.code), []).append(fault)
     lines = []
     for group in groups.values():
         longest = max(group, key=lambda fault: fault.numbers["samples"])
-        times = f"{len(group)} times, the longest: " if len(group) > 1 else ""
-        lines.append(f"flight {longest.flight}: {times}{text_of(longest)}")
+        channels = list(dict.fromkeys(str(fault.channel) for fault in group))
+        n_faults = sum(fault.channel == longest.channel for fault in group)
+        times = f"{n_faults} times, the longest: " if n_faults > 1 else ""
+        text = text_of(longest)
+        if len(channels) > 1:
+            text += f"; gaps in {len(channels)} channels: {shortened(channels, MOST_CHANNELS)}"
+        lines.append(f"flight {longest.flight}: {times}{text}")
     return lines
+
+
+def _is_gap(fault: Finding) -> bool:
+    """Return whether a channel lacks some of its values, not all."""
+    return fault.code is Code.MISSING and "longest" in fault.numbers
 
 
 class _Formatter(Formatter):
@@ -161,7 +176,7 @@ def _fault(fault: Finding) -> str:
         f"{{channel}} {description} {place}: {REMEDIES[kind]}",
         fault,
         times="once" if times == 1 else f"{times} times",
-        moving=" and ".join(moving),
+        moving=" and ".join(moving) if len(moving) < MOST_NAMES else shortened(moving),
         move="moves" if len(moving) == 1 else "move",
         begin=numbers["start"] - numbers["origin"],
         last=numbers["end"] - numbers["origin"],
@@ -363,10 +378,10 @@ def _follows_shortly(finding: Finding) -> str:
     return text
 
 
-def shortened(names: Sequence[str]) -> str:
+def shortened(names: Sequence[str], most: int = MOST_NAMES) -> str:
     """Return the first names, and the number of the others."""
-    text = ", ".join(names[:MOST_NAMES])
-    n_hidden = len(names) - MOST_NAMES
+    text = ", ".join(names[:most])
+    n_hidden = len(names) - most
     return f"{text} and {n_hidden} more" if n_hidden > 0 else text
 
 
@@ -406,8 +421,8 @@ TEXTS = _by_code(
     "errors say nothing about others.",
     held_out_flight="No test flight was named: the last flight, {flight}, is held out of the "
     "fit and tested on.",
-    held_out_quarter="No test flight was named: the last quarter of the only flight, "
-    "{flight}, is held out of the fit and tested on.",
+    held_out_quarter="No test flight was named: the last quarter of {flight}, which has most of "
+    "the rows, is held out of the fit and tested on.",
     other_versions="Got {path}, written with {differences}: its predictions may differ. "
     "Compare a few, fit it again, or install those versions.",
     tested_on_training="Flight {flight!r} is both learned from and tested on: its errors say "
@@ -420,8 +435,8 @@ TEXTS = _by_code(
     gusts_unknown=_gusts_unknown,
     lags_corrected=_lags_corrected,
     no_aircraft="no sensor measures alpha and beta, and no aircraft is given.",
-    paths_not_converged="The paths of these flights did not converge: {flights:short}. Their "
-    "sensors contradict one another: look for wrong signs, units or clocks.",
+    paths_not_converged="The paths of these flights did not converge: {flights:short}. Wrong "
+    "signs, units or clocks of their sensors may be the cause.",
     paths_reconstructed=_paths,
     paths_smoothed=_paths,
     sensors_missing="Got flights without {names!r}, which those of the fit had: they are "
@@ -477,7 +492,7 @@ REASONS = _by_code(
     message="{text}",
     contradiction=_contradiction,
     held_out_flight="the last flight, {flight}",
-    held_out_quarter="the last quarter of the only flight, {flight}",
+    held_out_quarter="the last quarter of {flight}, which has most of the rows",
     gusts_unknown="gusts without vanes are not known",
     paths_not_converged="a reconstruction did not converge",
     paths_reconstructed=_paths_reason,

@@ -38,6 +38,8 @@ from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 # noise and motion never let them stand still
 SENSORS = {"airspeed"}.union(*SIBLINGS)
+# channels that move only if those of a group do
+WITNESSES = {("airspeed",): (*SPECIFIC_FORCE, *EARTH_VELOCITY), RATES: EULER, EULER: RATES}
 
 
 def _within(size: float, *names: str) -> dict[str, tuple[float, float]]:
@@ -224,14 +226,16 @@ def _impossible(name: str, values: Vector, settings: FaultSettings) -> Iterator[
 
 
 def _dead(channels: dict[str, Vector], settings: FaultSettings) -> Iterator[_Rows]:
-    """Yield sensors that have one value throughout while others of their kind move."""
+    """Yield sensors that have one value throughout while others of their kind move, else their witnesses."""
     ranges = {}
     for name, values in channels.items():
         sampled = values[np.isfinite(values)]
         if len(sampled) >= settings.enough:
             ranges[name] = np.ptp(sampled)
-    for names in SIBLINGS:
+    for names in (("airspeed",), *SIBLINGS):
         moving = [name for name in names if ranges.get(name, 0) > 0]
+        if not moving:
+            moving = [name for name in WITNESSES.get(names, ()) if ranges.get(name, 0) > 0]
         for name in names:
             if moving and ranges.get(name) == 0:
                 rows = np.arange(len(channels[name]))

@@ -151,7 +151,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         squared units of the outputs: part of the function's band. Zero without ``time``. See
         :func:`skdgp.inference.misfit_variance`.
     input_covariance_ : ndarray (d, d)
-        Covariance of the regressors' noise; zero for exact regressors.
+        Covariance of the regressors' noise; zero for exact regressors. Of a regressor that no
+        output depends on nothing is learned, and its noise stays where the search began.
     log_marginal_likelihood_value_ : float
         Log marginal likelihood of the normalised outputs. For sparse inference its lower bound,
         with noise that is inflated by the correlation of neighbouring errors.

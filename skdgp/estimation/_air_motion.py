@@ -289,7 +289,9 @@ def estimate_air_motion(
     for n_before in settings.attempts:
         fit = AirFit(records, aircraft, layout, parameters, noises, settings)
         try:
-            converged = fit.search(n_before)
+            # a search that diverges leaves the range of numbers
+            with np.errstate(over="ignore", invalid="ignore"):
+                converged = fit.search(n_before)
             motion = _air_motion(fit, converged, surfaces, len(table))
             return replace(motion, is_complete=is_complete)
         except np.linalg.LinAlgError:  # the search diverged

@@ -57,7 +57,7 @@ class PathEstimate(NamedTuple):
     covariance : ndarray (f, f)
         Of the free constants.
     converged : bool
-        Whether the search converged; else the sensors contradict one another.
+        Whether the search converged; else the sensors may contradict one another.
     """
 
     path: FlightPath

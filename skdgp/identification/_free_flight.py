@@ -147,7 +147,7 @@ class FreeFlight:
 
     def _air(self, parts: Sequence[Part]) -> Air:
         """Return the density of parts of flights, and their estimated wind with its gusts, where it is known."""
-        density = np.median(np.concatenate([part.flown["density"] for part in parts]))
+        density = np.nanmedian(np.concatenate([part.flown["density"] for part in parts]))
         wind = None
         if all(_knows_wind(part.flown) for part in parts):
             wind = [part.flown[["time", *WIND]] for part in parts]

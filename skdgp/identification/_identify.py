@@ -50,8 +50,8 @@ def identify(
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional
-        Test flights. By default the last training flight is held out, or the last quarter of a
-        single one.
+        Test flights. By default the last training flight is held out, or its last quarter if it
+        has more than half of all rows.
     regressors : str or sequence of str
         As of :func:`make_identification_pipeline`.
     regressor : DependentGPRegressor, optional

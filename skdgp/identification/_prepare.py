@@ -207,11 +207,16 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
 
 
 def without_last(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flights, Flights]:
-    """Return training and test flights: the last of several is held out, or the last quarter of a single one."""
+    """Return training and test flights: the last of several is held out.
+
+    Of a flight with more than half of all rows, such as a single one, the last quarter is.
+    """
     *earlier, last = flights
-    if earlier:
+    n_rows = sum(len(flight.time) for flight in flights.values())
+    others = {name: flights[name] for name in earlier}
+    if 2 * len(flights[last].time) <= n_rows:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last), stacklevel=3)
-        return {name: flights[name] for name in earlier}, {last: flights[last]}
+        return others, {last: flights[last]}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last), stacklevel=3)
     flight = flights[last]
     rows = np.arange(len(flight.time))
@@ -220,7 +225,7 @@ def without_last(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flig
     rest = f"{last}, last quarter"
     learned = flight.part(rows[:split]).named(first)
     tested = flight.part(rows[split:]).named(rest)
-    return {first: learned}, {rest: tested}
+    return {**others, first: learned}, {rest: tested}
 
 
 def _names(regressors: str | Sequence[str]) -> Sequence[str]:

@@ -29,7 +29,7 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.smoothing import differentiate
 from skdgp.io._clock import clock_parts, resample, uniform_clock
-from skdgp.io._dataflash import read_dataflash, read_dataflash_text
+from skdgp.io._dataflash import MARK, read_dataflash, read_dataflash_text
 from skdgp.io._instances import Origin, Source, choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
@@ -49,7 +49,7 @@ from skdgp.io._log import (
 from skdgp.io._resets import RESETS, ResetSettings
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
-from skdgp.io._ulog import read_ulog
+from skdgp.io._ulog import HEADER, read_ulog
 from skdgp.io._ulog_csv import is_ulog_csv, name_of_log, read_ulog_csv
 
 # Readers of logs by suffix; another format is one more entry
@@ -60,9 +60,23 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".log": read_dataflash_text,
     ".tlog": read_tlog,
 }
+# how files begin, whatever their suffix
+BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
+    HEADER: read_ulog,
+    MARK: read_dataflash,
+    b"FMT": read_dataflash_text,
+}
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-NOT_FLYING_ON_WINGS = ("multicopter", "rover", "boat", "submarine", "antenna tracker")
+NOT_FLYING_ON_WINGS = (
+    "multicopter",
+    "helicopter",
+    "rover",
+    "boat",
+    "submarine",
+    "airship",
+    "antenna tracker",
+)
 # fields that say whether motors may run, and their value then
 ARMED = (
     ("actuator_armed", "armed", 1.0),
@@ -71,6 +85,8 @@ ARMED = (
     ("ARM", "ArmState", 1.0),
     ("HEARTBEAT", "armed", 1.0),
 )
+# topics of these that are logged when it changes alone
+ARMING_EVENTS = ("ARM",)
 # usual range of the pulses of servos [us]
 PULSE_RANGE = 1000.0
 # the clock of a table follows the first of these
@@ -145,6 +161,13 @@ class FlightLog(NamedTuple):
         """Highest speed [m/s] of the longest part, minus infinity where there is none."""
         return float(np.nanmax(_speed(self.longest.table, self.log), initial=-np.inf))
 
+    @property
+    def highest_speed_on_wings(self) -> float:
+        """Highest speed [m/s] of the longest part while no rotor lifts, minus infinity where there is none."""
+        table, log = self.longest.table, self.longest.log
+        speed = _speed(table, log)[~log.lifts(table["time"].to_numpy())]
+        return float(np.nanmax(speed, initial=-np.inf))
+
 
 def is_log(path: object) -> bool:
     """Return whether this is the path of a log of an autopilot."""
@@ -154,9 +177,14 @@ def is_log(path: object) -> bool:
 
 
 def read_log(path: Path) -> Log:
-    """Return a log of an autopilot as it is."""
+    """Return a log of an autopilot as it is, read by how the file begins, else by its suffix."""
     if is_ulog_csv(path):
         return read_ulog_csv(path)
+    with path.open("rb") as file:
+        first = file.read(max(map(len, BEGINNINGS)))
+    for beginning, read in BEGINNINGS.items():
+        if first.startswith(beginning):
+            return read(path)
     return AUTOPILOTS[path.suffix.lower()](path)
 
 
@@ -260,8 +288,7 @@ def _problem(source: Source, log: Log, rule: Rule) -> str:
     impossible = is_impossible.any(axis=1).mean()
     # fewer are faults of a sensor
     if impossible > FAULTS.rare:
-        columns = ", ".join(rule.columns)
-        return f"{source.name} cannot be {columns}: {100 * impossible:.0f} % is impossible"
+        return f"{source.name} cannot be {rule.words}: {100 * impossible:.0f} % is impossible"
     return ""
 
 
@@ -497,7 +524,7 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
 
 def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
     """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
-    highest = settings.airborne_fraction * flown.highest_speed
+    highest = settings.airborne_fraction * flown.highest_speed_on_wings
     if not highest >= 1.0:
         return ""
     speed = f"{min(flown.speed, highest):.2g}"
@@ -510,7 +537,12 @@ def no_flight_because(flown: FlightLog) -> str:
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
     log = flown.longest.log
-    reasons = [*_unarmed(log), *_landed_throughout(flown.longest), *_unmoved(log)]
+    reasons = [
+        *_unarmed(log),
+        *_landed_throughout(flown.longest),
+        *_lifted_throughout(flown.longest),
+        *_unmoved(log),
+    ]
     channel = "airspeed"
     if "airspeed" not in flown.longest.table:
         channel = "ground speed"
@@ -523,12 +555,17 @@ def no_flight_because(flown: FlightLog) -> str:
     return ", ".join(reasons)
 
 
-def _unarmed(log: Log) -> list[str]:
-    """Return that the autopilot was never armed, with the field that says so, if it was not."""
+def _unarmed(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
+    """Return that the autopilot was never armed, with the field that says so, if it was not.
+
+    What is disarmed after the beginning was armed before.
+    """
     for name, field, armed in ARMED:
         topic = log.topics.get(name, NOTHING)
         if field in topic:
-            if (topic[field] == armed).any():
+            first = min(each.time[0] for each in log.topics.values() if len(each))
+            was_disarmed = name in ARMING_EVENTS and topic.time[0] > first + settings.longest_edge
+            if was_disarmed or (topic[field] == armed).any():
                 return []
             return [f"the autopilot was never armed: {name}.{field} is never {armed:g}"]
     return []
@@ -568,13 +605,26 @@ def _landed_throughout(part: Part) -> list[str]:
     return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
 
 
+def _lifted_throughout(part: Part) -> list[str]:
+    """Return that rotors lift a VTOL in all rows, if they do."""
+    if not part.log.lifts(part.table["time"].to_numpy()).all():
+        return []
+    return ["rotors lift the VTOL, or it is in transition, in 100 % of the rows"]
+
+
 def _speed(table: pd.DataFrame, log: Log) -> Vector:
-    """Return the airspeed (n,), or of a vehicle with wings the speed over ground; NaN where there is none."""
+    """Return the airspeed (n,), where there is none of a vehicle with wings the speed over ground, else NaN.
+
+    A sensor with one value throughout measures nothing, where a speed over ground is logged.
+    """
+    airspeed = np.full(len(table), np.nan)
     if "airspeed" in table:
-        return table["airspeed"].to_numpy()
+        airspeed = table["airspeed"].to_numpy()
     if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
-        return np.full(len(table), np.nan)
-    return np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
+        return airspeed
+    ground_speed = np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
+    is_dead = np.nanmax(airspeed, initial=-np.inf) == np.nanmin(airspeed, initial=np.inf)
+    return np.where(np.isnan(airspeed) | is_dead, ground_speed, airspeed)
 
 
 def _landed(time: Vector, log: Log) -> Mask:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from enum import IntFlag
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
+    NO_PULSE,
     NOTHING,
     OPENING,
     QUATERNION,
@@ -41,6 +43,7 @@ from skdgp.io._log import (
     driving,
     engines_rule,
     from_rpm,
+    in_force,
     instance_name,
     numeric_fields,
     whole,
@@ -66,6 +69,11 @@ DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 INSTANCES = ("I", "Instance", "C")
 # Estimators by AHRS_EKF_TYPE, each with the beginning of its topics; others (DCM, external) log none of them
 ESTIMATORS = {2: "NKF", 3: "XKF"}
+# of a program by its parameter FRAME_CLASS (AP_Motors_Class.h, GCS_MAVLINK_Rover)
+FRAMES = {
+    ("ArduRover", 2): "boat", ("Rover", 2): "boat",
+    **dict.fromkeys((("ArduCopter", 6), ("ArduCopter", 11), ("ArduCopter", 13)), "helicopter"),
+}  # fmt: skip
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -95,6 +103,8 @@ FIX = (("Status", 3, 6),)
 # parameters of the IMUs that have a lane each, one bit for each; without it, those of the first lanes
 IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
 MOST_IMUS = 8
+# field with the parameter that says whether the autopilot uses an IMU
+IMU_USE = "INS_USE"
 # further instances of sensors before the messages had a number
 ALIASES = {
     "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
@@ -162,8 +172,15 @@ ENGINES = ("rpm1", "rpm2")
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
-# fraction of the range of pulses above which a motor runs; a guess
-RUNNING = 0.05
+# servos that tilt motors, forward at the end of their range (ArduPlane/tiltrotor.cpp)
+TILT_SERVOS = (
+    ServoFunction.MOTOR_TILT,
+    ServoFunction.MOTOR_TILT_REAR,
+    ServoFunction.MOTOR_TILT_REAR_LEFT,
+    ServoFunction.MOTOR_TILT_REAR_RIGHT,
+    ServoFunction.MOTOR_TILT_LEFT,
+    ServoFunction.MOTOR_TILT_RIGHT,
+)
 # differential spoilers
 OUTER = (ServoFunction.OUTER_SPOILER_LEFT, ServoFunction.OUTER_SPOILER_RIGHT)
 INNER = (ServoFunction.INNER_SPOILER_LEFT, ServoFunction.INNER_SPOILER_RIGHT)
@@ -174,6 +191,32 @@ MIXES = {
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
+
+
+class LiftingMode(IntEnum):
+    """Modes in which rotors lift a VTOL (ArduPlane/mode.h)."""
+
+    QSTABILIZE = 17
+    QHOVER = 18
+    QLOITER = 19
+    QLAND = 20
+    QRTL = 21
+    QAUTOTUNE = 22
+    QACRO = 23
+    LOITER_ALT_QLAND = 25
+
+
+@dataclass(frozen=True)
+class LiftSettings:
+    """Settings of the search for rows in which rotors lift; guesses."""
+
+    # fraction of the range of pulses above which a motor runs
+    running: float = 0.05
+    # fraction of the range of a servo that tilts motors below which these lift
+    forward: float = 0.9
+
+
+LIFT = LiftSettings()
 
 
 def read_dataflash(path: Path) -> Log:
@@ -192,8 +235,8 @@ def read_dataflash(path: Path) -> Log:
             "but expected messages: was it cut off, or written before 2015?"
         )
     names = file.texts("PARM", "Name")
-    values = map(float, file.numbers("PARM", "Value"))
-    parameters = dict(zip(names, values, strict=False))
+    times = (1e-6 * time for time in file.numbers("PARM", "TimeUS"))
+    parameters = in_force(names, file.numbers("PARM", "Value"), times, topics)
     messages = file.texts("MSG", "Message")
     return _log(topics, parameters, messages, damage(file.skipped, file.cut))
 
@@ -269,11 +312,8 @@ def read_dataflash_text(path: Path) -> Log:
         )
     nothing = Texts("", [], [], [])
     defined = texts.get("PARM", nothing)
-    values = defined.numbers("Value")
-    parameters = {}
-    for name, value in zip(defined.cells("Name"), values.tolist(), strict=True):
-        if np.isfinite(value):
-            parameters[name] = value
+    times = (1e-6 * defined.numbers("TimeUS")).tolist()
+    parameters = in_force(defined.cells("Name"), defined.numbers("Value"), times, topics)
     messages = [row[-1] for row in texts.get("MSG", nothing).rows]
     return _log(topics, parameters, messages, ())
 
@@ -287,11 +327,17 @@ def _log(
     """Return the log of these messages."""
     programs = [text for text in messages if text.split(" ")[0] in VEHICLES]
     firmware = programs[0] if programs else "ArduPilot"
-    vehicle = vehicle_of(VEHICLES.get(firmware.split(" ")[0]), parameters)
+    program = firmware.split(" ")[0]
+    frame = whole(parameters.get("FRAME_CLASS", 0.0))
+    kind = FRAMES.get((program, frame), VEHICLES.get(program))
+    vehicle = vehicle_of(kind, parameters)
+    topics = topics | _imus(topics, parameters)
     if "RCOU" in topics:
         topics = topics | {"RCOU": _all_outputs(topics)}
     outputs = outputs_of(topics.get("RCOU", NOTHING), parameters)
-    lifting = outputs.lifting if vehicle == "VTOL" else ()
+    lifting: Lifting = ()
+    if vehicle == "VTOL":
+        lifting = outputs.lifting or lifting_modes("MODE", "ModeNum")
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
@@ -307,6 +353,20 @@ def _log(
         lifting=lifting,
         commands=outputs.commands,
     )
+
+
+def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Topic]:
+    """Return the messages of the IMUs with their parameters INS_USE, INS_USE2, and so on."""
+    numbers = {name: k for k, name in enumerate(ALIASES["IMU"], start=2)}
+    for k in range(MOST_IMUS):
+        numbers[instance_name("IMU", k)] = k + 1
+    imus = {}
+    for name in numbers.keys() & topics.keys():
+        topic = topics[name]
+        suffix = str(numbers[name]).removeprefix("1")
+        is_used = np.full(len(topic), parameters.get(f"{IMU_USE}{suffix}", 1.0))
+        imus[name] = Topic(topic.time, topic.order, topic.fields | {IMU_USE: is_used})
+    return imus
 
 
 def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
@@ -329,18 +389,46 @@ def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | No
     return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
 
 
-def _lift_motors(parameters: Mapping[str, float], name: str) -> Lifting:
-    """Return the channels ``name`` of motors that lift alone, and their pulses while they run."""
-    tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
-    motors = []
+def lifting_modes(topic: str, field: str) -> Lifting:
+    """Return the field of the mode, and its numbers while rotors lift a VTOL."""
+    return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
+
+
+def _lifting(
+    outputs: Topic, parameters: Mapping[str, float], name: str, settings: LiftSettings = LIFT
+) -> Lifting:
+    """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt.
+
+    ``name`` is the channel of output n; none where no such output is logged.
+    """
+    functions = {}
     for n in range(1, MOST_SERVOS + 1):
-        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+        if name.format(n).split(".")[1] in outputs:
+            functions[n] = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+    tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
+    low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
+    high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
+    motors = []
+    tilts = []
+    for n, function in functions.items():
+        topic, field = name.format(n).split(".")
         if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
-            low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
-            high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
-            topic, field = name.format(n).split(".")
-            motors.append((topic, field, low + RUNNING * (high - low), np.inf))
-    return tuple(motors)
+            motors.append((topic, field, low + settings.running * (high - low), np.inf))
+        if function in TILT_SERVOS and tilted:
+            limits = _pulses_short_of(settings.forward, parameters, n)
+            tilts.append((topic, field, *limits))
+    return tuple(motors or tilts)
+
+
+def _pulses_short_of(
+    fraction: float, parameters: Mapping[str, float], n: int
+) -> tuple[float, float]:
+    """Return the least and the largest pulse of the servo on output n below a fraction of its range."""
+    low = parameters.get(f"SERVO{n}_MIN", USUAL_PULSES["MIN"])
+    high = parameters.get(f"SERVO{n}_MAX", USUAL_PULSES["MAX"])
+    if parameters.get(f"SERVO{n}_REVERSED", 0.0):
+        return high - fraction * (high - low), np.inf
+    return NO_PULSE, low + fraction * (high - low)
 
 
 def _rules(
@@ -349,14 +437,21 @@ def _rules(
     """Return the rules, without estimators that the autopilot did not fly by, with the engines that run."""
     used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
     rules: tuple[Rule, ...] = (
-        Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), used=used),
-        Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), used=used),
+        _imu_rule(RATES, ("GyrX", "GyrY", "GyrZ"), "GH", used),
+        _imu_rule(SPECIFIC_FORCE, ("AccX", "AccY", "AccZ"), "AH", used),
         *RULES,
     )
     unused = _unused_estimators(topics, parameters)
     rules = tuple(rule for rule in rules if rule.topic[:3] not in unused)
     engines = driving(topics, "RPM", ENGINES, lifting)
     return (engines_rule("RPM", engines), *rules) if engines else rules
+
+
+def _imu_rule(
+    columns: tuple[str, ...], fields: tuple[str, ...], health: str, used: tuple[Use, ...]
+) -> Rule:
+    """Return the rule for the gyros or the accelerometers of an IMU."""
+    return Rule(columns, "IMU", fields, valid=(health,), used=used, preferred=(IMU_USE,))
 
 
 def _unused_estimators(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> set[str]:
@@ -534,18 +629,21 @@ def outputs_of(outputs: Topic, parameters: Mapping[str, float], name: str = "RCO
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
-    return Outputs(controls, commands, _lift_motors(parameters, name), remarks)
+    return Outputs(controls, commands, _lifting(outputs, parameters, name), remarks)
 
 
 def _servos_of(outputs: Topic, parameters: Mapping[str, float], name: str) -> dict[int, Servo]:
-    """Return the first logged servo of each SERVOn_FUNCTION."""
+    """Return the first logged servo of each SERVOn_FUNCTION, one that gets pulses before one that is off."""
     servos: dict[int, Servo] = {}
+    silent: dict[int, Servo] = {}
     for n in range(1, MOST_SERVOS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
         servo = _servo(parameters, n, name.format(n), function)
         if servo.field in outputs:
-            servos.setdefault(function, servo)
-    return servos
+            gets_pulses = bool((outputs[servo.field] >= NO_PULSE).any())
+            group = servos if gets_pulses else silent
+            group.setdefault(function, servo)
+    return silent | servos
 
 
 def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:

@@ -136,9 +136,10 @@ def choose(log: Log, rule: Rule) -> Source | None:
     cuts: list[float] = []
     if rule.resets or rule.is_estimate or rule.switches:
         counter += _switched(log, rule, time, values)
-        columns = " ".join(rule.columns)
         is_attitude = rule.columns == QUATERNION
-        values, cuts, remark = correct_resets(columns, time, values, counter, deltas, is_attitude)
+        values, cuts, remark = correct_resets(
+            rule.words, time, values, counter, deltas, is_attitude
+        )
         remarks.append(remark)
     remark = "; ".join(filter(None, remarks))
     names = _names(readings, chosen)
@@ -171,7 +172,7 @@ def _source(
 def _field_words(fields: tuple[str, ...]) -> str:
     """Return the names of fields, of an array q[0..3]."""
     first, last = fields[0], fields[-1]
-    if len(fields) > 1 and first.endswith("[0]"):
+    if len(fields) > 1 and first.endswith("[0]") and last.endswith("]"):
         return f"{first[:-1]}..{last.split('[')[1]}"
     return " ".join(fields)
 
@@ -324,8 +325,7 @@ def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule
     if len(parts) > 4:
         text += f" and {len(parts) - 4} more changes"
     reason = f"as {use} says, where it is healthy" if use else "the healthiest"
-    columns = " ".join(rule.columns)
-    return f"{columns} of {len(readings)} instances: {text} ({reason})"
+    return f"{rule.words} of {len(readings)} instances: {text} ({reason})"
 
 
 def _unmeasured(readings: Readings, rule: Rule) -> str:

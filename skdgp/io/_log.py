@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ALL_SURFACES, EULER, HIGH_LIFT, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
@@ -178,6 +178,13 @@ class Rule(NamedTuple):
     resets: tuple[str, ...] = ()
     is_estimate: bool = False
     switches: tuple[Use, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Names of the columns of the flight table."""
+        if self.columns == QUATERNION:
+            return " ".join(EULER)
+        return " ".join(self.columns).replace(EQUIVALENT, "airspeed")
 
 
 class Servo(NamedTuple):
@@ -400,6 +407,26 @@ def damage(skipped: int = 0, cut: bool = False) -> tuple[str, ...]:
 def instance_name(name: str, instance: int) -> str:
     """Return the name of an instance of a topic."""
     return f"{name}#{instance}" if instance else name
+
+
+def in_force(
+    names: Iterable[str],
+    values: Iterable[float],
+    times: Iterable[float],
+    topics: Mapping[str, Topic],
+) -> dict[str, float]:
+    """Return the value of each parameter in the middle of a log, of values in order of time [s]; NaN are none.
+
+    One that is set later alone has its first value.
+    """
+    # single time stamps may be wrong
+    middles = [float(np.median(topic.time)) for topic in topics.values() if len(topic)]
+    middle = float(np.median(middles)) if middles else 0.0
+    parameters: dict[str, float] = {}
+    for name, value, time in zip(names, values, times, strict=False):
+        if np.isfinite(value) and (time <= middle or name not in parameters):
+            parameters[name] = float(value)
+    return parameters
 
 
 # -- servo files (TOML): pulse widths to surface angles; mixing by the parameters of the autopilot

@@ -334,13 +334,29 @@ def inspect_log(
     path: PathLike,
     *,
     servos: PathLike | Mapping[str, Any] | None = None,
+    airborne: bool | float = True,
     rename: Mapping[str, str] | None = None,
 ) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and faults of a log.
 
-    ``path``, ``servos`` and ``rename`` are as of :func:`read_flight`. ``print`` shows the summary. Raises
-    FlightReadError if the file cannot be read (a log without a flight can), FileNotFoundError if
-    there is none.
+    ``print`` shows the summary.
+
+    Parameters
+    ----------
+    path, servos, airborne, rename : as of :func:`read_flight`
+        A table takes ``rename`` alone.
+
+    Returns
+    -------
+    LogSummary
+        Of a log without a flight too.
+
+    Raises
+    ------
+    FlightReadError
+        If the file cannot be read.
+    FileNotFoundError
+        If there is no such file.
 
     Examples
     --------
@@ -353,12 +369,13 @@ def inspect_log(
     """
     path = Path(path)
     if not is_log(path):
-        return _of_table(path, read_flight(path, rename=rename))
+        table = read_flight(path, servos=servos, airborne=airborne, rename=rename)
+        return _of_table(path, table)
     with reading(path):
-        flown = on_one_clock(path, servos=servos)
+        flown = on_one_clock(path, servos=servos, airborne=airborne)
     lacking = [] if servos is not None or flown.log.controls else [lacking_servos(flown.log)]
     try:
-        table = flight_table(flown, name_of(path), airborne=True)
+        table = flight_table(flown, name_of(path), airborne=airborne)
         faults = _faults(table)
     except FlightReadError as error:
         table = flown.longest.table[:0].assign(flight="")

@@ -122,11 +122,16 @@ def to_floats(column: pd.Series) -> np.ndarray:
     bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
     if bad.size:
         row = bad[0]
+        cell = column.iloc[row]
         unit = CHANNELS[base_name(str(column.name))].unit
+        remedy = (
+            "leave missing values empty, write no separators of thousands, and one decimal mark"
+        )
+        if isinstance(cell, str) and _usual_spelling(cell).lower() in UNITS:
+            remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
         raise FlightReadError(
-            f"Got {column.iloc[row]!r} in column {column.name!r} at row {row} ({bad.size} rows are "
-            f"not numbers), but expected numbers [{unit}]: leave missing values empty, write no "
-            "separators of thousands, and one decimal mark."
+            f"Got {cell!r} in column {column.name!r} at row {row} ({bad.size} rows are not "
+            f"numbers), but expected numbers [{unit}]: {remedy}."
         )
     return values
 

@@ -20,7 +20,7 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import outputs_of, vehicle_of
+from skdgp.io._dataflash import lifting_modes, outputs_of, vehicle_of
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -112,7 +112,12 @@ ENGINES = {
     "RPM": ("rpm1", "rpm2"),
     "ESC_TELEMETRY_1_TO_4": tuple(f"rpm[{k}]" for k in range(4)),
 }
-READ = {rule.topic for rule in RULES} | {
+# further instances of sensors, which have messages of their own
+ALIASES = {
+    "SCALED_IMU": ("SCALED_IMU2", "SCALED_IMU3"),
+    "SCALED_PRESSURE": ("SCALED_PRESSURE2", "SCALED_PRESSURE3"),
+}
+READ = {rule.topic for rule in RULES}.union(*ALIASES.values()) | {
     *ENGINES,
     OUTPUTS,
     "EXTENDED_SYS_STATE",
@@ -151,7 +156,10 @@ def read_tlog(path: Path) -> Log:
         topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
     outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
     vehicle = _vehicle(topics, vehicles, parameters)
-    lifting = (HOVER, *outputs.lifting) if vehicle == "VTOL" else ()
+    lifting: Lifting = ()
+    if vehicle == "VTOL":
+        modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
+        lifting = (HOVER, *(outputs.lifting or modes))
     rules = _rules(topics, lifting)
     sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
     return Log(
@@ -165,6 +173,7 @@ def read_tlog(path: Path) -> Log:
         landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
         outputs=(OUTPUTS,),
         controls=outputs.controls,
+        aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
     )
@@ -263,8 +272,12 @@ def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
     places = clock.index.to_numpy(float)
     by_place = np.interp(places, attitude.index, attitude)
     time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
-    fields = pd.DataFrame([message.to_dict() for message in messages.values()])
-    return Topic(time, places, numeric_fields({str(name): fields[name] for name in fields}))
+    table = pd.DataFrame([message.to_dict() for message in messages.values()])
+    fields = {}
+    for name in table:
+        # arrays stand in lists
+        fields[str(name)] = table[name].to_list()
+    return Topic(time, places, numeric_fields(fields))
 
 
 def _parameter(message: Any, is_px4: bool) -> float:

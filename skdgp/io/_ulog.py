@@ -37,6 +37,7 @@ from skdgp.io._log import (
     engines_rule,
     from_rpm,
     in_flight_axes,
+    in_force,
     instance_name,
     milli,
     numeric_fields,
@@ -63,6 +64,8 @@ class ULogLimits:
     most_fields_in_all: int = 2**18
     # microseconds from sampling to publishing, at most
     latest: int = 1_000_000
+    # outputs beyond zero by less than this fraction of their range are at zero; a guess
+    at_zero: float = 0.01
 
 
 LIMITS = ULogLimits()
@@ -91,6 +94,8 @@ HORIZONTAL = ("v_north", "v_east")
 WIND = ("wind_north", "wind_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
 GPS_VALID = ("vel_ned_valid",)
+# a position in three dimensions (SensorGps.msg)
+FIX = (("fix_type", 3, 8),)
 # -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
 MEASURED = (("airspeed_source", 1, 3), ("selected_airspeed_index", 1, 3))
 PITOT = tuple(
@@ -99,10 +104,25 @@ PITOT = tuple(
 LANE = (Use("estimator_selector_status", "primary_instance"),)
 
 
-def _device(name):
+def _device(name, match="device_id"):
     """Return where the identifier of the sensor in use is logged."""
-    topics = ("sensor_selection", "estimator_selector_status")
-    return tuple(Use(topic, f"{name}_device_id", match="device_id") for topic in topics)
+    return (
+        Use("sensor_selection", f"{name}_device_id", match=match),
+        Use("estimator_selector_status", f"{name}_device_id", match=match),
+        Use("sensors_status_imu", f"{name}_device_id_primary", match=match),
+    )
+
+
+def _per_second(integrals: Matrix) -> Matrix:
+    """Return the means of three channels of their integrals over a time [us], the last column."""
+    return integrals[:, :3] / (1e-6 * integrals[:, 3:])
+
+
+def _integrated(columns: tuple[str, ...], name: str, sensor: str) -> Rule:
+    """Return the rule for gyros or accelerometers whose integrals are logged."""
+    fields = (*_xyz(f"delta_{name}"), f"delta_{name}_dt")
+    used = _device(sensor, f"{sensor}_device_id")
+    return Rule(columns, "vehicle_imu", fields, _per_second, used=used)
 
 
 def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
@@ -114,12 +134,27 @@ def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
 
 
 def _velocity(
-    topic: str, fields: tuple[str, str, str], valid: tuple[str, ...] = ()
+    topic: str,
+    fields: tuple[str, str, str],
+    valid: tuple[str, ...] = (),
+    within: tuple[tuple[str, float, float], ...] = (),
 ) -> tuple[Rule, Rule]:
     """Return the rules for a velocity whose components are valid together."""
     return (
-        Rule(HORIZONTAL, topic, fields[:2], valid=valid),
-        Rule(("v_down",), topic, fields[2:], valid=valid),
+        Rule(HORIZONTAL, topic, fields[:2], valid=valid, within=within),
+        Rule(("v_down",), topic, fields[2:], valid=valid, within=within),
+    )
+
+
+def _gps_velocity(topic: str) -> tuple[Rule, Rule]:
+    return _velocity(topic, ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), GPS_VALID, FIX)
+
+
+def _gps_altitude(topic: str) -> tuple[Rule, Rule]:
+    """Return the rules for the altitude of a GPS; versions before 1.14 have millimetres."""
+    return (
+        Rule(("altitude",), topic, ("altitude_msl_m",), within=FIX),
+        Rule(("altitude",), topic, ("alt",), milli, within=FIX),
     )
 
 
@@ -132,9 +167,11 @@ RULES = (
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
     Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
     Rule(RATES, "sensor_gyro", ("x", "y", "z"), used=_device("gyro")),
+    _integrated(RATES, "angle", "gyro"),
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
+    _integrated(SPECIFIC_FORCE, "velocity", "accel"),
     Rule(
         QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS, switches=HEADING_RESETS
     ),
@@ -152,7 +189,8 @@ RULES = (
     *_local("vehicle_local_position"),
     *_local("estimator_local_position", LANE),
     *_velocity("vehicle_global_position", ("vel_n", "vel_e", "vel_d")),
-    *_velocity("vehicle_gps_position", ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), GPS_VALID),
+    *_gps_velocity("vehicle_gps_position"),
+    *_gps_velocity("sensor_gps"),
     Rule(
         ("north", "east"),
         "vehicle_local_position",
@@ -174,8 +212,8 @@ RULES = (
         resets=("alt_reset_counter", "delta_alt"),
     ),
     Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
-    Rule(("altitude",), "vehicle_gps_position", ("altitude_msl_m",)),
-    Rule(("altitude",), "vehicle_gps_position", ("alt",), milli),
+    *_gps_altitude("vehicle_gps_position"),
+    *_gps_altitude("sensor_gps"),
     Rule(("density",), "vehicle_air_data", ("rho",)),
     _wind("wind"),
     _wind("wind_estimate"),
@@ -214,6 +252,8 @@ SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elev
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Left and right flaps
 FLAPS = (9, 10)
+# Airbrake, left and right spoiler
+SPOILERS = (11, 17, 18)
 # Left and right ailerons, which are flaperons with a CA_SV_CSn_FLAP
 AILERONS = (1, 2)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
@@ -223,8 +263,8 @@ TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)
 HOVER_TORQUES = {"aileron": ("Y", -1.0), "elevator": ("P", -1.0), "rudder": ("R", -1.0)}
 # Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
 CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
-# The flaps of actuator_controls, which open from zero
-FLAPS_FIELD = "control[4]"
+# Flaps, spoilers and airbrakes of actuator_controls, which open from zero (ActuatorControls.msg)
+OPENING_FIELDS = {"control[4]": "flap", "control[6]": "spoiler", "control[5]": "spoiler"}
 
 
 def read_ulog(path: Path) -> Log:
@@ -261,7 +301,7 @@ def read_ulog(path: Path) -> Log:
     remarks = damage(len(data) - file.end, file.cut)
     if log.file_corruption:
         remarks = ("parts of the file could not be read and were skipped", *remarks)
-    parameters = _parameters(log)
+    parameters = _parameters(log, topics)
     firmware = f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}"
     return px4_log(topics, parameters, kind="PX4 ULog", firmware=firmware, remarks=remarks)
 
@@ -432,12 +472,14 @@ def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     return np.where(believed, sampled, published)
 
 
-def _parameters(log: Any) -> dict[str, float]:
-    """Return the parameters that are numbers, with their last values."""
-    parameters = dict(log.initial_parameters)
-    for _, name, value in log.changed_parameters:
-        parameters[name] = value
-    return {name: float(x) for name, x in parameters.items() if isinstance(x, int | float)}
+def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:
+    """Return the parameters that are numbers."""
+    changes = [(-np.inf, name, value) for name, value in log.initial_parameters.items()]
+    for time, name, value in log.changed_parameters:
+        changes.append((1e-6 * time, name, value))
+    numbers = [change for change in changes if isinstance(change[2], int | float)]
+    times, names, values = zip(*numbers, strict=True) if numbers else ((), (), ())
+    return in_force(names, values, times, topics)
 
 
 def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> str | None:
@@ -476,7 +518,8 @@ def _controls(
         if f"control[{n}]" in outputs:
             types[n] = whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
     axes = HOVER_TORQUES if sits_on_tail else TORQUES
-    mixed = _mixed_controls(types, parameters, axes) | _flaps(types, parameters)
+    mixed = _mixed_controls(types, parameters, axes)
+    mixed |= _flaps(types, parameters, outputs) | _airbrakes(types, parameters, outputs)
     controls = _single_controls(types)
     if not controls and not sits_on_tail:
         controls = _fixed_controls(topics)
@@ -526,35 +569,77 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
                 control: ((1.0, Servo(f"{name}.control[{n}]", UP, throws)),)
                 for control, (n, throws) in CONTROLS.items()
             }
-            if FLAPS_FIELD in topics[name] and np.ptp(topics[name][FLAPS_FIELD]) > 0:
-                flaps = Servo(f"{name}.{FLAPS_FIELD}", OPENING, OPENING)
-                controls["flap"] = ((1.0, flaps),)
+            for field, surface in OPENING_FIELDS.items():
+                if field in topics[name] and np.ptp(topics[name][field]) > 0:
+                    servo = Servo(f"{name}.{field}", OPENING, OPENING)
+                    controls[surface] = ((1.0, servo),)
             return controls
     return {}
 
 
-def _flaps(types: Mapping[int, int], parameters: Mapping[str, float]) -> dict[str, Control]:
+def _flaps(
+    types: Mapping[int, int], parameters: Mapping[str, float], outputs: Topic
+) -> dict[str, Control]:
     """Return the mean of the flaps, 0 to 1.
 
     Their outputs are (2 f - 1) CA_SV_CSn_FLAP, in versions without this parameter f on the left
     and -f on the right (ActuatorEffectivenessControlSurfaces.cpp). Of flaperons, too, the mean is f,
-    as rolling turns them apart; they need the parameter.
+    as rolling turns them apart; they need the parameter, and version 1.16 moves them by f CA_SV_CSn_FLAP.
     """
-    servos = []
+    ends = {}
     for n, kind in types.items():
         scale = parameters.get(f"CA_SV_CS{n}_FLAP")
         is_flaperon = kind in AILERONS and scale is not None and _turn_apart(types, parameters)
         if scale == 0 or not (kind in FLAPS or is_flaperon):
             continue
-        closed, opened = (0.0, 1.0) if kind == FLAPS[0] else (0.0, -1.0)
+        ends[n] = (0.0, 1.0) if kind == FLAPS[0] else (0.0, -1.0)
         if scale is not None:
-            closed, opened = -scale, scale
-        throws = OPENING if closed < opened else OPENING[::-1]
-        ends = (min(closed, opened), max(closed, opened))
-        servos.append(Servo(f"actuator_servos.control[{n}]", ends, throws))
-    if not servos:
+            ends[n] = (-scale, scale)
+    are_flaperons = bool(ends) and not any(types[n] in FLAPS for n in ends)
+    return _opening("flap", ends, outputs, may_close_at_zero=are_flaperons)
+
+
+def _airbrakes(
+    types: Mapping[int, int], parameters: Mapping[str, float], outputs: Topic
+) -> dict[str, Control]:
+    """Return the mean of airbrakes and spoilers, 0 to 1.
+
+    Their outputs are s CA_SV_CSn_SPOIL, and of spoilers since version 1.16 (2 s - 1) CA_SV_CSn_SPOIL.
+    """
+    ends = {}
+    for n, kind in types.items():
+        scale = parameters.get(f"CA_SV_CS{n}_SPOIL", 1.0)
+        if kind in SPOILERS and scale:
+            ends[n] = (-scale, scale)
+    return _opening("spoiler", ends, outputs, may_close_at_zero=True)
+
+
+def _opening(
+    surface: str,
+    ends: Mapping[int, tuple[float, float]],
+    outputs: Topic,
+    *,
+    may_close_at_zero: bool,
+) -> dict[str, Control]:
+    """Return a surface as the mean of servos with an output each where it is closed and where it is open.
+
+    With ``may_close_at_zero`` it is closed at zero in versions whose outputs never go beyond it.
+    """
+    if not ends:
         return {}
-    return {"flap": tuple((1 / len(servos), servo) for servo in servos)}
+    if may_close_at_zero:
+        openings = []
+        for n, (_, opened) in ends.items():
+            openings.append(outputs[f"control[{n}]"] / opened)
+        lowest = np.nanmin(np.mean(openings, axis=0), initial=np.inf)
+        if lowest > -LIMITS.at_zero:
+            ends = {n: (0.0, opened) for n, (_, opened) in ends.items()}
+    servos = []
+    for n, (closed, opened) in ends.items():
+        throws = OPENING if closed < opened else OPENING[::-1]
+        inputs = (min(closed, opened), max(closed, opened))
+        servos.append(Servo(f"actuator_servos.control[{n}]", inputs, throws))
+    return {surface: tuple((1 / len(servos), servo) for servo in servos)}
 
 
 def _turn_apart(types: Mapping[int, int], parameters: Mapping[str, float]) -> bool:

@@ -119,7 +119,7 @@ class FlightPathReconstruction(TableTransformer):
         Sensors that contradict the others, with residual and noise.
     converged_ : dict of str to bool
         Whether the search for the path converged, for each flight of ``fit``: where it did not, its
-        sensors contradict one another.
+        sensors may contradict one another.
     noise_std_ : dict of str to float
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.

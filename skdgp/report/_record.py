@@ -71,7 +71,8 @@ class FitRecord:
     converged, interrupted : bool
         Whether the search converged, or was ended by Ctrl-C.
     noise_std, input_noise_std : mapping of str to float
-        Standard deviations of the noise of coefficients and of regressors.
+        Standard deviations of the noise of coefficients and of regressors. Of a regressor that
+        no coefficient depends on the data tell no noise: the value is where the search began.
     paths_not_converged : sequence of str
         Training flights whose reconstruction did not converge.
     gusts_unknown : Finding, optional

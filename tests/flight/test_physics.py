@@ -364,3 +364,19 @@ def test_the_aileron_of_a_real_flight(shared_data):
     """The identified model of the Ampyx AP2 has Cl_aileron = -0.249: positive rolls left (Malz et al. 2019)."""
     (found,) = contradictions(read_flight(shared_data / "ampyx_ap2" / "ampyx_ap2.parquet"))
     assert found.numbers["channels"] == ["aileron"]
+
+
+def test_signals_without_noise_that_determine_no_slope_at_some_lags():
+    """Rates in degrees of a turn at a constant rate: the roll rate is named."""
+    time = np.arange(0, 120, 0.05)
+    phi, theta, turn = 0.3 * np.sin(0.8 * time), 0.1 * np.sin(0.5 * time), 0.1
+    phi_dot, theta_dot = 0.24 * np.cos(0.8 * time), 0.05 * np.cos(0.5 * time)
+    rates = {
+        "p": phi_dot - turn * np.sin(theta),
+        "q": theta_dot * np.cos(phi) + turn * np.sin(phi) * np.cos(theta),
+        "r": -theta_dot * np.sin(phi) + turn * np.cos(phi) * np.cos(theta),
+    }
+    table = pd.DataFrame({"time": time, "flight": "a", "phi": phi, "theta": theta})
+    table = table.assign(psi=turn * time, airspeed=20 + np.sin(0.3 * time), **rates)
+    assert contradictions(table) == []
+    assert "p" in channels_of(contradictions(scaled(table, {"p q r": DEGREES})))

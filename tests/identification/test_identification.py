@@ -254,6 +254,15 @@ class TestIdentify:
             "evaluating latlon",
         ]
 
+    @pytest.mark.filterwarnings("ignore")
+    def test_holds_out_the_last_quarter_of_a_flight_that_has_most_rows(self, example):
+        aircraft, train, _ = example
+        most = train[(train["flight"] != "lateral") | (train["time"] < 5)]
+        found = identify(most, aircraft, samples=40, regressor=QUICK, horizons=[1.0])
+        assert found.held_out == "the last quarter of latlon, which has most of the rows"
+        learned = {"lateral": 200, "latlon, first three quarters": 300}
+        assert found.fit.training.flights == learned
+
     @pytest.mark.parametrize(
         ("change", "error", "message"),
         [

@@ -15,6 +15,7 @@ ULOG_CODES = {
     "float": "f",
     "double": "d",
     "uint8_t": "B",
+    "uint32_t": "I",
     "int32_t": "i",
     "uint16_t": "H",
     "uint64_t": "Q",

@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, read_flight
+from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightCheck, FlightDataWarning
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -121,7 +121,7 @@ class TestChoices:
 
     def test_what_no_aircraft_can_feel_is_not_taken(self, whole, log):
         log.topic("vehicle_acceleration", self.t, xyz=np.full((600, 3), 5000.0))
-        with pytest.warns(FlightDataWarning, match=r"cannot be ax, ay, az: 100 % is impossible"):
+        with pytest.warns(FlightDataWarning, match=r"cannot be ax ay az: 100 % is impossible"):
             assert "ax" not in whole(log)
 
     def test_sensors_count_from_when_they_sampled(self, whole, ulog):
@@ -196,6 +196,21 @@ class TestFlights:
     def test_landed_is_not_flight(self, read, log):
         log = log().topic("vehicle_land_detected", [0.0, 30.0], landed=("bool", [1, 0]))
         assert read(log).time.min() == pytest.approx(30.0, abs=0.05)
+
+    def test_a_dead_airspeed_sensor_hides_no_flight(self, read, log):
+        """It shows 0 throughout, at a ground speed of 15 m/s from 20 s on."""
+        north = np.where(self.t > 20, 15.0, 1.0)
+        log = log(0.0).topic("vehicle_local_position", self.t, vx=north, vy=0 * north, vz=0 * north)
+        assert read(log).time.min() == pytest.approx(20.0, abs=0.1)
+
+    def test_an_airspeed_sensor_that_dies_ends_no_flight(self, read, log):
+        """It stops at 40 s, at a ground speed of 15 m/s throughout."""
+        measured = np.where(self.t < 40, 20.0 + np.sin(self.t), np.nan)
+        north = np.full(len(self.t), 15.0)
+        log = log(measured).topic("vehicle_local_position", self.t, vx=north, vy=north, vz=north)
+        table = read(log)
+        assert table.time.max() == pytest.approx(self.t[-1], abs=0.1)
+        assert table.airspeed[table.time > 40.1].isna().all()
 
     def test_rolling_on_the_ground_is_not_flight(self, read, log):
         """Fast and no longer reported as landed from 10 s, half a metre above the runway at 22.5 s."""
@@ -402,9 +417,26 @@ class TestOnTheGround:
         with pytest.raises(FlightReadError, match=r"found \(the autopilot was never armed.*landed"):
             read(log)
 
+    @pytest.mark.parametrize(("time", "was_armed"), [(0.0, False), (25.0, True)])
+    def test_a_log_that_begins_armed_and_ends_disarmed(self, read, dataflash, time, was_armed):
+        """ArduPilot logs changes alone."""
+        log = dataflash("ArduPlane V4.5.1").topic("ARM", [time], ArmState=("B", 0))
+        log.topic("ARSP", self.t, Airspeed=("f", 20.0 + np.sin(self.t)))
+        log.topic("IMU", self.t, **{f"Gyr{axis}": ("f", np.sin(self.t)) for axis in "XYZ"})
+        if was_armed:
+            read(log, "log.bin")
+        else:
+            with pytest.warns(FlightDataWarning, match="never armed"):
+                read(log, "log.bin")
+
     def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, read, log):
         with pytest.warns(FlightDataWarning, match="never armed.*are not what flew"):
             assert len(read(log, airborne=6.0)) == len(self.t)
+
+    def test_a_speed_finds_the_flight_of_the_summary_too(self, write, log):
+        path = write(log)
+        assert inspect_log(path).flights.empty
+        assert len(inspect_log(path, airborne=6.0).flights) == 1
 
     @pytest.mark.parametrize("given", [True, 30.0])
     def test_the_proposed_speed_finds_the_flight(self, read, log, given):

@@ -3,6 +3,7 @@
 import struct
 from functools import partial
 
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -68,6 +69,9 @@ class TestWhatTheLogSaysOfItself:
             ("ArduPlane V4.5.1 (abcdef01)", {}, "fixed wing"),
             ("ArduPlane V4.5.1 (abcdef01)", {"Q_ENABLE": 1.0}, "VTOL"),
             ("ArduCopter V4.3.0", {}, "multicopter"),
+            ("ArduCopter V4.3.0", {"FRAME_CLASS": 6.0}, "helicopter"),
+            ("ArduRover V4.5.0", {"FRAME_CLASS": 1.0}, "rover"),
+            ("ArduRover V4.5.0", {"FRAME_CLASS": 2.0}, "boat"),
             ("hello", {}, None),
         ],
     )
@@ -175,3 +179,23 @@ def test_a_log_in_text(tmp_path):
     assert table.airspeed.median() == 20.0
     assert [*AUTOPILOTS[".log"](path).topics] == ["ARSP", "ARSP#1", "IMU", "PIDR"]
     assert_allclose(table.p, 0.05 * table.time, atol=1e-3)
+
+
+def test_a_parameter_that_changes_counts_as_in_the_middle(read, dataflash):
+    """Once in flight, and once on the bench after it."""
+    log = ticks(dataflash(SERVO1_REVERSED=0.0, SERVO1_TRIM=1500.0), *(10**6 * np.arange(10, 60)))
+    for time, name, value in ((20, b"SERVO1_TRIM", 1520.0), (58, b"SERVO1_REVERSED", 1.0)):
+        log.rows("PARM", "QNf", "TimeUS,Name,Value", [(10**6 * time, name, value)])
+    assert read(log).parameters == {"SERVO1_REVERSED": 0.0, "SERVO1_TRIM": 1520.0}
+
+
+def test_how_a_file_begins_counts_before_its_suffix(write, dataflash, tmp_path):
+    log = ticks(dataflash(), *(10**5 * np.arange(100)))
+    log.topic("ARSP", np.arange(0, 10, 0.1), Airspeed=("f", 20.0))
+    table = read_flight(write(log, "binary.log"), airborne=False)
+    assert_allclose(table.airspeed, 20.0)
+    lines = ["FMT, 130, 23, ARSP, Qf, TimeUS,Airspeed"]
+    lines += [f"ARSP, {100_000 * k}, 20.0" for k in range(100)]
+    (tmp_path / "text.bin").write_text("\n".join(lines))
+    table = read_flight(tmp_path / "text.bin", airborne=False)
+    assert_allclose(table.airspeed, 20.0)

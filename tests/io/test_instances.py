@@ -395,3 +395,103 @@ class TestVehicles:
         table = read(log, servos="full throw", airborne=False).iloc[10:-10]
         assert_allclose(table.flap, 0.4, atol=1e-6)
         assert_allclose(table.differential_throttle, 0.1, atol=1e-6)
+
+    @pytest.mark.parametrize("share", [-1.0, 0.0])
+    @pytest.mark.parametrize("kinds", [(17, 18), (11,)])
+    def test_spoilers_of_px4(self, read, ulog, kinds, share):
+        """s CA_SV_CSn_SPOIL, of spoilers since version 1.16 (2 s - 1) CA_SV_CSn_SPOIL."""
+        parameters = {}
+        for n, kind in enumerate(kinds):
+            parameters |= {f"CA_SV_CS{n}_TYPE": kind, f"CA_SV_CS{n}_SPOIL": 0.8}
+        log = ulog(**parameters)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        opening = 0.5 + 0.5 * np.sin(SLOW)
+        output = 0.8 * (share + (1 - share) * opening)
+        log.topic("actuator_servos", SLOW, control=np.column_stack([output] * len(kinds)))
+        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        assert_allclose(table.spoiler, 0.5 + 0.5 * np.sin(table.time), atol=0.003)
+
+    def test_flaperons_of_px4_that_only_open(self, read, ulog):
+        """Since version 1.16 they are closed at zero, and open by f CA_SV_CSn_FLAP."""
+        parameters = {"CA_SV_CS0_TYPE": 1, "CA_SV_CS1_TYPE": 2}
+        for n, torque in enumerate((-0.5, 0.5)):
+            parameters |= {f"CA_SV_CS{n}_FLAP": 0.5, f"CA_SV_CS{n}_TRQ_R": torque}
+        log = ulog(**parameters)
+        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        roll, flap = 0.2 * np.sin(SLOW), np.clip((SLOW - 20) / 10, 0.0, 1.0)
+        outputs = np.column_stack([0.5 * flap - roll, 0.5 * flap + roll])
+        log.topic("actuator_servos", SLOW, control=outputs)
+        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        assert_allclose(table.flap, np.clip((table.time - 20) / 10, 0.0, 1.0), atol=0.005)
+
+    @pytest.mark.parametrize(("field", "column"), [(4, "flap"), (5, "spoiler"), (6, "spoiler")])
+    def test_flaps_and_spoilers_before_a_fixed_mixer(self, read, ulog, field, column):
+        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        controls = np.zeros((len(SLOW), 8))
+        controls[:, field] = 0.5 + 0.5 * np.sin(SLOW)
+        log.topic("actuator_controls_0", SLOW, control=controls)
+        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        assert {"flap", "spoiler"} & {*table} == {column}
+        assert_allclose(table[column], 0.5 + 0.5 * np.sin(table.time), atol=0.003)
+
+    def test_an_output_that_is_off_gives_way_to_one_that_moves(self, read, dataflash):
+        """Two outputs have the function of the aileron, and the first gets no pulse."""
+        log = gyros(dataflash(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=4.0))
+        log.topic("RCOU", SLOW, C1=("H", 0), C5=("H", 1500 + 120 * np.sin(SLOW)))
+        table = read(log, "log.bin", servos="full throw", airborne=False).iloc[10:-10]
+        assert_allclose(table.aileron, 0.3 * np.sin(table.time), atol=0.005)
+
+
+class TestInertialSensors:
+    @pytest.mark.parametrize("name", ["IMU2", "IMU"])
+    def test_an_imu_that_the_autopilot_does_not_use(self, read, dataflash, name):
+        """The first has INS_USE 0, and no lane of an estimator is logged."""
+        log = dataflash(INS_USE=0.0, INS_USE2=1.0)
+        for number in range(2):
+            instance = {"I": ("B", number)} if name == "IMU" else {}
+            fields = {f"Gyr{axis}": ("f", float(number)) for axis in "XYZ"}
+            log.topic(name if number else "IMU", T + number * 1e-4, **instance, **fields)
+        with pytest.warns(FlightDataWarning, match="of 2 instances"):
+            table = read(log, "log.bin", airborne=False)
+        assert_allclose(table.p, 1.0)
+
+    @pytest.mark.parametrize(
+        ("topic", "field"),
+        [
+            ("sensor_selection", "gyro_device_id"),
+            ("estimator_selector_status", "gyro_device_id"),
+            ("sensors_status_imu", "gyro_device_id_primary"),
+        ],
+    )
+    @pytest.mark.parametrize("is_integral", [False, True])
+    def test_the_gyro_in_use_of_px4(self, read, ulog, topic, field, is_integral):
+        """By its identifier, also of integrals over 20 ms."""
+        log = ulog()
+        for number in range(2):
+            device = ("uint32_t", np.full(len(T), 100 + number))
+            rates = np.full((len(T), 3), 1.0 + number)
+            if is_integral:
+                period = ("uint32_t", np.full(len(T), 20_000))
+                fields = {"delta_angle": 0.02 * rates, "delta_angle_dt": period}
+                log.topic("vehicle_imu", T, instance=number, gyro_device_id=device, **fields)
+            else:
+                axes = dict(zip("xyz", rates.T, strict=True))
+                log.topic("sensor_gyro", T, instance=number, device_id=device, **axes)
+        log.topic(topic, SLOW, **{field: ("uint32_t", np.full(len(SLOW), 101))})
+        with pytest.warns(FlightDataWarning, match=f"as {topic}.{field} says"):
+            table = read(log, airborne=False)
+        assert_allclose(table.p, 2.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])
+def test_a_gps_without_a_fix_measures_nothing(read, ulog, name):
+    log = ulog().topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+    has_fix = SLOW > 20
+    velocity = dict.fromkeys(("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), np.where(has_fix, 9.0, 0.0))
+    fix = {"fix_type": ("uint8_t", np.where(has_fix, 3, 1))}
+    log.topic(name, SLOW, altitude_msl_m=np.where(has_fix, 500.0, 0.0), **velocity, **fix)
+    with pytest.warns(FlightDataWarning, match=r"fix_type is \[1\]"):
+        table = read(log, airborne=False)
+    measured = table[["v_north", "altitude"]].dropna()
+    assert_allclose(measured, [[9.0, 500.0]] * len(measured))
+    assert table.time[measured.index].min() > 20

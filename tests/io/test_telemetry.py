@@ -1,5 +1,6 @@
 """Telemetry logs: what was sent is read like a log of the autopilot itself."""
 
+import math
 import struct
 import sys
 
@@ -67,13 +68,16 @@ def test_of_two_vehicles_one_is_read(tlog, read):
     assert_frame_equal(table, read(b"".join(tlog), "log.tlog"))
 
 
-@pytest.mark.parametrize("told_by", ["state", "motors"])
+@pytest.mark.parametrize("told_by", ["state", "motors", "mode"])
 def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
-    """It hovers until 20 s, by MAV_VTOL_STATE or by the pulse of a motor that lifts."""
+    """It hovers until 20 s, by MAV_VTOL_STATE, the pulse of a motor that lifts, or QHOVER, number 18."""
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     log = []
-    parameters = {b"Q_ENABLE": 1.0, b"SERVO5_FUNCTION": 33.0} if told_by == "motors" else {}
+    parameters = {} if told_by == "state" else {b"Q_ENABLE": 1.0}
+    if told_by == "motors":
+        parameters[b"SERVO5_FUNCTION"] = 33.0
+    hovers = True
     for name, value in parameters.items():
         message = mavlink.MAVLink_param_value_message(name, value, 9, 2, 0)
         log.append(tlog[0][:8] + message.pack(plane))
@@ -90,12 +94,53 @@ def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
                 message = message[:8] + mavlink.MAVLink_servo_output_raw_message(*output).pack(
                     plane
                 )
-            else:
+            elif told_by == "state":
                 log.append(message[:8] + state.pack(plane))
-        log.append(message)
+            else:
+                mode = 18 if hovers else 5
+                beat = mavlink.MAVLink_heartbeat_message(1, 3, 128, mode, 4, 3)
+                log.append(message[:8] + beat.pack(plane))
+        is_beat = is_of(message, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
+        if not (is_beat and told_by == "mode"):
+            log.append(message)
     with pytest.warns(FlightDataWarning, match="rotors lift"):
         table = read(b"".join(log), "log.tlog")
     assert 19.8 < table.time.min() < 20.5
+
+
+def test_a_dead_inertial_sensor_gives_way_to_the_second(tlog, read):
+    """Of SCALED_IMU nothing moves; RAW_IMU is left out."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    log = []
+    for message in tlog:
+        if is_of(message, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+            time = plane.decode(bytearray(message[8:])).time_boot_ms
+            for kind, rate in (("scaled_imu", 0), ("scaled_imu2", 100 + time % 7)):
+                sent = getattr(mavlink, f"MAVLink_{kind}_message")
+                values = [0, 0, -1000, rate, rate, rate, 0, 0, 0]
+                log.append(message[:8] + sent(time, *values).pack(plane))
+        if not is_of(message, mavlink.MAVLINK_MSG_ID_RAW_IMU):
+            log.append(message)
+    with pytest.warns(FlightDataWarning, match="SCALED_IMU2"):
+        table = read(b"".join(log), "log.tlog")
+    assert table.p.dropna().between(0.1, 0.106).all()
+
+
+def test_engines_by_their_controllers(tlog, read):
+    """Arrays of four; the second two are none."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    rpm = [6000, 6000, 0, 0]
+    four = [1] * 4
+    log = []
+    for message in tlog:
+        if is_of(message, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+            sent = mavlink.MAVLink_esc_telemetry_1_to_4_message(four, four, four, four, rpm, four)
+            log.append(message[:8] + sent.pack(plane))
+        log.append(message)
+    table = read(b"".join(log), "log.tlog")
+    assert_allclose(table.propeller_speed.dropna(), 200 * math.pi, rtol=1e-6)
 
 
 def is_of(message, number):

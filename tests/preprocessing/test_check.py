@@ -170,11 +170,33 @@ def test_a_dead_sensor_among_living_ones():
     assert faults(log().assign(ax=0.0, ay=0.0, az=-9.8)) == []  # a simulation may be so
 
 
+def test_dead_sensors_by_what_cannot_move_without_them():
+    assert faults(log().assign(airspeed=25.0)) == [["airspeed", "constant"]]
+    turns = {"phi": np.sin(log().time), "theta": 0.0, "psi": 0.0}
+    dead = log().assign(p=0.01, q=0.01, r=0.01)
+    assert faults(dead) == []
+    constant = [[name, "constant"] for name in ("p", "q", "r", "theta", "psi")]
+    assert sorted(faults(dead.assign(**turns))) == sorted(constant)
+
+
 def test_dropouts_to_the_same_value_are_found_each_time():
     table = log()
     for start in (400, 900, 1500):
         table.loc[start : start + 60, "airspeed"] = 25.0
     assert faults(table) == [["airspeed", "stuck"]] * 3
+
+
+def test_gaps_of_several_channels_are_told_once():
+    table = log()
+    table.loc[500:540, ["alpha", "beta", "q"]] = np.nan
+    table.loc[900:960, ["beta"]] = np.nan
+    with pytest.warns(FlightDataWarning) as record:
+        FlightCheck().fit_transform(table)
+    (warning,) = record
+    text = str(warning.message)
+    assert text.count("has no value") == 1
+    assert "beta has no value 2 times" in text
+    assert "gaps in 3 channels: alpha, beta, q" in text
 
 
 class TestBridging:

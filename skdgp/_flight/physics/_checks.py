@@ -125,7 +125,7 @@ class Equality:
         settings = signals.settings
         slopes = self.relation.slopes(signals)
         best = _best(slopes, self.noise, settings)
-        if best is None:
+        if best is None or 0.0 not in slopes:
             return None
         distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
         is_equal = distance_inside > settings.least_t * best.std

@@ -156,7 +156,7 @@ def test_of_the_example_flights_errors_are_as_large_as_stated():
     inputs = ["elevator", "aileron", "rudder"]
     found = frequency_response(log, inputs, ["p", "q", "r"], linear=true)
     own = [("p", "aileron"), ("q", "elevator"), ("r", "rudder")]
-    sure = pd.concat([found.loc[[pair]] for pair in own]).query("excited")
+    sure = pd.concat({pair: found.loc[pair] for pair in own}).query("excited")
     gain, phase = errors(sure)
     scores = np.abs(np.concatenate([gain / sure["gain_std"], phase / sure["phase_std"]]))
     assert np.mean(scores < 1.0) > 0.5

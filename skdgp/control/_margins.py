@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.signal import detrend, welch
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import UNUSED, LinearModel, transfer
+from skdgp.dynamics import UNUSED, LinearModel, frequency_response, transfer
 
 
 @dataclass(frozen=True)
@@ -41,12 +41,6 @@ class MarginSettings:
     gain: float = 6.0
     phase: float = 45.0
     sensitivity: float = 2.0
-    #: Response to the logged inputs, in power over the noise of the rate, that counts as excited
-    excited: float = 4.0
-    #: Longest and shortest segments of spectra [s], and the part of the highest frequencies that is noise
-    segment: float = 10.0
-    least_segment: float = 2.0
-    noise: float = 0.25
     #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
     largest_factor: float = 26.0
     steps: tuple[float, float] = (2.0, 0.25)
@@ -91,8 +85,8 @@ def margins(
     loops : sequence of Loop
         Of `autopilot_loops`.
     flight : DataFrame, optional
-        A log, which tells whether the crossovers were excited: whether the rate's response to the logged
-        deflections is above its noise there. A margin where nothing was excited is a guess of the model.
+        A log, which tells whether the crossovers were excited: whether the response of the rate there counts
+        by :func:`skdgp.dynamics.frequency_response`. A margin where nothing was excited is a guess of the model.
     settings : MarginSettings
 
     Returns
@@ -107,7 +101,7 @@ def margins(
     ------
     ValueError
         If a loop has a control that the linear model has not, the linear model has no airspeed or density,
-        or the flight lacks a channel.
+        or the flight lacks a channel or is too short for spectra.
 
     Examples
     --------
@@ -132,13 +126,11 @@ def margins(
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
     unstable = _Stability.of(linear, loops, settings).unstable(linear, loops)
+    excitation = None if flight is None else _Excitation.of(linear, loops, flight)
     rows = []
     for k, loop in enumerate(loops):
         found = _marked(_margins_of(transfer[..., k], s.imag), unstable)
-        excited = None
-        if flight is not None:
-            rate = responses[0, :, linear.C.index.get_loc(LOOP_AXES[loop.name][0]), k]
-            excited = _excited(loop, found, rate, s.imag, flight, settings)
+        excited = excitation.of_quantities(loop, found) if excitation else None
         rows += _rows(loop, found, excited, settings)
     return pd.DataFrame(rows).set_index(["loop", "quantity"])
 
@@ -503,55 +495,36 @@ def _rows(loop, found, excited, settings):
     return rows
 
 
-def _excited(loop, found, response, w, flight, settings):
-    """Return for each quantity whether the flight excited its crossover."""
-    power = _response_over_noise(loop, response, w, flight, settings)
+class _Excitation(NamedTuple):
+    """Where a flight shows the response of each rate to its control: frequencies [rad/s], and whether it counts."""
 
-    def is_excited(frequency):
-        return bool(power(frequency) > settings.excited) if np.isfinite(frequency) else None
+    bands: dict[str, tuple[Vector, Mask]]
 
-    of_crossover = is_excited(found.crossover[0])
-    others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
-    return others | {"gain": is_excited(found.phase_crossover[0])}
+    @classmethod
+    def of(cls, linear, loops, flight):
+        table = FlightTable.of(flight, [loop.control for loop in loops]).table
+        inputs = [name for name in linear.B.columns if name in table]
+        is_still = constant_columns(table[inputs].to_numpy(dtype=float))
+        moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
+        rates = [LOOP_AXES[loop.name][0] for loop in loops]
+        found = frequency_response(flight, moved, rates)
+        bands = {}
+        for loop, rate in zip(loops, rates, strict=True):
+            bands[loop.name] = (np.array([1.0]), np.array([False]))
+            if loop.control in moved:
+                rows = found.loc[(rate, loop.control)]
+                bands[loop.name] = (rows.index.to_numpy(), rows["excited"].to_numpy(dtype=bool))
+        return cls(bands)
 
+    def at(self, loop: Loop, frequency: float) -> bool | None:
+        """Return whether the band nearest to a frequency counts; None without a frequency."""
+        if not np.isfinite(frequency):
+            return None
+        w, counts = self.bands[loop.name]
+        return bool(counts[np.argmin(np.abs(np.log(w / frequency)))] and frequency <= w[-1])
 
-def _response_over_noise(loop, response, w, flight, settings):
-    """Return the function of a frequency [rad/s] to the power of the rate's response over its noise."""
-    rate = LOOP_AXES[loop.name][0]
-    logged = FlightTable.of(flight, [loop.control, rate])
-    step = float(np.median(np.diff(logged.time)))
-    longest = max(rows.stop - rows.start for rows in logged.segments)
-    length = min(int(settings.segment / step), longest)
-    if length * step < settings.least_segment:
-        raise ValueError(
-            f"Got a flight whose longest piece without a gap is {longest * step:.3g} s, but expected at least "
-            f"{settings.least_segment:g} s, for spectra."
-        )
-    f, of_control = _spectrum(logged, loop.control, step, length)
-    _, of_rate = _spectrum(logged, rate, step, length)
-    n_noise = max(1, int(settings.noise * len(of_rate)))
-    noise = np.median(of_rate[-n_noise:])
-
-    def over_noise(frequency):
-        if frequency > 2 * np.pi * f[-1]:
-            return 0.0
-        size = np.interp(frequency, w, np.abs(response))
-        return size**2 * np.interp(frequency / (2 * np.pi), f, of_control) / noise
-
-    return over_noise
-
-
-def _spectrum(logged, name, step, length):
-    """Return frequencies [Hz] and power of a channel, by Welch's method over the pieces without gaps."""
-    values = logged.column(name)
-    pieces = [values[rows] for rows in logged.segments]
-    pieces = [piece for piece in pieces if len(piece) >= length]
-    powers = []
-    for piece in pieces:
-        f, power = welch(piece, 1 / step, nperseg=length, detrend=_detrended)
-        powers.append(power)
-    return f, np.average(powers, axis=0, weights=[len(piece) for piece in pieces])
-
-
-def _detrended(values):
-    return detrend(values, axis=-1)
+    def of_quantities(self, loop: Loop, found: Margins) -> dict[str, bool | None]:
+        """Return for each quantity whether its crossover counts."""
+        of_crossover = self.at(loop, found.crossover[0])
+        others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
+        return others | {"gain": self.at(loop, found.phase_crossover[0])}

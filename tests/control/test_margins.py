@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.optimize import brentq
-from scipy.signal import tf2ss
+from scipy.signal import lsim, tf2ss
 
 from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
 from skdgp.dynamics import linearize, trim
@@ -304,19 +304,31 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
         linear_of(glider, delay=-1.0)
 
 
-def test_what_the_log_moved_is_excited(linear):
-    """A sweep up to 12 rad/s and noise of the gyro: the crossover is excited, the phase crossover is not."""
-    time = np.arange(0.0, 60.0, 0.02)
-    aileron = 0.1 * np.sin(time * (1.0 + 11.0 * time / 120.0))
-    rate = np.random.default_rng(0).normal(0.0, 0.01, len(time))
-    flight = pd.DataFrame({"time": time, "aileron": aileron, "p": rate})
-    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 0.65}, {"aileron": 0.42})
+def test_what_the_log_moved_is_excited(glider):
+    """A sweep up to 12 rad/s, gusts and noise of the gyro: the crossover is excited, the phase crossover is not."""
+    only_roll = glider.slopes.copy()
+    only_roll[[1, 5]] = 0.0
+    only_roll[3] = [0, 0, -0.4, 0, 0, 0, 0.1, 0]
+    linear = linear_of(glider, only_roll)
+    time = np.arange(0.0, 80.0, 0.02)
+    aileron = 0.1 * np.sin(time * (0.5 + 11.5 * time / 160.0))
+    rng = np.random.default_rng(0)
+    a, g = -linear.A.loc["p", "p"], linear.B.loc["p", "aileron"]
+    _, rate, _ = lsim(([[-a]], [[g]], [[1.0]], [[0.0]]), aileron, time)
+    rate = rate + rng.normal(0.0, 0.01, len(time))
+    flight = pd.DataFrame({"time": time, "aileron": aileron, "elevator": 0.0, "p": rate})
+    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 0.68}, {"aileron": 0.42})
     found = margins(linear, [loop], flight=flight).loc["roll"]
     assert found["value"]["crossover"] < 11.0
     assert found["excited"].to_dict() == {
         "gain": False, "phase": True, "sensitivity": True, "crossover": True
     }  # fmt: skip
+    faster = margins(linear, [loop.scaled(2.0)], flight=flight).loc["roll"]
+    assert faster["value"]["crossover"] > 14.0
+    assert not faster["excited"].any()
+    still = margins(linear, [loop], flight=flight.assign(aileron=0.1, elevator=aileron))
+    assert not still["excited"].any()
     with pytest.raises(ValueError, match="aileron"):
         margins(linear, [loop], flight=flight.drop(columns="aileron"))
-    with pytest.raises(ValueError, match="longest piece without a gap is 1 s"):
+    with pytest.raises(ValueError, match=r"Got records of 1.0 s"):
         margins(linear, [loop], flight=flight[:50])

@@ -21,7 +21,7 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import UNUSED, LinearModel, frequency_response, transfer
+from skdgp.dynamics import UNUSED, LinearModel, SpectrumSettings, frequency_response, transfer
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class MarginSettings:
     gain: float = 6.0
     phase: float = 45.0
     sensitivity: float = 2.0
+    #: Shortest windows [s] of the spectra of a flight, for short logs
+    least_window: float = 1.0
     #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
     largest_factor: float = 26.0
     steps: tuple[float, float] = (2.0, 0.25)
@@ -126,7 +128,7 @@ def margins(
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
     unstable = _Stability.of(linear, loops, settings).unstable(linear, loops)
-    excitation = None if flight is None else _Excitation.of(linear, loops, flight)
+    excitation = None if flight is None else _Excitation.of(linear, loops, flight, settings)
     rows = []
     for k, loop in enumerate(loops):
         found = _marked(_margins_of(transfer[..., k], s.imag), unstable)
@@ -501,13 +503,14 @@ class _Excitation(NamedTuple):
     bands: dict[str, tuple[Vector, Mask]]
 
     @classmethod
-    def of(cls, linear, loops, flight):
+    def of(cls, linear, loops, flight, settings):
         table = FlightTable.of(flight, [loop.control for loop in loops]).table
         inputs = [name for name in linear.B.columns if name in table]
         is_still = constant_columns(table[inputs].to_numpy(dtype=float))
         moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
         rates = [LOOP_AXES[loop.name][0] for loop in loops]
-        found = frequency_response(flight, moved, rates)
+        spectra = SpectrumSettings(least_window=settings.least_window)
+        found = frequency_response(flight, moved, rates, settings=spectra)
         bands = {}
         for loop, rate in zip(loops, rates, strict=True):
             bands[loop.name] = (np.array([1.0]), np.array([False]))

@@ -330,5 +330,6 @@ def test_what_the_log_moved_is_excited(glider):
     assert not still["excited"].any()
     with pytest.raises(ValueError, match="aileron"):
         margins(linear, [loop], flight=flight.drop(columns="aileron"))
+    assert margins(linear, [loop], flight=flight[:400])["excited"].notna().all()
     with pytest.raises(ValueError, match=r"Got records of 1.0 s"):
         margins(linear, [loop], flight=flight[:50])

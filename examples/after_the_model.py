@@ -126,7 +126,7 @@ def main(arguments=None):
     frequency.plot(w, roll["model_gain"], label="model, 95 %")
     frequency.errorbar(w, roll["gain"], 2 * roll["gain_std"], fmt="k.", label="log, 95 %")
     frequency.set(xscale="log", xlabel="frequency [rad/s]", ylabel="aileron to p [dB]")
-    frequency.legend()
+    frequency.legend(loc="lower left")
     for bands, name in ((before, "gains before"), (after, "gains suggested")):
         low, high = np.rad2deg(bands["phi_low"]), np.rad2deg(bands["phi_high"])
         bank.fill_between(bands["time"], low, high, alpha=0.3)

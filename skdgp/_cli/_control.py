@@ -235,7 +235,7 @@ COMMANDS: opt.Commands = {
             },
             "--probability": {
                 "metavar": "P",
-                "type": opt.positive("probability"),
+                "type": opt.checked("a probability between 0 and 1", float, lambda p: 0 < p < 1),
                 "default": 0.95,
                 "help": "of the wanted margins (default: 0.95)",
             },

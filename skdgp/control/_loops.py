@@ -44,7 +44,8 @@ class Loop:
 
     .. math:: u = k^2 \left[(P + I / s) (w_c - w) - D s w\right] + k F w_c
 
-    In ArduPilot, D acts on the filtered error, and :math:`w_c` is filtered.
+    In ArduPilot, D acts on the filtered error, and :math:`w_c` is filtered. The output of the roll loop
+    also moves the rudder, by ``rudder``.
     """
 
     name: str  #: roll, pitch or yaw
@@ -60,7 +61,6 @@ class Loop:
     most_scaling: float = np.inf
     gyro_corner: float = np.inf  #: Of the second-order filter of the rates [Hz]
     derivative_corner: float = np.inf  #: Of the filter of the derivative [Hz]
-    derivative_order: int = 1
     error_corner: float = np.inf  #: Of the filter of the error [Hz]
     target_corner: float = np.inf  #: Of the filter of the commanded rate [Hz]
     derivative_of_error: bool = False
@@ -71,6 +71,7 @@ class Loop:
     slip: float = (
         0.0  #: ArduPilot's YAW2SRV_SLIP: lateral acceleration that counts as a rate [rad s/m]
     )
+    rudder: float = 0.0  #: Deflection of the rudder that is mixed in at an output of 1 [rad]
     #: Parameters of the gains P, I, D, FF by name, with their values
     parameters: Mapping[str, float] | None = None
 
@@ -86,8 +87,7 @@ class Loop:
         error = _first_order(s, self.error_corner)
         if self.washout:
             error = error * s / (s + self.washout)
-        order = _first_order if self.derivative_order == 1 else _second_order
-        derivative = self.D * s * order(s, self.derivative_corner)
+        derivative = self.D * s * _first_order(s, self.derivative_corner)
         of_error = (self.P + self.I / s) * error
         if self.derivative_of_error:
             of_error = of_error + derivative * error
@@ -178,9 +178,11 @@ def autopilot_loops(
     ----------
     parameters : path or mapping of str to float
         A file, see `read_parameters`, or its parameters. PX4: ``FW_RR_*``, ``FW_PR_*``, ``FW_YR_*``, the
-        attitude's ``FW_R_TC`` and ``FW_P_TC``, filters ``IMU_GYRO_CUTOFF`` and ``IMU_DGYRO_CUTOFF``. ArduPilot
-        Plane 4.1 and newer: ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``,
-        ``YAW2SRV_*``, ``SCALING_SPEED``, ``INS_GYRO_FILTER``.
+        attitude's ``FW_R_TC`` and ``FW_P_TC``, filters ``IMU_GYRO_CUTOFF`` and ``IMU_DGYRO_CUTOFF``, the
+        rudder's ``FW_RLL_TO_YAW_FF``. ArduPilot Plane 4.1 and newer: ``RLL_RATE_*``, ``PTCH_RATE_*``,
+        ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``, ``SCALING_SPEED``,
+        ``INS_GYRO_FILTER``. Gains that are missing are zero, and a missing time constant of PX4 means that
+        only the rate is fed back; other missing parameters have the firmware's defaults.
     full : mapping of str to float
         Deflection [rad] of aileron, elevator and rudder at an output of 1, positive. Loops of controls
         that are not named are left out.
@@ -248,7 +250,9 @@ def _px4_loops(known, full):
     """Return the loops of PX4's ``FixedwingRateControl``; FF is inside the loop of the attitude."""
     scaling = {}
     trim = known.get("FW_AIRSPD_TRIM", np.nan)
-    if known.get("FW_ARSP_SCALE_EN", 1) and np.isfinite(trim):
+    # without airspeed the firmware takes that of the trim
+    is_measured = known.get("FW_USE_AIRSPD", 1) and not known.get("FW_ARSP_MODE", 0)
+    if known.get("FW_ARSP_SCALE_EN", 1) and is_measured and np.isfinite(trim):
         slowest, fastest = known.get("FW_AIRSPD_STALL", 0.1), known.get("FW_AIRSPD_MAX", 1000.0)
         scaling = {
             "scaling_speed": trim,
@@ -258,12 +262,13 @@ def _px4_loops(known, full):
     filters = {
         "gyro_corner": _corner(known, "IMU_GYRO_CUTOFF", 40.0),
         "derivative_corner": _corner(known, "IMU_DGYRO_CUTOFF", 30.0),
-        "derivative_order": 2,
     }
     loops = []
     for name, short in {"roll": "R", "pitch": "P", "yaw": "Y"}.items():
         parameters = {gain: f"FW_{short}R_{gain}" for gain in ("P", "I", "D", "FF")}
         settings: dict[str, Any] = {"time_constant": known.get(f"FW_{short}_TC", np.inf)}
+        if name == "roll":
+            settings["rudder"] = known.get("FW_RLL_TO_YAW_FF", 0.0) * full.get("rudder", 0.0)
         if name == "yaw":
             settings["coordination"] = 1.0
         loops += _loop(name, parameters, 1.0, known, full, **settings, **scaling, **filters)
@@ -292,6 +297,8 @@ def _ardupilot_loops(known, full):
             "target_corner": _corner(known, f"{rate}_FLTT", 3.0),
             "derivative_corner": _corner(known, f"{rate}_FLTD", 12.0),
         }
+        if name == "roll":
+            settings["rudder"] = known.get("KFF_RDDRMIX", 0.5) * full.get("rudder", 0.0)
         loops += _loop(
             name, parameters, unit, known, full, derivative_of_error=True, **settings, **common
         )

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.signal import detrend, welch
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import UNUSED, LinearModel, transfer
+from skdgp.dynamics import UNUSED, LinearModel, SpectrumSettings, frequency_response, transfer
 
 
 @dataclass(frozen=True)
@@ -29,27 +29,25 @@ class MarginSettings:
     """Frequencies, and what counts as stable and as excited."""
 
     #: Range [rad/s] and number of frequencies
-    frequencies: tuple[float, float] = (0.02, 300.0)
-    n_frequencies: int = 1200
-    #: Growth [1/s] below which a mode does not count as unstable: a spiral that doubles in seven seconds
+    frequencies: tuple[float, float] = (0.02, 1000.0)
+    n_frequencies: int = 1400
+    #: Growth [1/s] below which a slow mode does not count as unstable, a spiral that doubles in seven
+    #: seconds, and frequency [rad/s] at which a mode is allowed half of it
     growth: float = 0.1
+    slow: float = 1.0
     #: Interval of values over the paths
     interval: tuple[float, float] = (0.05, 0.95)
     #: Usual requirements: gain [dB], phase [deg], sensitivity
     gain: float = 6.0
     phase: float = 45.0
     sensitivity: float = 2.0
-    #: Response to the logged inputs, in power over the noise of the rate, that counts as excited
-    excited: float = 4.0
-    #: Longest and shortest segments of spectra [s], and the part of the highest frequencies that is noise
-    segment: float = 10.0
-    least_segment: float = 2.0
-    noise: float = 0.25
+    #: Shortest windows [s] of the spectra of a flight, for short logs
+    least_window: float = 1.0
     #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
     largest_factor: float = 26.0
     steps: tuple[float, float] = (2.0, 0.25)
-    #: Rounds over the loops, since each changes the others
-    rounds: int = 2
+    #: Most rounds over the loops, since each changes the others
+    rounds: int = 10
     #: Frequencies of the search for gains
     n_searched: int = 400
 
@@ -78,9 +76,9 @@ def margins(
 
     The gain margin is the smallest rise of all gains of the loop, and the phase margin the smallest
     turn of L at a crossover, negative for a lead, that makes the aircraft unstable. The sensitivity is
-    the largest :math:`|1 / (1 + L)|`. The delay is exact. A closed loop with a mode that grows faster
-    than 0.1 1/s has margins of minus infinity. Each deflection has the sign that turns the aircraft of
-    the mean in the positive direction.
+    the largest :math:`|1 / (1 + L)|`. The delay is exact. A closed loop with an unstable mode has margins
+    of minus infinity; growth of a mode of frequency w up to :math:`0.1 / (1 + w^2)` 1/s does not count.
+    Each deflection has the sign that turns the aircraft of the mean in the positive direction.
 
     Parameters
     ----------
@@ -89,8 +87,8 @@ def margins(
     loops : sequence of Loop
         Of `autopilot_loops`.
     flight : DataFrame, optional
-        A log, which tells whether the crossovers were excited: whether the rate's response to the logged
-        deflections is above its noise there. A margin where nothing was excited is a guess of the model.
+        A log, which tells whether the crossovers were excited: whether the response of the rate there counts
+        by :func:`skdgp.dynamics.frequency_response`. A margin where nothing was excited is a guess of the model.
     settings : MarginSettings
 
     Returns
@@ -105,7 +103,7 @@ def margins(
     ------
     ValueError
         If a loop has a control that the linear model has not, the linear model has no airspeed or density,
-        or the flight lacks a channel.
+        or the flight lacks a channel or is too short for spectra.
 
     Examples
     --------
@@ -130,13 +128,11 @@ def margins(
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
     unstable = _Stability.of(linear, loops, settings).unstable(linear, loops)
+    excitation = None if flight is None else _Excitation.of(linear, loops, flight, settings)
     rows = []
     for k, loop in enumerate(loops):
         found = _marked(_margins_of(transfer[..., k], s.imag), unstable)
-        excited = None
-        if flight is not None:
-            rate = responses[0, :, linear.C.index.get_loc(LOOP_AXES[loop.name][0]), k]
-            excited = _excited(loop, found, rate, s.imag, flight, settings)
+        excited = excitation.of_quantities(loop, found) if excitation else None
         rows += _rows(loop, found, excited, settings)
     return pd.DataFrame(rows).set_index(["loop", "quantity"])
 
@@ -152,8 +148,8 @@ def suggest_gains(
 ) -> list[Loop]:
     """Return the loops with the largest gains that have both margins with a probability.
 
-    P, I, D and FF of a loop keep their ratios. The loops are taken in turn, twice, each with the others
-    closed at their new gains.
+    P, I, D and FF of a loop keep their ratios. The loops are taken in turn, each with the others closed
+    at their new gains, until none changes; if one still lacks the margins, all gains are lowered.
 
     Parameters
     ----------
@@ -196,10 +192,13 @@ def suggest_gains(
         settings=settings,
     )
     chosen = list(loops)
-    for k in [*range(len(chosen))] * settings.rounds:
-        decibels = search.largest(chosen, k)
-        chosen[k] = chosen[k].scaled(_factor(decibels))
-    return chosen
+    for _ in range(settings.rounds):
+        before = list(chosen)
+        for k, loop in enumerate(chosen):
+            chosen[k] = loop.scaled(_factor(search.largest(chosen, k)))
+        if chosen == before:
+            break
+    return search.lowered(chosen)
 
 
 class _GainSearch(NamedTuple):
@@ -225,14 +224,36 @@ class _GainSearch(NamedTuple):
                 best = float(decibels)
                 break
         if best is None:
-            raise ValueError(
-                f"Got no gains of the {loops[k].name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
-                f"in {self.probability:.0%} of the paths. Lower the wanted margins, shorten the delay, start from "
-                "gains that are stable, or fly manoeuvres that tell the derivatives."
-            )
+            raise self._none_found(loops[k])
         while best < largest and self.is_enough(best + fine, loops, k, transfer):
             best += fine
         return best
+
+    def lowered(self, loops: list[Loop]) -> list[Loop]:
+        """Return the loops, with lower gains of all if one lacks the margins; ValueError if that does not help."""
+        fine = self.settings.steps[1]
+        for fall in np.arange(0.0, self.settings.largest_factor, fine):
+            fallen = [loop.scaled(_factor(-fall)) for loop in loops]
+            lacking = self._lacking(fallen)
+            if not lacking:
+                return fallen
+        raise self._none_found(lacking[0])
+
+    def _lacking(self, loops: list[Loop]) -> list[Loop]:
+        """Return the loops without the margins."""
+        transfer = _of_loops(self.responses, self.linear, loops, self.s)
+        lacking = []
+        for k, loop in enumerate(loops):
+            if not self.is_enough(0.0, loops, k, transfer[..., k]):
+                lacking.append(loop)
+        return lacking
+
+    def _none_found(self, loop: Loop) -> ValueError:
+        return ValueError(
+            f"Got no gains of the {loop.name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
+            f"in {self.probability:.0%} of the paths. Lower the wanted margins, shorten the delay, start from "
+            "gains that are stable, or fly manoeuvres that tell the derivatives."
+        )
 
     def is_enough(self, decibels: float, loops: list[Loop], k: int, transfer: Matrix) -> bool:
         """Return whether enough paths have both margins, and are stable, with a rise of the gains of loop k.
@@ -256,7 +277,9 @@ def _factor(decibels):
 def _check(linear, loops):
     """Raise a ValueError if loops are none, two of a control, or of controls that are no inputs."""
     inputs = [*linear.B.columns]
-    missing = [loop.control for loop in loops if loop.control not in inputs]
+    moved = [loop.control for loop in loops]
+    moved += ["rudder" for loop in loops if loop.rudder]
+    missing = [control for control in moved if control not in inputs]
     if missing:
         raise ValueError(f"Got loops of {missing}, but the linear model has the inputs {inputs}.")
     if not (np.isfinite(linear.airspeed) and np.isfinite(linear.density)):
@@ -276,36 +299,43 @@ def _frequencies(settings):
     return np.geomspace(first, last, settings.n_frequencies)
 
 
-def _signs(linear, loops):
-    """Return the signs of the deflections that turn the aircraft of the mean in the positive direction."""
-    first = _of_matrices(linear, linear, loops, np.array([1e3]))
-    rates = [LOOP_AXES[loop.name][0] for loop in loops]
-    outputs = [*linear.C.index]
+def _inputs(linear, loops):
+    """Return the deflections of the inputs for one of each loop's control, (n_inputs, n_loops).
+
+    Positive ones turn the aircraft of the mean in the positive direction. The rudder follows by its mix.
+    """
+    inputs = pd.DataFrame(0.0, linear.B.columns, range(len(loops)))
+    for k, loop in enumerate(loops):
+        inputs.loc[loop.control, k] = _sign(linear, loop.control, LOOP_AXES[loop.name][0])
+        if loop.rudder:
+            inputs.loc["rudder", k] = _sign(linear, "rudder", "r") * loop.rudder / loop.full
+    return inputs.to_numpy()
+
+
+def _sign(linear, control, rate):
+    """Return the sign of the effect of a control on a rate."""
     # at a high frequency a rate is the angular acceleration over s, behind the servo
-    effects = []
-    for k, rate in enumerate(rates):
-        effects.append(first[0, outputs.index(rate), k].real)
-    return np.where(np.array(effects) < 0, -1.0, 1.0)
+    alone = (linear.B.columns == control).astype(float)[:, None]
+    response = _of_matrices(linear, linear, alone, np.array([1e3]))
+    return -1.0 if response[0, linear.C.index.get_loc(rate), 0].real < 0 else 1.0
 
 
 def _responses(linear, loops, s) -> Array:
     """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first."""
-    late = _signs(linear, loops) * np.exp(-s * linear.delay)[:, None, None]
+    late = np.exp(-s * linear.delay)[:, None, None]
+    inputs = _inputs(linear, loops)
     models = [linear]
     if linear.paths is not None:
         p = linear.paths
         models += [LinearModel(*each) for each in zip(p.A, p.B, p.C, p.D, strict=True)]
     # one by one: the resolvents of all would fill the memory
-    return np.array([_of_matrices(model, linear, loops, s) * late for model in models])
+    return np.array([_of_matrices(model, linear, inputs, s) * late for model in models])
 
 
-def _of_matrices(
-    matrices: LinearModel, linear: LinearModel, loops: Sequence[Loop], s: Vector
-) -> Array:
-    """Return the responses (n, n_outputs, n_loops) of the matrices of a model or of a path."""
-    columns = [linear.B.columns.get_loc(loop.control) for loop in loops]
-    B = np.asarray(matrices.B)[:, columns]
-    D = np.asarray(matrices.D)[:, columns]
+def _of_matrices(matrices: LinearModel, linear: LinearModel, inputs: Matrix, s: Vector) -> Array:
+    """Return the responses (n, n_outputs, k) to combinations of inputs (n_inputs, k), of a model or of a path."""
+    B = np.asarray(matrices.B) @ inputs
+    D = np.asarray(matrices.D) @ inputs
     return transfer(matrices.A, B, matrices.C, D, linear.A.index, s)
 
 
@@ -338,8 +368,9 @@ class _Stability(NamedTuple):
     r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
 
     :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
-    the right of the line s = bound + j w, as it is one at infinity. ``aircraft`` (1 + n_paths, n) are
-    the first factor over the last, of the mean and of the paths.
+    the right of the curve :math:`s = g / (1 + (w / w_0)^2) + j w`, as it is one at infinity: g is the
+    growth that a slow mode may have. ``aircraft`` (1 + n_paths, n) are the first factor over the last,
+    of the mean and of the paths.
     """
 
     s: Vector
@@ -348,7 +379,8 @@ class _Stability(NamedTuple):
 
     @classmethod
     def of(cls, linear, loops, settings):
-        s = settings.growth + 1j * np.concatenate([[0.0], _frequencies(settings)])
+        w = np.concatenate([[0.0], _frequencies(settings)])
+        s = settings.growth / (1.0 + (w / settings.slow) ** 2) + 1j * w
         kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
         A = np.asarray(linear.A)[None]
         if linear.paths is not None:
@@ -384,7 +416,8 @@ def _margins_of(transfer: Matrix, w: Vector) -> Margins:
         phase, place = _smallest(left, at)
         phases.append(phase)
         crossovers.append(np.exp(np.interp(place, places, log_w)))
-        at = np.concatenate([_crossings(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
+        # where the angle rises, a larger gain makes a mode stable
+        at = np.concatenate([_falls(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
         left = -np.interp(at, places, of_size)
         gain, place = _smallest(left[left > 0], at[left > 0])
         gains.append(gain)
@@ -409,7 +442,18 @@ def _smallest(values, places):
 def _crossings(values):
     """Return the places, fractions of an index, where values (n,) cross zero."""
     signs = values > 0
-    first = np.flatnonzero(signs[:-1] != signs[1:])
+    return _places(values, signs[:-1] != signs[1:])
+
+
+def _falls(values):
+    """Return the places where values (n,) fall below zero."""
+    signs = values > 0
+    return _places(values, signs[:-1] & ~signs[1:])
+
+
+def _places(values, is_before):
+    """Return the places of the zeros behind some of the values (n,)."""
+    first = np.flatnonzero(is_before)
     change = values[first + 1] - values[first]
     return first - values[first] / change
 
@@ -453,55 +497,37 @@ def _rows(loop, found, excited, settings):
     return rows
 
 
-def _excited(loop, found, response, w, flight, settings):
-    """Return for each quantity whether the flight excited its crossover."""
-    power = _response_over_noise(loop, response, w, flight, settings)
+class _Excitation(NamedTuple):
+    """Where a flight shows the response of each rate to its control: frequencies [rad/s], and whether it counts."""
 
-    def is_excited(frequency):
-        return bool(power(frequency) > settings.excited) if np.isfinite(frequency) else None
+    bands: dict[str, tuple[Vector, Mask]]
 
-    of_crossover = is_excited(found.crossover[0])
-    others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
-    return others | {"gain": is_excited(found.phase_crossover[0])}
+    @classmethod
+    def of(cls, linear, loops, flight, settings):
+        table = FlightTable.of(flight, [loop.control for loop in loops]).table
+        inputs = [name for name in linear.B.columns if name in table]
+        is_still = constant_columns(table[inputs].to_numpy(dtype=float))
+        moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
+        rates = [LOOP_AXES[loop.name][0] for loop in loops]
+        spectra = SpectrumSettings(least_window=settings.least_window)
+        found = frequency_response(flight, moved, rates, settings=spectra)
+        bands = {}
+        for loop, rate in zip(loops, rates, strict=True):
+            bands[loop.name] = (np.array([1.0]), np.array([False]))
+            if loop.control in moved:
+                rows = found.loc[(rate, loop.control)]
+                bands[loop.name] = (rows.index.to_numpy(), rows["excited"].to_numpy(dtype=bool))
+        return cls(bands)
 
+    def at(self, loop: Loop, frequency: float) -> bool | None:
+        """Return whether the band nearest to a frequency counts; None without a frequency."""
+        if not np.isfinite(frequency):
+            return None
+        w, counts = self.bands[loop.name]
+        return bool(counts[np.argmin(np.abs(np.log(w / frequency)))] and frequency <= w[-1])
 
-def _response_over_noise(loop, response, w, flight, settings):
-    """Return the function of a frequency [rad/s] to the power of the rate's response over its noise."""
-    rate = LOOP_AXES[loop.name][0]
-    logged = FlightTable.of(flight, [loop.control, rate])
-    step = float(np.median(np.diff(logged.time)))
-    longest = max(rows.stop - rows.start for rows in logged.segments)
-    length = min(int(settings.segment / step), longest)
-    if length * step < settings.least_segment:
-        raise ValueError(
-            f"Got a flight whose longest piece without a gap is {longest * step:.3g} s, but expected at least "
-            f"{settings.least_segment:g} s, for spectra."
-        )
-    f, of_control = _spectrum(logged, loop.control, step, length)
-    _, of_rate = _spectrum(logged, rate, step, length)
-    n_noise = max(1, int(settings.noise * len(of_rate)))
-    noise = np.median(of_rate[-n_noise:])
-
-    def over_noise(frequency):
-        if frequency > 2 * np.pi * f[-1]:
-            return 0.0
-        size = np.interp(frequency, w, np.abs(response))
-        return size**2 * np.interp(frequency / (2 * np.pi), f, of_control) / noise
-
-    return over_noise
-
-
-def _spectrum(logged, name, step, length):
-    """Return frequencies [Hz] and power of a channel, by Welch's method over the pieces without gaps."""
-    values = logged.column(name)
-    pieces = [values[rows] for rows in logged.segments]
-    pieces = [piece for piece in pieces if len(piece) >= length]
-    powers = []
-    for piece in pieces:
-        f, power = welch(piece, 1 / step, nperseg=length, detrend=_detrended)
-        powers.append(power)
-    return f, np.average(powers, axis=0, weights=[len(piece) for piece in pieces])
-
-
-def _detrended(values):
-    return detrend(values, axis=-1)
+    def of_quantities(self, loop: Loop, found: Margins) -> dict[str, bool | None]:
+        """Return for each quantity whether its crossover counts."""
+        of_crossover = self.at(loop, found.crossover[0])
+        others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
+        return others | {"gain": self.at(loop, found.phase_crossover[0])}

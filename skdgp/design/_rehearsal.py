@@ -152,8 +152,9 @@ def _that_last(manoeuvres: Mapping[str, Inputs], longest: float) -> dict[str, In
     """Return the manoeuvres of at most a duration [s]; raise ValueError if there is none."""
     short = {name: inputs for name, inputs in manoeuvres.items() if duration_of(inputs) <= longest}
     if not short:
+        shortest = min(map(duration_of, manoeuvres.values()))
         raise ValueError(
-            f"Got {longest:.3g} s for a manoeuvre between its pauses, but none is that short: give "
-            f"more seconds."
+            f"Got {max(longest, 0.0):.3g} s for a manoeuvre between its pauses, but expected at least "
+            f"{shortest:.3g} s: give {shortest - longest:.3g} s more."
         )
     return short

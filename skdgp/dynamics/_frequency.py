@@ -4,12 +4,14 @@ With the spectra of the inputs x and an output y, averaged over windows and over
 
 .. math:: H = S_{xx}^{-1} S_{xy}, \quad
     \gamma_i^2 = \frac{|S_{iy \cdot r}|^2}{S_{ii \cdot r} S_{yy \cdot r}}, \quad
-    \epsilon_i^2 = \frac{1 - \gamma_i^2}{2 \gamma_i^2 (n_d - q + 1)},
+    \epsilon_i^2 = \frac{1 - \gamma_i^2}{2 \gamma_i^2} \Big(\frac{1}{n_d - q + 1} + f_i\Big),
 
 where :math:`S_{\cdot r}` are conditioned spectra, without what the other q - 1 inputs explain,
 :math:`\gamma_i^2` is the partial coherence, :math:`n_d` the number of independent averages and
-:math:`\epsilon` the random error of the gain, relative, and of the phase [rad] (Bendat & Piersol
-2010, section 9.3).
+:math:`\epsilon` the error of the gain, relative, and of the phase [rad]. Its first part is random
+(Bendat & Piersol 2010, section 9.3). The second is the bias by feedback: a part f of the power of an
+input that follows disturbances of the output has a cross spectrum with them of at most
+:math:`\sqrt{f}` times that of full coherence.
 """
 
 from __future__ import annotations
@@ -25,6 +27,14 @@ from scipy.signal.windows import hann
 
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Indices, Matrix
+from skdgp._flight.channels import (
+    AIR_DATA,
+    BODY_VELOCITY,
+    EARTH_VELOCITY,
+    EULER,
+    POSITION,
+    RATES,
+)
 from skdgp._flight.tables import FlightTable, unwrapped
 from skdgp.dynamics._linearize import LinearModel
 from skdgp.dynamics._transfer import transfer
@@ -64,6 +74,8 @@ class SpectrumSettings:
 
 
 SPECTRA = SpectrumSettings()
+# Outputs that do not follow inputs within a sample
+STATES = (*RATES, *EULER, *AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *POSITION, "altitude")
 # Relative, of matrices that are inverted: inputs may always move together
 RIDGE = 1e-10
 # Correlations of the powers of neighbouring bins, and of those two apart, of Hann's window
@@ -143,10 +155,10 @@ def frequency_response(
     spectra = _spectra(records, step, settings)
     bands = _bands(spectra.frequency, settings)
     phases = [2 * np.pi * step * spectra.frequency[band].mean() for band in bands]
-    is_free = _is_free(records, np.array(phases), len(inputs), settings)
+    feedback = _feedback(records, np.array(phases), inputs, outputs, settings)
     rows = []
-    for band, free in zip(bands, is_free, strict=True):
-        rows += _responses(spectra, band, free, inputs, outputs, settings)
+    for band, *of_band in zip(bands, *feedback, strict=True):
+        rows += _responses(spectra, band, Feedback(*of_band), inputs, outputs, settings)
     found = pd.DataFrame(rows).set_index(["output", "input", "frequency"]).sort_index()
     if linear is not None:
         found = found.join(_of_model(linear, found.index))
@@ -212,8 +224,21 @@ def _bands(frequency: Array, settings: SpectrumSettings) -> list[Indices]:
     return bands
 
 
-def _is_free(records: list[Array], phases: Array, q: int, settings: SpectrumSettings) -> Array:
-    r"""Return whether q inputs move by themselves, not by feedback, for each response (n, q, outputs).
+class Feedback(NamedTuple):
+    """What an autopilot feeds back, at each frequency or at one."""
+
+    is_free: Array  #: Whether inputs move by themselves, for each response (n, q, outputs)
+    part: Array  #: Part of the power of inputs that is fed back (n, q)
+
+
+def _feedback(
+    records: list[Array],
+    phases: Array,
+    inputs: list[str],
+    outputs: list[str],
+    settings: SpectrumSettings,
+) -> Feedback:
+    r"""Return what is fed back to the inputs at ``phases`` :math:`\omega` [rad a sample] (n,).
 
     An autoregression of all channels z (Geweke 1982),
 
@@ -223,24 +248,41 @@ def _is_free(records: list[Array], phases: Array, q: int, settings: SpectrumSett
     with white e of unit variance, gives the response from the spectra :math:`T T^H`, as
     `_responses` estimates it. From the innovations of the inputs alone it is the aircraft's, and
     the power that remains is fed back. What moves within a sample may follow the inputs or the
-    outputs: L is triangular either way. ``phases`` are :math:`\omega` [rad a sample] (n,).
+    outputs: L is triangular either way, and inputs are free if they are in one of them. The part
+    that errors count is larger: within a sample inputs follow states, as rates, and other outputs
+    follow inputs.
     """
     A, covariance = _autoregression(records, settings)
     order, c, _ = A.shape
+    q = len(inputs)
     delays = np.exp(-1j * np.outer(phases, np.arange(1, order + 1)))
     transfers = np.linalg.inv(np.eye(c) - np.tensordot(delays, A, axes=1))
-    inputs_first = np.linalg.cholesky(covariance)
-    outputs_first = np.flip(np.linalg.cholesky(np.flip(covariance)))
     is_free = np.zeros((len(phases), q, c - q), dtype=bool)
-    for L in (inputs_first, outputs_first):
-        T = transfers @ L
-        aircraft = _response_of(T[..., :q], q)
+    channels = np.arange(c)
+    for sequence in (channels, channels[::-1]):
+        T, part = _of_innovations(transfers, covariance, sequence, q)
+        aircraft = _response_of(T[..., channels < q], q)
         bias = np.abs(_response_of(T, q) - aircraft)
-        power = np.sum(np.abs(T[:, :q]) ** 2, axis=2)
-        fed_back = np.sum(np.abs(T[:, :q, q:]) ** 2, axis=2)
-        moves_by_itself = fed_back <= settings.part * power
+        moves_by_itself = part <= settings.part
         is_free |= (bias <= settings.bias * np.abs(aircraft)) & moves_by_itself[..., None]
-    return is_free
+    rank = [1] * q + [0 if name in STATES else 2 for name in outputs]
+    _, part = _of_innovations(transfers, covariance, np.argsort(rank, kind="stable"), q)
+    return Feedback(is_free, part)
+
+
+def _of_innovations(
+    transfers: Array, covariance: Matrix, sequence: Indices, q: int
+) -> tuple[Array, Array]:
+    """Return T (n, c, c) where channels follow in a sequence within a sample, and the part of inputs that is fed back.
+
+    Columns of T are innovations of the channels in their order, of which the first q are inputs.
+    """
+    L = np.zeros_like(covariance)
+    L[np.ix_(sequence, sequence)] = np.linalg.cholesky(covariance[np.ix_(sequence, sequence)])
+    T = transfers @ L
+    power = np.sum(np.abs(T[:, :q]) ** 2, axis=2)
+    fed_back = np.sum(np.abs(T[:, :q, q:]) ** 2, axis=2)
+    return T, fed_back / power
 
 
 def _autoregression(records: list[Array], settings: SpectrumSettings) -> tuple[Array, Matrix]:
@@ -278,7 +320,7 @@ def _response_of(T: Array, q: int) -> Array:
 def _responses(
     spectra: Spectra,
     band: Indices,
-    is_free: Array,
+    feedback: Feedback,
     inputs: list[str],
     outputs: list[str],
     settings: SpectrumSettings,
@@ -297,7 +339,8 @@ def _responses(
             coherence = min(float(abs(conditioned[0, 1]) ** 2 / (S_ii * S_yy)), 1.0)
             error = np.inf
             if coherence > 0 and n_averages > 0:
-                error = float(np.sqrt((1.0 - coherence) / (2.0 * coherence * n_averages)))
+                averaged = 1.0 / n_averages + feedback.part[i]
+                error = float(np.sqrt((1.0 - coherence) / (2.0 * coherence) * averaged))
             H = response[i]
             is_sure = coherence >= settings.coherence and error <= settings.error
             is_large = abs(H) ** 2 * S_ii > settings.excited * floor
@@ -311,7 +354,7 @@ def _responses(
                     "gain_std": 20.0 / np.log(10.0) * error,
                     "phase_std": float(np.rad2deg(error)),
                     "coherence": coherence,
-                    "excited": is_sure and is_large and bool(is_free[i, j - q]),
+                    "excited": is_sure and is_large and bool(feedback.is_free[i, j - q]),
                 }
             )
     return rows

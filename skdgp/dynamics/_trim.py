@@ -419,8 +419,8 @@ class SteadyFlight:
         if not np.isfinite(derivative).all():
             raise ValueError(
                 f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
-                f"{np.mean(flight['alpha']):.3g} rad, but expected six accelerations: the model, the "
-                "thrust or the air is not defined there."
+                f"{np.mean(flight['alpha']):.3g} rad, altitude {np.mean(flight['altitude']):g} m, but "
+                "expected six accelerations: the model, the thrust or the air is not defined there."
             )
         path = -derivative[..., 2] / airspeed - np.sin(flight["climb"])
         weighted = self.settings.path_weight * path

@@ -42,6 +42,8 @@ class ChangeSettings:
     fewest_times: float = 1.0
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
+    # variance of the unknown correlation of the noise of two regressors, uniform between -1 and 1
+    correlation_variance: float = 1 / 3
     # p-value below which the summary says that the aircraft has changed
     level: float = 0.05
 
@@ -128,7 +130,10 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     .. math:: a_j = (S^{-1} S_0 - I)\, m_j,
 
     which is zero in flights with the same motion, and large in gentler ones (Fuller 1987,
-    section 1.1). With k weights and
+    section 1.1). Filters and the reconstruction of the path make the noise of different regressors
+    correlated, by unknown correlations :math:`\rho`. With the standard deviations s of the noise
+    and the slopes J they add :math:`(S^{-1} - S_0^{-1})_{\cdot k}\, \rho_{jk} s_j s_k J_j` for each pair.
+    With k weights and
     :math:`\nu = B - 1`, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The p-values of the coefficients are combined into the whole by
     Simes' test, which allows for positive dependence (Simes 1986).
@@ -207,6 +212,7 @@ def _function_covariance(
     n_outputs = mean.shape[1]
     blocks = cov.reshape(n_outputs, n_rows, n_outputs, n_rows)
     in_fit, further = _biases(regressor, X, rows)
+    further = np.concatenate([further, _correlated_biases(regressor, X, rows, settings)])
     fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
     covariances = []
     for i in range(n_outputs):
@@ -231,6 +237,28 @@ def _biases(regressor: DependentGPRegressor, X: Matrix, rows: Indices) -> tuple[
     in_fit = (X[rows] - errors.centre) @ slopes
     in_flight = (X[rows] - X.mean(axis=0)) @ (ratio @ slopes)
     return in_fit, in_flight - in_fit
+
+
+def _correlated_biases(
+    regressor: DependentGPRegressor, X: Matrix, rows: Indices, settings: ChangeSettings
+) -> Array:
+    """Return the further biases of a flight X (n, d) by correlated noise of regressors, (d, n_rows, P)."""
+    errors = regressor.function_errors()
+    if errors is None:
+        return np.zeros((0, len(rows), len(regressor.scale_)))
+    S = np.diag(regressor.input_covariance_)
+    J = regressor.predict_gradient(errors.centre[None])[0]
+    products = S * J**2
+    others = products.sum(axis=1, keepdims=True) - products
+    # standard deviation of the covariance of each regressor with the errors of the samples
+    c = np.sqrt(settings.correlation_variance * S * others)
+    learned_from = np.atleast_2d(np.cov(training_inputs(regressor.posterior_).T))
+    in_flight = np.atleast_2d(np.cov(X.T))
+    inverses = np.linalg.pinv(in_flight, hermitian=True) - np.linalg.pinv(
+        learned_from, hermitian=True
+    )
+    slopes = np.einsum("jk,ik->kji", inverses, c)
+    return (X[rows] - X.mean(axis=0)) @ slopes
 
 
 def block_weights(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.special import softmax
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import constant_columns, unexplained_variance
+from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._errors import PosteriorWithErrors
 from skdgp.inference._likelihood import Data
@@ -128,8 +130,24 @@ class AveragePosterior(Posterior):
         self.noise = members[0].noise
         self.log_marginal_likelihood = members[0].log_marginal_likelihood
 
+    @cached_property
+    def mean_function(self) -> PathBundle:
+        """The mean, as a single path, whose Gaussian functions are one basis."""
+        first, *others = [
+            member.mean_function.times(weights)
+            for member, weights in zip(self.members, self.mixture, strict=True)
+        ]
+        return sum(others, first).rounded()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "mean_function"}
+
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
+        if len(Xs) == 1 and not return_variance:
+            # a step of a simulation
+            with one_blas_thread():
+                return self.mean_function.each(np.asarray(Xs)[None])[0]
         predictions = [member.predict(Xs, return_variance) for member in self.members]
         return moments(self.mixture, predictions, return_variance)
 

@@ -47,6 +47,10 @@ class PathBundle(ABC):
         """
         return self
 
+    def times(self, factor: Vector) -> PathBundle:
+        """Return the functions with outputs multiplied by factors (P,)."""
+        return RescaledPaths(self, factor)
+
     def averaged(self, spread: Vector) -> PathBundle:
         """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
 
@@ -163,6 +167,9 @@ class SumPaths(PathBundle):
     def rounded(self):
         return SumPaths(_with_one_basis([part.rounded() for part in self.parts]))
 
+    def times(self, factor):
+        return SumPaths([part.times(factor) for part in self.parts])
+
     def averaged(self, spread):
         return SumPaths([part.averaged(spread) for part in self.parts])
 
@@ -198,6 +205,9 @@ class LinearPaths(PathBundle):
 
     def doubles(self, same_points):
         return len(self.weights) * sum(self.weights.shape[1:])
+
+    def times(self, factor):
+        return LinearPaths(self.weights * factor, self.centre)
 
     def about(self, centre: Vector) -> LinearPaths:
         """Return the same functions with another centre."""
@@ -320,6 +330,10 @@ class BasisPaths(PathBundle):
 
     def take(self, index):
         return BasisPaths(self.basis, [w[index] for w in self.weights], self.columns)
+
+    def times(self, factor):
+        weights = [w * f for w, f in zip(self.weights, factor, strict=True)]
+        return BasisPaths(self.basis, weights, self.columns)
 
     def averaged(self, spread):
         basis = self.basis.averaged(spread)

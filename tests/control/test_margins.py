@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.optimize import brentq
-from scipy.signal import tf2ss
+from scipy.signal import lsim, tf2ss
 
 from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
 from skdgp.dynamics import linearize, trim
@@ -53,6 +53,67 @@ def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay, glider):
     left = np.pi - np.arctan(crossover / a) - crossover * delay
     assert_allclose(found["crossover"], crossover, rtol=1e-3)
     assert_allclose(found["phase"], np.rad2deg(left), atol=0.2)
+    beyond = loops[0].scaled(1.003 * 10 ** (found["gain"] / 20))
+    assert margins(linear, [beyond])["value"]["roll"]["gain"] == -np.inf
+
+
+def test_a_slow_mode_that_grows_does_not_hide_the_gain_margin(glider):
+    """L = (P + I / s) g / (s - a) exp(-s T), with P g < a: a rise of the gain first makes it stable."""
+    only_roll = glider.slopes.copy()
+    only_roll[[1, 5]] = 0.0
+    only_roll[3] = [0, 0, 0.001, 0, 0, 0, 0.1, 0]
+    linear = linear_of(glider, only_roll)
+    a = linear.A.loc["p", "p"]
+    assert 0.0 < a < 0.1
+    g = 0.4 * linear.B.loc["p", "aileron"]
+    P, I = 0.8 * a / g, 0.01 / g
+    loops = autopilot_loops(UNFILTERED | {"FW_RR_P": P, "FW_RR_I": I}, {"aileron": 0.4})
+
+    def angle(w):
+        """Angle of L from -180 deg."""
+        return np.arctan2(P * w, I) - np.pi / 2 + np.arctan2(w, a) - w * DELAY
+
+    at_180 = brentq(angle, 1.0, np.pi / DELAY)
+    size = g * np.hypot(P, I / at_180) / np.hypot(a, at_180)
+    found = margins(linear, loops)["value"]["roll"]
+    assert_allclose(found["gain"], -20 * np.log10(size), atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "mix"),
+    [
+        (PX4 | {"FW_RLL_TO_YAW_FF": 0.3}, 0.3),
+        ({"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.2}, 0.5),  # KFF_RDDRMIX of the firmware
+    ],
+)
+def test_the_rudder_follows_the_roll_loop(parameters, mix, linear):
+    """Margins of roll are those of an aircraft whose aileron moves the rudder."""
+    (loop,) = autopilot_loops(parameters, {"aileron": FULL["aileron"]})
+    mixed, *_ = autopilot_loops(parameters, FULL)
+    signs = np.sign([linear.B.loc["p", "aileron"], linear.B.loc["r", "rudder"]])
+    ratio = signs.prod() * mix * FULL["rudder"] / FULL["aileron"]
+    B, D = linear.B.copy(), linear.D.copy()
+    for table in (B, D):
+        table["aileron"] += ratio * table["rudder"]
+    linked = replace(linear, B=B, D=D, paths=None)
+    expected = margins(linked, [loop])["value"]["roll"]
+    assert_allclose(margins(linear, [mixed])["value"]["roll"], expected, rtol=1e-6)
+    assert not np.allclose(margins(linear, [loop])["value"]["roll"], expected, rtol=1e-3)
+
+
+def test_the_derivative_of_px4_has_a_filter_of_first_order():
+    """AlphaFilter of VehicleAngularVelocity."""
+    gains = {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 25.0}
+    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
+    s = 1j * np.array([1.0, 30.0, 500.0])
+    expected = -0.4 * (0.1 + 0.02 * s / (1.0 + s / (2 * np.pi * 25.0)))
+    assert_allclose(roll.feedback(s, 20.0, 1.225)["p"], expected)
+
+
+def test_px4_without_airspeed_does_not_scale_its_gains():
+    for parameters in ({"FW_ARSP_MODE": 1.0}, {"FW_USE_AIRSPD": 0.0}):
+        (roll,) = autopilot_loops(PX4 | parameters, {"aileron": 0.4})
+        assert_allclose(roll.feedback(np.array([1e9j]), 30.0, 1.0)["p"], -0.4 * PX4["FW_RR_P"])
 
 
 def growth(linear, factors):
@@ -143,7 +204,9 @@ def test_suggested_gains_are_the_largest_that_have_the_margins(linear, probabili
         return np.mean(parts)
 
     larger = [chosen[0], chosen[1].scaled(1.1), chosen[2]]
-    assert share(chosen, 1) >= probability > share(larger, 1)
+    assert probability > share(larger, 1)
+    for k in range(3):
+        assert share(chosen, k) >= probability
 
 
 def linear_of_path(linear, number):
@@ -241,19 +304,32 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
         linear_of(glider, delay=-1.0)
 
 
-def test_what_the_log_moved_is_excited(linear):
-    """A sweep up to 12 rad/s and noise of the gyro: the crossover is excited, the phase crossover is not."""
-    time = np.arange(0.0, 60.0, 0.02)
-    aileron = 0.1 * np.sin(time * (1.0 + 11.0 * time / 120.0))
-    rate = np.random.default_rng(0).normal(0.0, 0.01, len(time))
-    flight = pd.DataFrame({"time": time, "aileron": aileron, "p": rate})
-    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 0.65}, {"aileron": 0.42})
+def test_what_the_log_moved_is_excited(glider):
+    """A sweep up to 12 rad/s, gusts and noise of the gyro: the crossover is excited, the phase crossover is not."""
+    only_roll = glider.slopes.copy()
+    only_roll[[1, 5]] = 0.0
+    only_roll[3] = [0, 0, -0.4, 0, 0, 0, 0.1, 0]
+    linear = linear_of(glider, only_roll)
+    time = np.arange(0.0, 80.0, 0.02)
+    aileron = 0.1 * np.sin(time * (0.5 + 11.5 * time / 160.0))
+    rng = np.random.default_rng(0)
+    a, g = -linear.A.loc["p", "p"], linear.B.loc["p", "aileron"]
+    _, rate, _ = lsim(([[-a]], [[g]], [[1.0]], [[0.0]]), aileron, time)
+    rate = rate + rng.normal(0.0, 0.01, len(time))
+    flight = pd.DataFrame({"time": time, "aileron": aileron, "elevator": 0.0, "p": rate})
+    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 0.68}, {"aileron": 0.42})
     found = margins(linear, [loop], flight=flight).loc["roll"]
     assert found["value"]["crossover"] < 11.0
     assert found["excited"].to_dict() == {
         "gain": False, "phase": True, "sensitivity": True, "crossover": True
     }  # fmt: skip
+    faster = margins(linear, [loop.scaled(2.0)], flight=flight).loc["roll"]
+    assert faster["value"]["crossover"] > 14.0
+    assert not faster["excited"].any()
+    still = margins(linear, [loop], flight=flight.assign(aileron=0.1, elevator=aileron))
+    assert not still["excited"].any()
     with pytest.raises(ValueError, match="aileron"):
         margins(linear, [loop], flight=flight.drop(columns="aileron"))
-    with pytest.raises(ValueError, match="longest piece without a gap is 1 s"):
+    assert margins(linear, [loop], flight=flight[:400])["excited"].notna().all()
+    with pytest.raises(ValueError, match=r"Got records of 1.0 s"):
         margins(linear, [loop], flight=flight[:50])

@@ -88,13 +88,18 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert "Cm_alpha" in result.summary()[0]
 
 
-def with_noise_of_alpha(seed, size):
-    """Return a flight with motion of a ``size`` whose alpha is measured with the noise ALPHA_NOISE."""
+def with_noise_of_alpha(seed, size, of_q=0.0):
+    """Return a flight with motion of a ``size`` whose alpha is measured with the noise ALPHA_NOISE.
+
+    A part of this noise, ``of_q``, is also in q.
+    """
     true, Y = flight(seed, 0.0)
     rng = np.random.default_rng(1000 + seed)
     X = size * true
     measured = X.copy()
-    measured["alpha"] += ALPHA_NOISE * rng.normal(size=len(X))
+    noise = ALPHA_NOISE * rng.normal(size=len(X))
+    measured["alpha"] += noise
+    measured["q_hat"] += of_q * noise
     Y = X.to_numpy() @ SLOPES + 0.02 * lasting(rng, Y.shape, 5)
     return measured, Y
 
@@ -124,6 +129,21 @@ def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
     assert abs(expected) < rows["std"].mean() < 2 * abs(expected)
 
     large = {"iced": with_noise_of_alpha(20, 1.0)}
+    assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01
+
+
+@pytest.mark.parametrize("of_q", [-0.3, 0.3])
+def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight(of_q):
+    """Its covariance with q biases the slope by q too, and the less an aircraft moves, the more."""
+    X, Y = with_noise_of_alpha(0, 1.0, of_q)
+    scaler = StandardScaler().fit(X)
+    input_noise = np.array([ALPHA_NOISE, abs(of_q) * ALPHA_NOISE, 0.0]) / scaler.scale_
+    regressor = DependentGPRegressor(structure="trend", input_noise=input_noise, random_state=0)
+    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
+    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+    gentle = {str(seed): with_noise_of_alpha(seed, 0.3, of_q) for seed in range(1, 13)}
+    assert (changes(pipeline, gentle).p_values["whole"] < 0.05).mean() < 0.2
+    large = {"iced": with_noise_of_alpha(20, 1.0, of_q)}
     assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01
 
 

@@ -88,6 +88,9 @@ class TestMixture:
         found = mixture.predict(AT, return_variance=True)
         assert_allclose(found, [mean, variance], rtol=1e-10, atol=1e-12)
         assert_allclose(mixture.predict(AT), mean, rtol=1e-10, atol=1e-12)
+        # a single row has a path of its own
+        rows = [mixture.predict(x[None]) for x in AT]
+        assert_allclose(np.concatenate(rows), mean, rtol=1e-10, atol=1e-12)
 
     def test_of_equal_weights_for_all_outputs_is_one_mixture(self, mixture):
         """Then all outputs have the same member: the covariance is the weighted sum of whole ones, and of scatter."""

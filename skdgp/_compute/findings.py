@@ -38,6 +38,7 @@ class Code(Enum):
     LONE_ROWS = "lone_rows"
     NO_ELEVATOR = "no_elevator"
     ROWS_LEFT_OUT = "rows_left_out"
+    SENSOR_POSITIONS_DIFFER = "sensor_positions_differ"
     SLOW_CHANNELS = "slow_channels"
 
     # assumptions

@@ -391,6 +391,8 @@ TEXTS = _by_code(
     rows_left_out="Flight {flight!r}: {left_out} of {rows} rows are left out, because "
     "regressors are missing there (by rows: {missing}). Bring slow sensors to the clock of the "
     "others if these are many.",
+    sensor_positions_differ="Flight {flight!r} states inertial sensors {distance:.2g} m from where the "
+    "aircraft has them: the flight's position counts. Correct or leave out the wrong one.",
     engine_unexplained="Got thrust=None for flights with {names: and }: the coefficients "
     "include the thrust, and no regressor explains it. Name regressors with {names[0]!r} and "
     "'airspeed', or give the thrust.",

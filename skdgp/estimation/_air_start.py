@@ -20,7 +20,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
 from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._sensors import AIRSPEED, FORCE_READINGS, WIND_STD
+from skdgp.estimation._sensors import AIRSPEED, WIND_STD
 from skdgp.estimation._settings import AirSettings
 
 
@@ -92,9 +92,8 @@ class SteadyRegression:
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
-        model = motion_model(self.layout, self.aircraft, value)
-        force = record.measured[:, FORCE_READINGS]
-        coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
+        model = motion_model(record, self.layout, self.aircraft, value)
+        coefficients = model.coefficients(record.force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)
         return model.terms(state, record.inputs.surfaces), coefficients
 

@@ -43,6 +43,7 @@ from skdgp.io._log import (
     from_rpm,
     instance_name,
     numeric_fields,
+    stated_positions,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -95,6 +96,8 @@ FIX = (("Status", 3, 6),)
 # parameters of the IMUs that have a lane each, one bit for each; without it, those of the first lanes
 IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
 MOST_IMUS = 8
+# parameters of the position of each IMU (AP_InertialSensor)
+IMU_POSITIONS = ("INS_POS1", "INS_POS2", "INS_POS3", "INS4_POS", "INS5_POS")
 # further instances of sensors before the messages had a number
 ALIASES = {
     "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
@@ -306,6 +309,7 @@ def _log(
         aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
+        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
 

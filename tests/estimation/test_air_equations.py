@@ -68,6 +68,8 @@ def flight_of_sines(n=30):
         0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
         attitude,
         measured,
+        measured[:, :3],
+        np.array([0.3, -0.1, 0.2]),
         np.zeros((n, 3)),
         inputs,
         np.zeros(3),

@@ -426,6 +426,8 @@ TEXTS = _by_code(
     "sensors contradict one another: look for wrong signs, units or clocks.",
     paths_reconstructed=_paths,
     paths_smoothed=_paths,
+    sensors_elsewhere="The motion of the flights puts the inertial sensors {distance:.2g} m from their "
+    "stated position, or without one from the centre of gravity. Bands are wider by it: measure the position.",
     sensors_missing="Got flights without {names!r}, which those of the fit had: they are "
     "smoothed channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
     "with those sensors.",

@@ -8,7 +8,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import BIASES
-from skdgp.estimation._air_parameters import SENSOR_CONSTANTS, STATE_TERMS, Sums
+from skdgp.estimation._air_parameters import ARM, SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._kalman import surface_covariance
 
 
@@ -130,10 +130,13 @@ def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
 
 
 def misfit_of_sensors(fit: AirFit) -> float:
-    """Return the misfit of the sensors' constants."""
-    is_of_sensor = [name.split()[0] in SENSOR_CONSTANTS for name in fit.parameters.names]
+    """Return the misfit of the sensors' constants, or of their position if that is larger."""
     offset = fit.x - fit.parameters.mean
-    return misfit_of(offset[is_of_sensor], fit.parameters.std[is_of_sensor])
+    misfits = []
+    for constants in (SENSOR_CONSTANTS, ARM):
+        is_one = [name.split()[0] in constants for name in fit.parameters.names]
+        misfits.append(misfit_of(offset[is_one], fit.parameters.std[is_one]))
+    return max(misfits)
 
 
 def with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import eigen_root
-from skdgp._compute.typing import Array, Matrix
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import (
     ELEVONS,
     EULER,
@@ -53,6 +53,7 @@ from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
     AIRCRAFT_NOISES,
     ALL_TERMS,
+    ARM,
     FLIGHT_CONSTANTS,
     FLIGHT_NOISES,
     GUST_AXES,
@@ -108,9 +109,9 @@ class AirMotion:
     seconds : float
         Length of the records [s].
     misfit : float
-        Root mean square of the sensors' constants over their prior standard deviations, at least
-        one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge
-        1932).
+        Root mean square of the sensors' constants over their prior standard deviations, or of the
+        errors of their position if that is larger, at least one. ``std`` is widened by it: effects
+        that the model lacks shift these constants (Birge 1932).
     is_complete : bool
         Whether ``air`` is of all records of the flights, none of which was shortened or too short
         to learn from.
@@ -196,6 +197,15 @@ class AirMotion:
             if is_coupling(name) and abs(value) > significance * std:
                 couplings[name] = (float(value), float(std))
         return couplings
+
+    def position_error(self, significance: float = 3.0) -> Vector | None:
+        """Return how far the inertial sensors are from their position (3,) [m].
+
+        None unless a component is more than ``significance`` standard deviations of its prior.
+        """
+        error = self.constants.loc[list(ARM)]
+        is_improbable = error["value"].abs() > significance * error["prior_std"]
+        return error["value"].to_numpy(float) if is_improbable.any() else None
 
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""

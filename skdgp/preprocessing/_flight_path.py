@@ -278,6 +278,10 @@ class FlightPathReconstruction(TableTransformer):
         if motion.converged and couplings:
             finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
             report(finding, stacklevel=4)
+        error = motion.position_error()
+        if motion.converged and error is not None:
+            numbers = {"distance": float(np.linalg.norm(error))}
+            report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers), stacklevel=4)
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         names = [flight.name for flight in flights_of(table)]

@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -150,6 +151,16 @@ def test_sensors_half_a_metre_ahead_tell_the_same():
     arms = found.constants.loc[["arm_x", "arm_y", "arm_z"]]
     assert_array_less(abs(arms["value"]), 3 * arms["prior_std"])
     assert np.std(found.air["alpha"] - flight.alpha) < np.deg2rad(0.25)
+
+
+def test_a_wrong_position_of_the_sensors_is_told_and_widens_all_bands():
+    """Stated 20 cm above where they are."""
+    flight = flown(GUSTY, 18.0, arm=(0.0, 0.0, 0.0))
+    wrong = replace(flight.aircraft, sensor_position=(0.0, 0.0, -0.2))
+    with pytest.warns(UserWarning, match="puts the inertial sensors 0.[12]"):
+        motion = FlightPathReconstruction(aircraft=wrong).fit(flight.table).air_motion_
+    assert motion.misfit > 2
+    assert flight.estimate().position_error() is None
 
 
 def test_another_position_of_the_sensors_is_no_other_aircraft():

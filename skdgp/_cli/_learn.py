@@ -82,8 +82,9 @@ def identify(run: Run) -> None:
     Aircraft file:
       {"name": "uav", "mass": 12.0, "inertia": [[1.1, 0, -0.1], [0, 2.3, 0], [-0.1, 0, 3.1]],
        "wing_area": 1.3, "span": 2.6, "chord": 0.55}
-      kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia. Or
-      TOML. Without a file: --mass and --span. The rest is estimated, and the summary lists
+      kg, m, kg m^2 about the centre of gravity; off the diagonal MINUS the products of inertia.
+      "sensor_position": [x, y, z] of the inertial sensors, forward, right, down of it, where it was
+      measured. Or TOML. Without a file: --mass and --span. The rest is estimated, and the summary lists
       assumptions, their possible errors, and the next measurement to make. A log of an autopilot
       then needs no servo file and no thrust either.
 
@@ -110,7 +111,7 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    sizes = _given({name: vars(options)[name] for name in (*SIZES, "kind")})
+    sizes = _given({name: vars(options)[name] for name in (*SIZES, "kind", "sensor_position")})
     engine = _given({"--propeller": options.propeller, "--motor": options.motor})
     if options.aircraft is not None and not sizes and not engine:
         return options.aircraft
@@ -373,6 +374,13 @@ COMMANDS: opt.Commands = {
             "--kind": {
                 "choices": list(KINDS),
                 "help": "kind of the aircraft, for the estimates (default: conventional)",
+            },
+            "--sensor-position": {
+                "metavar": ("X", "Y", "Z"),
+                "nargs": 3,
+                "type": opt.number(),
+                "help": "of the inertial sensors from the centre of gravity, forward, right, down [m], "
+                "to about 1 cm",
             },
         },
         "model": LEARNING,

@@ -104,7 +104,7 @@ def predict(run: Run) -> None:
     run.console.stage("reading")
     model = read_model(options)
     named = named_flights(options.flight, **opt.reading(options, model))
-    flights = usable_flights_of_model(model.pipeline, named)
+    flights = usable_flights_of_model(model.pipeline, named, model.aircraft)
     run.console.stage("predicting")
     parts = {}
     for name, flight in flights.items():

@@ -38,6 +38,7 @@ class Code(Enum):
     LONE_ROWS = "lone_rows"
     NO_ELEVATOR = "no_elevator"
     ROWS_LEFT_OUT = "rows_left_out"
+    SENSOR_POSITIONS_DIFFER = "sensor_positions_differ"
     SLOW_CHANNELS = "slow_channels"
 
     # assumptions
@@ -58,6 +59,7 @@ class Code(Enum):
     AIR_NOT_CONVERGED = "air_not_converged"
     AIR_NOT_ESTIMATED = "air_not_estimated"
     COUPLINGS_FOUND = "couplings_found"
+    SENSORS_ELSEWHERE = "sensors_elsewhere"
     CONSTANT_REGRESSORS = "constant_regressors"
     GUSTS_UNKNOWN = "gusts_unknown"
     LAGS_CORRECTED = "lags_corrected"

@@ -29,7 +29,10 @@ EULER = ("phi", "theta", "psi")
 # roll and heading, which go round and jump by 2 pi
 WRAPPED = ("phi", "psi")
 RATES = ("p", "q", "r")
+RATE_DERIVATIVES = ("p_dot", "q_dot", "r_dot")
 SPECIFIC_FORCE = ("ax", "ay", "az")
+# of the inertial sensors, from the centre of gravity
+SENSOR_POSITION = ("sensor_position_x", "sensor_position_y", "sensor_position_z")
 WIND = ("wind_north", "wind_east", "wind_down")
 # elevons move as elevator and aileron at once
 MIXED = ("elevator", "aileron")
@@ -68,9 +71,16 @@ CHANNELS = {
     "p_dot": Channel("rad/s^2", "roll acceleration"),
     "q_dot": Channel("rad/s^2", "pitch acceleration"),
     "r_dot": Channel("rad/s^2", "yaw acceleration"),
-    "ax": Channel("m/s^2", "specific force at the CG, forward (what an accelerometer reads)"),
-    "ay": Channel("m/s^2", "specific force at the CG, right"),
-    "az": Channel("m/s^2", "specific force at the CG, down (about -9.8 in level flight)"),
+    "ax": Channel(
+        "m/s^2", "specific force at the inertial sensors, forward (what an accelerometer reads)"
+    ),
+    "ay": Channel("m/s^2", "specific force at the inertial sensors, right"),
+    "az": Channel(
+        "m/s^2", "specific force at the inertial sensors, down (about -9.8 in level flight)"
+    ),
+    "sensor_position_x": Channel("m", "position of the inertial sensors from the CG, forward"),
+    "sensor_position_y": Channel("m", "position of the inertial sensors from the CG, right"),
+    "sensor_position_z": Channel("m", "position of the inertial sensors from the CG, down"),
     "u": Channel("m/s", "ground-relative velocity, forward"),
     "v": Channel("m/s", "ground-relative velocity, right"),
     "w": Channel("m/s", "ground-relative velocity, down (body axis)"),

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.files import plain, read_json, read_toml
@@ -20,11 +21,14 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.checks import as_floats, check_number
+from skdgp._flight.sensor_position import sensor_position, with_sensors_at
 from skdgp.dynamics._estimated_sizes import INERTIAS, KINDS, QUANTITIES, estimated, value_and_std
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._size_errors import ScaleFactor
 
 CENTRED = ThrustLine()
+# farthest inertial sensors from the centre of gravity [spans]; farther ones are given in mm; a guess
+FARTHEST_SENSORS = 2.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +62,10 @@ class Aircraft:
         three standard deviations of Ixx, Iyy, Izz) for inertia, adds its own.
     full_deflections : mapping of str to float, optional
         Largest deflections [rad] of elevator, aileron and rudder, at the ends of their commands.
+    sensor_position : sequence of 3 floats, optional
+        Position (x, y, z) of the inertial sensors from the centre of gravity, forward, right, down
+        [m], to about 1 cm. None: unknown, and taken for the centre of gravity. Columns
+        ``sensor_position_x``, ``_y``, ``_z`` of a flight count in its place.
 
     Examples
     --------
@@ -80,6 +88,7 @@ class Aircraft:
     propeller: Propeller | None = None
     deviations: Mapping[str, ScaleFactor] | None = None
     full_deflections: Mapping[str, float] | None = None
+    sensor_position: Sequence[float] | None = None
 
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.isprintable():
@@ -100,6 +109,7 @@ class Aircraft:
         self._set("propeller", _part(Propeller, _sized(self.propeller), "propeller"))
         self._set("thrust_line", _part(ThrustLine, self.thrust_line, "thrust_line"))
         self._set("full_deflections", _full_deflections(self.full_deflections))
+        self._set("sensor_position", _sensor_position(self.sensor_position, self.span))
 
     def _set(self, name: str, value: Any) -> None:
         """Store a checked value."""
@@ -158,7 +168,7 @@ class Aircraft:
         inertia : array-like of shape (3, 3), or pair, optional
             Where it was measured.
         **parts
-            name, thrust_line, propeller, full_deflections: as of `Aircraft`.
+            name, thrust_line, propeller, full_deflections, sensor_position: as of `Aircraft`.
 
         Examples
         --------
@@ -194,7 +204,7 @@ class Aircraft:
         value is not valid.
         """
         if isinstance(values, Mapping) and "kind" in values:
-            parts = ["name", "thrust_line", "propeller", "full_deflections"]
+            parts = ["name", "thrust_line", "propeller", "full_deflections", "sensor_position"]
             keys = [*signature(cls.estimate).parameters, *parts]
             check_keys(values, keys, ["mass", "span"], what)
             return cls.estimate(**values)
@@ -233,6 +243,24 @@ def _full_deflections(values: Any) -> dict[str, float] | None:
         name: check_number(f"full deflection of the {name}", value, unit="rad")
         for name, value in values.items()
     }
+
+
+def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
+    """Return the checked position of the inertial sensors [m], None if it is not given."""
+    if value is None:
+        return None
+    position = as_floats(value)
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise ValueError(
+            f"Got sensor_position {value!r}, but expected three finite numbers (x, y, z): the place "
+            "of the inertial sensors from the centre of gravity, forward, right, down [m]."
+        )
+    if np.linalg.norm(position) > FARTHEST_SENSORS * span:
+        raise ValueError(
+            f"Got sensor_position {position.tolist()}, but expected metres: the sensors are farther "
+            f"from the centre of gravity than {FARTHEST_SENSORS:g} spans of {span:g} m."
+        )
+    return tuple(position.tolist())
 
 
 def _inertia_and_deviations(value: Any) -> tuple[Any, dict[str, ScaleFactor]]:
@@ -326,6 +354,15 @@ def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], w
 
 def _without_nones(items: list[tuple[str, Any]]) -> dict[str, Any]:
     return {name: value for name, value in items if value is not None}
+
+
+def with_sensor_position(table: pd.DataFrame, aircraft: Aircraft | None) -> pd.DataFrame:
+    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs."""
+    if aircraft is None or aircraft.sensor_position is None:
+        return table
+    stated = sensor_position(table)
+    position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)
+    return with_sensors_at(table, position)
 
 
 def check_aircraft(aircraft: Any) -> Aircraft:

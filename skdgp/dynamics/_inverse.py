@@ -13,6 +13,7 @@ from skdgp._compute.messages import report
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
+    RATE_DERIVATIVES,
     RATES,
     SPECIFIC_FORCE,
 )
@@ -22,10 +23,11 @@ from skdgp._flight.faults import (
     find_faults,
     without_faults,
 )
+from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._flight.tables import FlightTable, numeric
 from skdgp._flight.units import check_flight
-from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
 from skdgp.dynamics._rigid_body import (
     dynamic_pressure,
     external_loads,
@@ -33,7 +35,6 @@ from skdgp.dynamics._rigid_body import (
     propulsive_loads,
 )
 
-RATE_DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 NEEDED = ["airspeed", "density", *SPECIFIC_FORCE, *RATES]
 
 
@@ -65,7 +66,8 @@ def aerodynamic_coefficients(
         [m/s^2], ``p``, ``q``, ``r`` [rad/s]; ``flight`` (id) where there are several; ``p_dot``,
         ``q_dot``, ``r_dot`` [rad/s^2] where all three were measured, else the rates are
         differentiated. A column ``mass`` [kg] counts in place of the aircraft's mass; the inertia
-        stays.
+        stays. ``sensor_position_x``, ``_y``, ``_z`` [m] count in place of the aircraft's position r
+        of the inertial sensors, whose reading exceeds f by omega_dot x r + omega x (omega x r).
     aircraft : Aircraft
         Mass, inertia and reference lengths.
     cutoff : float, "auto" or None, default="auto"
@@ -107,7 +109,10 @@ def aerodynamic_coefficients(
     other_force, other_moment = external_loads(flight, external_forces)
     rates = numeric(measured, RATES)
     mass = _mass(flight, aircraft)
-    total_force = mass[:, None] * numeric(measured, SPECIFIC_FORCE)
+    position = np.nan_to_num(sensor_position(with_sensor_position(flight, aircraft)))
+    of_sensors = acceleration_by_rotation(rate_derivatives, rates, position)
+    specific_force = numeric(measured, SPECIFIC_FORCE) - of_sensors
+    total_force = mass[:, None] * specific_force
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
     # Equations 3 to 8: force, moment, coefficients.
     F_A = total_force - thrust_force - other_force

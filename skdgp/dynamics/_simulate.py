@@ -92,9 +92,10 @@ def simulate(
     -------
     pandas.DataFrame
         A flight table: ``time``, position, velocities, angles, rates, airspeed, alpha, beta,
-        altitude, density, ``ax``, ``ay``, ``az``, ``p_dot``, ``q_dot``, ``r_dot``, controls (of the
-        surfaces the deflections) and coefficients; ``beyond``, the regressor farthest outside its
-        training range, or ""; ``ended``, why the trajectory is over, or "": its rows are then NaN.
+        altitude, density, ``ax``, ``ay``, ``az`` at the centre of gravity, ``p_dot``, ``q_dot``,
+        ``r_dot``, controls (of the surfaces the deflections) and coefficients; ``beyond``, the
+        regressor farthest outside its training range, or ""; ``ended``, why the trajectory is over,
+        or "": its rows are then NaN.
         Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
         ``attrs["air"]`` describes the gusts.
 

@@ -16,7 +16,9 @@ from skdgp._flight.channels import (
     COEFFICIENTS,
     EARTH_VELOCITY,
     EULER,
+    RATE_DERIVATIVES,
     RATES,
+    SENSOR_POSITION,
     SPECIFIC_FORCE,
     WIND,
 )
@@ -54,6 +56,9 @@ def trajectory_table(
     table: dict[str, Any] = {"time": column(times), **_identity(shape, n_times)}
     for name, values in _columns(record).items():
         table[name] = column(values)
+    if motion.aircraft.sensor_position is not None:
+        # the specific force is that at the centre of gravity
+        table |= dict.fromkeys(SENSOR_POSITION, 0.0)
     table["beyond"] = _named(column(farthest), ["", *motion.regressors])
     reasons, ended = np.unique(np.append(FLYING, record.ended), return_inverse=True)
     is_over = np.isnan(record.states).any(axis=-1)
@@ -71,7 +76,7 @@ def _columns(record: Record) -> dict[str, Array]:
     """Return the channels of a record by name, (n_times, ...) each."""
     columns = channels(record.states, record.wind)
     columns["density"] = record.density
-    columns |= by_name(("p_dot", "q_dot", "r_dot"), record.derivative[..., rigid_body.RATES])
+    columns |= by_name(RATE_DERIVATIVES, record.derivative[..., rigid_body.RATES])
     columns |= by_name(SPECIFIC_FORCE, record.specific_force)
     columns |= by_name(COEFFICIENTS, record.coefficients)
     if record.wind is not None:

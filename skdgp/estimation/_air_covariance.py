@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import VANES
+from skdgp._flight.channels import SENSOR_GUST, VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import BIASES
-from skdgp.estimation._air_parameters import SENSOR_CONSTANTS, STATE_TERMS, Sums
+from skdgp.estimation._air_parameters import ARM, GUST_AXES, SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._kalman import surface_covariance
 
 
@@ -105,11 +107,32 @@ def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> 
 
 
 def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
-    """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's."""
+    """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's.
+
+    A search may end at gusts that are too large with slopes by their angles that are too small. The
+    airspeed shows the size of the gusts, and the slopes have the relative error of the estimated one.
+    """
     last = fit.history[-fit.settings.last_passes :]
     if len(last) == len(fit.history):
         return without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
-    return inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
+    covariance = inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
+    if fit.is_known:
+        return covariance
+    derivatives = fit.x[: fit.layout.n_derivatives]
+    for angles, axes in ((("alpha", "alpha2"), GUST_AXES[2:]), (("beta",), GUST_AXES[:2])):
+        slopes = fit.layout.is_by(*angles) * derivatives
+        covariance = add_scale_error(covariance, slopes, _excess_of_gusts(fit, axes))
+    return covariance
+
+
+def _excess_of_gusts(fit: AirFit, axes: Sequence[str]) -> float:
+    """Return by which fraction the gusts along some axes exceed those that the airspeed shows, zero if they do not."""
+    excess = 0.0
+    for flight, wind in enumerate(fit.winds):
+        for axis in axes:
+            gust = fit.noise_search.values[f"{axis} {flight}"]
+            excess = max(excess, gust / max(wind.gust, SENSOR_GUST) - 1)
+    return excess
 
 
 def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
@@ -130,10 +153,13 @@ def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
 
 
 def misfit_of_sensors(fit: AirFit) -> float:
-    """Return the misfit of the sensors' constants."""
-    is_of_sensor = [name.split()[0] in SENSOR_CONSTANTS for name in fit.parameters.names]
+    """Return the misfit of the sensors' constants, or of their position if that is larger."""
     offset = fit.x - fit.parameters.mean
-    return misfit_of(offset[is_of_sensor], fit.parameters.std[is_of_sensor])
+    misfits = []
+    for constants in (SENSOR_CONSTANTS, ARM):
+        is_one = [name.split()[0] in constants for name in fit.parameters.names]
+        misfits.append(misfit_of(offset[is_one], fit.parameters.std[is_one]))
+    return max(misfits)
 
 
 def with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:

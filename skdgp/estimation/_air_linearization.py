@@ -158,12 +158,14 @@ class Layout(NamedTuple):
         return np.concatenate(parts, axis=-1)
 
 
-def motion_model(layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]) -> AirMotionModel:
-    """Return the aircraft's equations of motion at parameters by name."""
+def motion_model(
+    record: Record, layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]
+) -> AirMotionModel:
+    """Return the equations of motion of the aircraft, and of the sensors of a record, at parameters by name."""
     derivatives = np.zeros((6, layout.n_terms))
     names = layout.names[: layout.n_derivatives]
     derivatives[layout.rows, layout.columns] = [value[name] for name in names]
-    return AirMotionModel(aircraft, derivatives, stacked(value, *ARM))
+    return AirMotionModel(aircraft, derivatives, record.position + stacked(value, *ARM))
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -262,7 +264,7 @@ class _Expansion:
         self.layout = layout
         self.value = value
         self.states = states
-        self.model = motion_model(layout, aircraft, value)
+        self.model = motion_model(record, layout, aircraft, value)
         logged = record.inputs
         surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
         thrust = logged.thrust * (1 + value["thrust_scale"])

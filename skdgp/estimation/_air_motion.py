@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import eigen_root
-from skdgp._compute.typing import Array, Matrix
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import (
     ELEVONS,
     EULER,
@@ -27,9 +27,16 @@ from skdgp._flight.channels import (
     by_elevons,
 )
 from skdgp._flight.holds import with_own_clocks
+from skdgp._flight.sensor_position import sensor_position
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._flight.units import check_radians
-from skdgp.dynamics import Aircraft, check_aircraft, propeller_speed_of, propulsive_loads
+from skdgp.dynamics import (
+    Aircraft,
+    check_aircraft,
+    propeller_speed_of,
+    propulsive_loads,
+    with_sensor_position,
+)
 from skdgp.estimation._air_covariance import (
     add_attenuation,
     error_fractions,
@@ -46,6 +53,7 @@ from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
     AIRCRAFT_NOISES,
     ALL_TERMS,
+    ARM,
     FLIGHT_CONSTANTS,
     FLIGHT_NOISES,
     GUST_AXES,
@@ -57,7 +65,13 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
-from skdgp.estimation._sensors import FORCE_READINGS, PATH_CHANNELS, RATE_READINGS, Prior
+from skdgp.estimation._sensors import (
+    FORCE_READINGS,
+    KNOWN_ARM,
+    PATH_CHANNELS,
+    RATE_READINGS,
+    Prior,
+)
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 DIVERGED = (
@@ -78,14 +92,15 @@ class AirMotion:
     covariance : DataFrame (p, p)
         Joint covariance of the derivatives.
     constants : DataFrame
-        The same columns for servo_lag [s], thrust_scale, airspeed_scale, position of the inertial
-        sensors arm_x, arm_y, arm_z [m], and for each flight wind and biases.
+        The same columns for servo_lag [s], thrust_scale, airspeed_scale, error of the position of the
+        inertial sensors arm_x, arm_y, arm_z [m] (from the centre of gravity where it is not known),
+        and for each flight wind and biases.
     noise : dict of str to float
         Gusts [m/s], their correlation times [s], and noises of the sensors (SI).
     air : DataFrame
         For each row of the table, the smoothed airspeed, alpha, beta, p, q, r, and wind with gusts,
-        and ``_std`` of each; NaN in rows that no record contains. Then specific force, attitude and
-        ground velocity without bias and lag.
+        and ``_std`` of each; NaN in rows that no record contains. Then specific force at the centre
+        of gravity, attitude and ground velocity without bias and lag.
     surfaces : list of str
         Surfaces that move in the flights.
     converged : bool
@@ -94,9 +109,9 @@ class AirMotion:
     seconds : float
         Length of the records [s].
     misfit : float
-        Root mean square of the sensors' constants over their prior standard deviations, at least
-        one. ``std`` is widened by it: effects that the model lacks shift these constants (Birge
-        1932).
+        Root mean square of the sensors' constants over their prior standard deviations, or of the
+        errors of their position if that is larger, at least one. ``std`` is widened by it: effects
+        that the model lacks shift these constants (Birge 1932).
     is_complete : bool
         Whether ``air`` is of all records of the flights, none of which was shortened or too short
         to learn from.
@@ -183,6 +198,15 @@ class AirMotion:
                 couplings[name] = (float(value), float(std))
         return couplings
 
+    def position_error(self, significance: float = 3.0) -> Vector | None:
+        """Return how far the inertial sensors are from their position (3,) [m].
+
+        None unless a component is more than ``significance`` standard deviations of its prior.
+        """
+        error = self.constants.loc[list(ARM)]
+        is_improbable = error["value"].abs() > significance * error["prior_std"]
+        return error["value"].to_numpy(float) if is_improbable.any() else None
+
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
         gusts = self._gusts(flight)
@@ -238,6 +262,8 @@ def estimate_air_motion(
         sample of a slower channel; surfaces are splines between samples. Of flights of more than 12,000
         samples at 50 to 100 Hz, the first parts of the records are used.
     aircraft : Aircraft
+        Its position of the inertial sensors, or the one in the table, is taken to be right to 1 cm
+        (across 5 mm). Unknown, it is estimated within 3 cm of the centre of gravity (across 1 cm).
     terms : mapping of str to sequence of str, optional
         Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces; by default all but
         alpha2, which only CX has. Without CX the axial force is taken as measured, see ``thrust``.
@@ -262,6 +288,8 @@ def estimate_air_motion(
     check_aircraft(aircraft)
     FlightTable.of(table, [*PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
+    table = with_sensor_position(table, aircraft)
+    knows_position = bool(np.isfinite(sensor_position(table)).all())
     table = _with_elevator_and_aileron(with_own_clocks(table))
     if known is None:
         surfaces = [name for name in SURFACES if _moves(table, name)]
@@ -284,7 +312,10 @@ def estimate_air_motion(
         derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
-    parameters = _parameters(derivatives, known, n_flights)
+    constants = dict(AIRCRAFT_CONSTANTS)
+    if knows_position:
+        constants |= KNOWN_ARM
+    parameters = _parameters(derivatives, constants, known, n_flights)
     noises = _noises(records, known, n_flights, settings)
     for n_before in settings.attempts:
         fit = AirFit(records, aircraft, layout, parameters, noises, settings)
@@ -364,12 +395,14 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
     return dict(zip(estimates.index, pairs, strict=True))
 
 
-def _parameters(derivatives: Prior, known: AirMotion | None, n_flights: int) -> Parameters:
+def _parameters(
+    derivatives: Prior, constants: Prior, known: AirMotion | None, n_flights: int
+) -> Parameters:
     """Return the parameters of the flights; the shared ones of a known aircraft are held."""
-    shared = dict(AIRCRAFT_CONSTANTS)
+    shared = dict(constants)
     n_held = 0
     if known is not None:
-        shared = dict(_as_prior(known.constants.loc[list(AIRCRAFT_CONSTANTS)]))
+        shared = dict(_as_prior(known.constants.loc[list(constants)]))
         n_held = len(derivatives) + len(shared)
     if not _has_drag(derivatives):
         # a measured force takes the place of thrust

@@ -44,6 +44,8 @@ class Record(NamedTuple):
     velocity: Matrix  # (n, 3) over the ground, body axes [m/s]
     attitude: Array  # (n, 3, 3) NED to body
     measured: Matrix  # (n, 9) of the sensors, without biases of the path; NaN where not sampled
+    force: Matrix  # (n, 3) specific force at the centre of gravity, by measured rates [m/s^2]
+    position: Vector  # (3,) of the inertial sensors, zero if unknown [m]
     surface_errors: Matrix  # (n, k) size between samples of a slow clock, zero at these [rad]
     inputs: Inputs  # as logged
     periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
@@ -57,6 +59,7 @@ class Record(NamedTuple):
             velocity=self.velocity[rows],
             attitude=self.attitude[rows],
             measured=self.measured[rows],
+            force=self.force[rows],
             surface_errors=self.surface_errors[rows],
             inputs=self.inputs.part(rows),
             answers=None,
@@ -66,7 +69,7 @@ class Record(NamedTuple):
         """Return the record with the measured axial force in place of thrust and CX."""
         measured = self.measured.copy()
         thrust = self.inputs.thrust.copy()
-        thrust[:, 0] = mass * measured[:, 0]
+        thrust[:, 0] = mass * self.force[:, 0]
         measured[:, 0] = np.nan
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
@@ -177,6 +180,7 @@ def _whole_flight(
     free = [*INERTIAL_BIASES, *LAGS]
     path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
     to_body = path.attitude.inv()
+    force, rates = path.inertial(sensors)
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
     periods, surface_errors = _own_clocks(sensors.time, surfaces)
@@ -186,7 +190,9 @@ def _whole_flight(
         time=sensors.time,
         velocity=to_body.apply(path.velocity),
         attitude=to_body.as_matrix(),
-        measured=np.column_stack([*path.inertial(sensors), vanes]),
+        measured=np.column_stack([force + sensors.acceleration, rates, vanes]),
+        force=force,
+        position=np.nan_to_num(sensors.position[0]),
         surface_errors=surface_errors,
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
         periods=periods,

@@ -27,7 +27,6 @@ from skdgp.estimation._air_model import AIR_VELOCITY
 from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import smoothed, state_slopes
-from skdgp.estimation._sensors import FORCE_READINGS
 
 ESTIMATED = (*AIR_DATA, *RATES, *WIND)
 """Smoothed columns, each with its standard deviation."""
@@ -45,7 +44,7 @@ def smoothed_air(
     """Return the smoothed motion through the air; NaN in rows that no record contains."""
     values = np.full((n_rows, len(COLUMNS)), np.nan)
     for item in fitted:
-        parts = [*_estimates(fit, item, covariance), _path(item.record, fit.aircraft.mass)]
+        parts = [*_estimates(fit, item, covariance), _path(item.record)]
         values[item.record.rows] = np.concatenate(parts, axis=1)
     return pd.DataFrame(values, columns=list(COLUMNS))
 
@@ -87,11 +86,8 @@ def _variances(slopes: Array, covariance: Array) -> Matrix:
     return np.sum((slopes @ covariance) * slopes, axis=-1)
 
 
-def _path(record: Record, mass: float) -> Matrix:
+def _path(record: Record) -> Matrix:
     """Return specific force, attitude and ground velocity (n, 9) without biases and lags."""
     to_earth = record.attitude.mT
     angles = Rotation.from_matrix(to_earth).as_euler("ZYX")[:, ::-1]
-    force = record.measured[:, FORCE_READINGS].copy()
-    if not record.sampled[0]:  # it took the place of thrust
-        force[:, 0] = record.inputs.thrust[:, 0] / mass
-    return np.column_stack([force, angles, record.earth_velocity()])
+    return np.column_stack([record.force, angles, record.earth_velocity()])

@@ -20,7 +20,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
 from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._sensors import AIRSPEED, FORCE_READINGS, WIND_STD
+from skdgp.estimation._sensors import AIRSPEED, WIND_STD
 from skdgp.estimation._settings import AirSettings
 
 
@@ -29,6 +29,7 @@ class SteadyWind(NamedTuple):
 
     pitot: Vector  # (3,) of `PITOT`
     variance: float  # of a sample of the airspeed [m^2/s^2]
+    gust: float  # standard deviation of gusts by the airspeed, zero where it shows none [m/s]
 
 
 def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
@@ -60,7 +61,26 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
             residuals.append(error)
         residual = np.concatenate(residuals)
         pitot = pitot - np.linalg.lstsq(np.vstack(slopes), residual, rcond=None)[0]
-    return SteadyWind(pitot, _sample_variance(residual[len(prior) :], records, settings))
+    variance = _sample_variance(residual[len(prior) :], records, settings)
+    return SteadyWind(pitot, variance, _gust_by_airspeed(records, pitot, settings))
+
+
+def _gust_by_airspeed(records: list[Record], pitot: Vector, settings: AirSettings) -> float:
+    """Return the standard deviation of gusts by the errors of the airspeed in a steady wind [m/s].
+
+    Errors some samples apart correlate by gusts; white noise of the pitot does not.
+    """
+    products = []
+    for record in records:
+        _, error = airspeed_error(record, pitot)
+        if len(error):
+            step = record.seconds / len(error)
+            delay = max(1, round(settings.gust_delay / step))
+            error = error - error.mean()
+            products.append(error[delay:] * error[:-delay])
+    if not sum(map(len, products)):
+        return 0.0
+    return float(np.sqrt(max(np.concatenate(products).mean(), 0.0)))
 
 
 def _sample_variance(error: Vector, records: list[Record], settings: AirSettings) -> float:
@@ -92,9 +112,8 @@ class SteadyRegression:
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
-        model = motion_model(self.layout, self.aircraft, value)
-        force = record.measured[:, FORCE_READINGS]
-        coefficients = model.coefficients(force, record.rates, spin, air, record.inputs)
+        model = motion_model(record, self.layout, self.aircraft, value)
+        coefficients = model.coefficients(record.force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)
         return model.terms(state, record.inputs.surfaces), coefficients
 

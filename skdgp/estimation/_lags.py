@@ -26,6 +26,7 @@ from scipy.stats import t as student
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.clock import flight_codes, uniform_grid
+from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 from skdgp._flight.units import check_radians
 from skdgp.estimation._path import estimate_path
@@ -73,7 +74,7 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     10). Lags of attitude and GPS are constants of the path over the ground. A lag of std NaN is
     unknown: surfaces without vanes, whose lag is a parameter of `estimate_air_motion`.
     """
-    segments = _segments_of(table, settings)
+    segments = _segments_of(at_centre_of_gravity(table), settings)
     surfaces = _most_likely_lag(
         segments,
         ALL_SURFACES,

@@ -21,6 +21,7 @@ from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
+from skdgp._flight.sensor_position import sensor_acceleration, sensor_position
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
@@ -54,13 +55,15 @@ Prior = Mapping[str, tuple[float, float]]
 
 AIR_SENSOR_ERRORS: Prior = {
     "airspeed_scale": (0.0, 0.03),
-    "arm_x": (0.0, 0.03),  # inertial sensors from the centre of gravity [m]
+    "arm_x": (0.0, 0.03),  # inertial sensors from their position in the table, or from the CG [m]
     "arm_y": (0.0, 0.01),
     "arm_z": (0.0, 0.03),
     "alpha_bias": (0.0, 0.02),  # of vanes [rad]
     "beta_bias": (0.0, 0.02),
 }
 """Errors of sensors that all flights of an aircraft share."""
+KNOWN_ARM: Prior = {"arm_x": (0.0, 0.01), "arm_y": (0.0, 0.005), "arm_z": (0.0, 0.01)}
+"""Error of a known position of the inertial sensors [m]: the centre of gravity is balanced to about 1 cm."""
 RATE_BIASES: Prior = {
     "p_bias": (0.0, 0.003),  # left over by the path [rad/s]
     "q_bias": (0.0, 0.003),
@@ -123,10 +126,12 @@ class FlightSensors(NamedTuple):
 
     time: Vector  # (n,) [s]
     segment: Indices  # (n,) number of the gap-free segment of a sample
-    readings: Matrix  # (n, 9) of `SENSORS`, SI; air data NaN where not sampled
+    readings: Matrix  # (n, 9) of `SENSORS`, SI, forces at the CG; air data NaN where not sampled
     velocity: Matrix  # (n, 3) GPS velocity, NED [m/s]; NaN where not sampled
     attitude: Rotation  # n attitudes, body to NED
     attitude_sampled: Mask  # (n,) where the attitude was sampled
+    position: Matrix  # (n, 3) of the inertial sensors [m], NaN where it is unknown
+    acceleration: Matrix  # (n, 3) of these relative to the CG, which the forces lack [m/s^2]
 
     def part(self, first: int, last: int) -> FlightSensors:
         """Return samples ``first`` to ``last`` - 1."""
@@ -189,6 +194,8 @@ def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSe
     angles[sampled] = np.unwrap(angles[sampled], axis=0)
     angles = interpolate_missing(time, angles)
     inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
+    acceleration = sensor_acceleration(table)
+    inertial[:, FORCE_READINGS] -= acceleration
     air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
     return FlightSensors(
         time=time,
@@ -197,6 +204,8 @@ def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSe
         velocity=numeric(table, EARTH_VELOCITY),
         attitude=Rotation.from_euler("ZYX", angles[:, ::-1]),
         attitude_sampled=sampled,
+        position=sensor_position(table),
+        acceleration=acceleration,
     )
 
 

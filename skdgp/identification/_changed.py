@@ -155,7 +155,7 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     options = options_of(model)
     loads = {name: options[name] for name in ("thrust", "external_forces")}
     named = named_flights(flights, servos=options.get("servos"))
-    tables = usable_flights_of_model(model.pipeline, named)
+    tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
     samples = {}
     for name, table in tables.items():
         measured = aerodynamic_coefficients(table, model.aircraft, **loads).to_numpy()

@@ -10,7 +10,7 @@ from skdgp._compute.messages import notify
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, TRUTH_SUFFIX
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import aerodynamic_coefficients, replay
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
@@ -82,16 +82,20 @@ def _baseline(model: LearnedModel, regressors: Matrix) -> Matrix | None:
     return intercepts + named_regressors(model.pipeline, regressors).to_numpy() @ slopes
 
 
-def usable_flights_of_model(pipeline: Pipeline, flights: Flights) -> Tables:
+def usable_flights_of_model(
+    pipeline: Pipeline, flights: Flights, aircraft: Aircraft | None = None
+) -> Tables:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
-    Raises ValueError if the pipeline is not of `identify`, or a flight lacks a column that its
-    training flights had.
+    Flights that do not state the position of their inertial sensors get the aircraft's. Raises
+    ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training
+    flights had.
     """
     check_identified(pipeline)
     regressors = pipeline["regressorselector"].regressors
     of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
-    return usable_flights(flights, regressors, regressor_columns([of_fit], regressors))
+    columns = regressor_columns([of_fit], regressors)
+    return usable_flights(flights, aircraft, regressors, columns)
 
 
 def check_identified(pipeline: Pipeline) -> None:

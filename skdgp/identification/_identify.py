@@ -171,7 +171,9 @@ def validate(
     reading["servos"] = reading.get("servos") or options.get("servos")
     with recorded_warnings() as record:
         notify("reading")
-        tables = usable_flights_of_model(model.pipeline, named_flights(flights, **reading))
+        aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
+        named = named_flights(flights, **reading)
+        tables = usable_flights_of_model(model.pipeline, named, aircraft)
         # the steps meet the same faults again
         record.ignore(Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED)
         for name in tables.keys() & set(model.get("flights", [])):
@@ -179,7 +181,7 @@ def validate(
         training = TrainingRecord.from_dict(model.get("fit", {}))
         judged = LearnedModel(
             pipeline=model.pipeline,
-            aircraft=as_aircraft(model.aircraft if aircraft is None else aircraft),
+            aircraft=aircraft,
             fit=fit_record(model.pipeline, training),
             options=options,
         )

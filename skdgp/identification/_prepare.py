@@ -30,6 +30,7 @@ from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import find_contradictions
+from skdgp._flight.sensor_position import sensor_position
 from skdgp._flight.tables import FlightTable, numeric
 from skdgp.dynamics import (
     MOMENTS,
@@ -40,6 +41,7 @@ from skdgp.dynamics import (
     dynamic_pressure,
     propeller_speed_of,
     propulsive_loads,
+    with_sensor_position,
 )
 from skdgp.identification._flights import Flights, items_of, named_flights
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
@@ -130,8 +132,8 @@ def prepare(
         for name in train.keys() & test_flights.keys():
             report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
     columns = regressor_columns([flight.table for flight in train.values()], regressors)
-    usable_train = usable_flights(train, regressors, columns)
-    usable_test = usable_flights(test_flights, regressors, columns)
+    usable_train = usable_flights(train, aircraft, regressors, columns)
+    usable_test = usable_flights(test_flights, aircraft, regressors, columns)
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
         report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
@@ -247,9 +249,14 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors: str | Sequence
 
 
 def usable_flights(
-    flights: Flights, regressors: str | Sequence[str], columns: Sequence[str]
+    flights: Flights,
+    aircraft: Aircraft | None,
+    regressors: str | Sequence[str],
+    columns: Sequence[str],
 ) -> Tables:
     """Return the tables of flights without faults, and only rows that a model can learn from or predict.
+
+    They have the position of the inertial sensors, where flights or aircraft state it.
 
     Warns of faults, of contradictions of physics, and of the rows that are left out. Raises
     ValueError if a flight lacks one of the columns, which the model's flights have, or none of
@@ -259,13 +266,32 @@ def usable_flights(
     without_faults = {}
     for name, flight in flights.items():
         check_columns(flight.table, needed)
-        without_faults[name] = FlightCheck().fit_transform(flight.table)
+        checked = FlightCheck().fit_transform(flight.table)
+        without_faults[name] = with_sensor_position(checked, aircraft)
+        _warn_of_positions(name, checked, aircraft)
     together = FlightTable.of(pd.concat(without_faults.values(), ignore_index=True))
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
+
+
+def _warn_of_positions(
+    flight: str, table: pd.DataFrame, aircraft: Aircraft | None, tolerance: float = 0.01
+) -> None:
+    """Warn if a flight states another position of the inertial sensors than the aircraft.
+
+    Positions differ by more than the ``tolerance`` [m]. Zero is the centre of gravity, to which the
+    forces of a simulation refer.
+    """
+    stated = sensor_position(table).mean(axis=0)
+    if aircraft is None or aircraft.sensor_position is None or not np.nan_to_num(stated).any():
+        return
+    distance = float(np.linalg.norm(stated - aircraft.sensor_position))
+    if distance > tolerance:
+        numbers = {"distance": distance}
+        report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers), stacklevel=4)
 
 
 def _complete_rows(

@@ -14,6 +14,7 @@ from skdgp._compute.files import software_versions
 from skdgp._compute.findings import Code, with_codes
 from skdgp._compute.wording import text_of
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp._flight.sensor_position import sensor_position
 from skdgp.dynamics import Aircraft
 from skdgp.identification._learn import thrust_sources
 from skdgp.identification._pipeline import reconstruction_of
@@ -132,6 +133,7 @@ def facts_of_fit(
     regressor = pipeline[-1]
     facts = {
         "Aircraft": _sizes(aircraft),
+        "Inertial sensors": _sensor_positions(train),
         "Learned from": _durations(train),
         "Tested on": _durations(tested),
         "Regressors": ", ".join(fit.regressors),
@@ -162,6 +164,17 @@ def _sizes(aircraft: Aircraft) -> str:
         f"{aircraft.name}, {aircraft.mass:g} kg, wing area {aircraft.wing_area:.4g} m², "
         f"span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m"
     )
+
+
+def _sensor_positions(train: Mapping[str, pd.DataFrame]) -> str:
+    """Return the positions of the inertial sensors of flights, empty where they are unknown."""
+    positions = []
+    for table in train.values():
+        position = sensor_position(table).mean(axis=0)
+        if np.isfinite(position).all():
+            x, y, z = position
+            positions.append(f"({x:.3g}, {y:.3g}, {z:.3g}) m from the centre of gravity")
+    return " or ".join(dict.fromkeys(positions))
 
 
 def _lags(fit: FitRecord) -> str:

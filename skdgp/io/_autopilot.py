@@ -15,7 +15,13 @@ import pandas as pd
 
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Mask, Matrix, Vector
-from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SPECIFIC_FORCE
+from skdgp._flight.channels import (
+    CHANNELS,
+    EARTH_VELOCITY,
+    EULER,
+    SENSOR_POSITION,
+    SPECIFIC_FORCE,
+)
 from skdgp._flight.faults import POSSIBLE
 from skdgp._flight.faults import SETTINGS as FAULTS
 from skdgp._flight.frames import (
@@ -233,6 +239,7 @@ def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
     if not sources:
         return None
     table, origin = to_table(sources)
+    table, origin = with_stated_position(table, origin, sources, log)
     segments = find_segments(table, log, speed, believes_landed=isinstance(airborne, bool))
     remarks = []
     if airborne is not False:
@@ -344,8 +351,8 @@ def to_table(
     table = table.where(np.isfinite(table))
     if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
         table, origin = with_specific_force(table, origin, settings)
-    names_in_order = [name for name in CHANNELS if name in table]
-    return table[names_in_order], {name: origin[name] for name in names_in_order if name in origin}
+    table = _in_order(table)
+    return table, {name: origin[name] for name in table if name in origin}
 
 
 def _on_clock(
@@ -367,6 +374,24 @@ def _on_clock(
         columns |= dict(zip(names, values.T, strict=True))
         origin |= dict.fromkeys(names, source.origin)
     return columns, origin
+
+
+def with_stated_position(
+    table: pd.DataFrame, origin: dict[str, Origin], sources: list[Source], log: Log
+) -> tuple[pd.DataFrame, dict[str, Origin]]:
+    """Return the table with the position of its accelerometers, where the parameters of the log state it."""
+    for source in sources:
+        stated = log.sensor_positions.get(source.instance)
+        if source.columns == SPECIFIC_FORCE and stated is not None:
+            columns = dict(zip(SENSOR_POSITION, stated.position, strict=True))
+            table = _in_order(table.assign(**columns))
+            origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(stated.words, 0.0))
+    return table, origin
+
+
+def _in_order(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the columns in the order of the vocabulary."""
+    return table[[name for name in CHANNELS if name in table]]
 
 
 def _true_airspeed(equivalent: Vector, density: Vector | None) -> tuple[Vector, str]:
@@ -415,7 +440,9 @@ def with_specific_force(
     force = np.einsum("nji,nj->ni", attitude, change)
     source = Origin("velocity and attitude, as no accelerometer is of use", rate)
     table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
-    return table, origin | dict.fromkeys(SPECIFIC_FORCE, source)
+    # of the body's origin, wherever the sensors are
+    table = table.assign(**dict.fromkeys(SENSOR_POSITION, 0.0))
+    return table, origin | dict.fromkeys((*SPECIFIC_FORCE, *SENSOR_POSITION), source)
 
 
 # -- flights in a log

@@ -46,6 +46,7 @@ from skdgp.io._log import (
     in_force,
     instance_name,
     numeric_fields,
+    stated_positions,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -105,6 +106,8 @@ IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
 MOST_IMUS = 8
 # field with the parameter that says whether the autopilot uses an IMU
 IMU_USE = "INS_USE"
+# parameters of the position of each IMU (AP_InertialSensor)
+IMU_POSITIONS = ("INS_POS1", "INS_POS2", "INS_POS3", "INS4_POS", "INS5_POS")
 # further instances of sensors before the messages had a number
 ALIASES = {
     "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
@@ -352,6 +355,7 @@ def _log(
         aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
+        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
 

@@ -56,6 +56,8 @@ class Source(NamedTuple):
     remark: str = ""
     # times [s] of resets that the log does not let correct
     cuts: tuple[float, ...] = ()
+    # number of the instance, the most used one of several
+    instance: int = 0
 
     @property
     def rate(self) -> float:
@@ -143,7 +145,10 @@ def choose(log: Log, rule: Rule) -> Source | None:
         remarks.append(remark)
     remark = "; ".join(filter(None, remarks))
     names = _names(readings, chosen)
-    return _source(rule, names, time, values, _note(readings, use), remark, tuple(cuts))
+    most = int(np.argmax(np.bincount(chosen[chosen != NONE], minlength=1)))
+    number = readings[most].instance.number
+    note = _note(readings, use)
+    return _source(rule, names, time, values, note, remark, tuple(cuts), number)
 
 
 def _merged(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -225,6 +225,15 @@ Lifting: TypeAlias = tuple[tuple[str, str, float, float], ...]
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
 
+class StatedPosition(NamedTuple):
+    """Position of the inertial sensors by the parameters of an autopilot."""
+
+    #: Names of the parameters
+    words: str
+    #: Forward, right, down of the origin of the body axes, the centre of gravity [m]
+    position: tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Log:
     """A log of an autopilot.
@@ -257,6 +266,8 @@ class Log:
         Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
     commands : dict of str to Control
         Outputs that need no angles: the throttle of the left less the right engine.
+    sensor_positions : dict of int to StatedPosition
+        Of the inertial sensors, by the number of their instance, where the parameters state it.
     """
 
     kind: str
@@ -272,6 +283,7 @@ class Log:
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     lifting: Lifting = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
+    sensor_positions: Mapping[int, StatedPosition] = field(default_factory=dict)
 
     def instances(self, name: str, least: int = 2) -> list[Instance]:
         """Return the instances of a topic that have so many messages, by number."""
@@ -336,6 +348,25 @@ def _pitched(quaternions: Matrix) -> Matrix:
 
 
 TURNS = {RATES: _swapped, SPECIFIC_FORCE: _swapped, QUATERNION: _pitched}
+
+
+def stated_positions(
+    parameters: Mapping[str, float], names: Sequence[str], sits_on_tail: bool = False
+) -> dict[int, StatedPosition]:
+    """Return the position of each instance of the inertial sensors that the parameters ``names`` _X, _Y, _Z state.
+
+    Zeros, the default of autopilots, state nothing. The axes of a tailsitter are turned to forward
+    flight.
+    """
+    positions = {}
+    for number, name in enumerate(names):
+        position = np.array([[parameters.get(f"{name}_{axis}", 0.0) for axis in "XYZ"]])
+        if sits_on_tail:
+            position = _swapped(position)
+        if np.isfinite(position).all() and position.any():
+            x, y, z = position[0].tolist()
+            positions[number] = StatedPosition(f"{name}_X _Y _Z", (x, y, z))
+    return positions
 
 
 def driving(

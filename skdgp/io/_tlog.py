@@ -20,7 +20,7 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import lifting_modes, outputs_of, vehicle_of
+from skdgp.io._dataflash import IMU_POSITIONS, lifting_modes, outputs_of, vehicle_of
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -40,8 +40,10 @@ from skdgp.io._log import (
     milli,
     numeric_fields,
     scaling,
+    stated_positions,
 )
 from skdgp.io._tables import FlightReadError
+from skdgp.io._ulog import IMU_POSITIONS as PX4_IMU_POSITIONS
 from skdgp.io._ulog import MAV_TYPES
 
 # bytes of the arrival, and of a signature
@@ -176,6 +178,9 @@ def read_tlog(path: Path) -> Log:
         aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
+        sensor_positions=stated_positions(
+            parameters, PX4_IMU_POSITIONS if is_px4 else IMU_POSITIONS, sits_on_tail
+        ),
     )
 
 

@@ -41,6 +41,7 @@ from skdgp.io._log import (
     instance_name,
     milli,
     numeric_fields,
+    stated_positions,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -244,6 +245,9 @@ MOST_ENGINES = 8
 MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
 ENGINE_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
 MOST_SURFACES = 8  # of control allocation
+MOST_IMUS = 4
+# Parameters of the position of the IMUs, the same for all (ekf2_params)
+IMU_POSITIONS = ("EKF2_IMU_POS",) * MOST_IMUS
 # By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
 # against our signs.
 SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
@@ -336,6 +340,7 @@ def px4_log(
         controls=_controls(topics, parameters, sits_on_tail),
         lifting=lifting,
         commands={} if is_vtol else _commands(topics, parameters),
+        sensor_positions=stated_positions(parameters, IMU_POSITIONS, sits_on_tail),
     )
 
 

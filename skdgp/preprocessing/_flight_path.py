@@ -15,11 +15,19 @@ from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, fit_context
 from skdgp._compute.typing import Indices, Vector
 from skdgp._compute.wording import reason_of
-from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, EULER, RATES, VANES
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    EULER,
+    RATES,
+    SENSOR_POSITION,
+    VANES,
+)
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable, has_values, numeric
 from skdgp._flight.units import check_radians
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, with_sensor_position
 from skdgp.estimation import (
     CALIBRATED,
     GUSTS,
@@ -101,7 +109,9 @@ class FlightPathReconstruction(TableTransformer):
         without the gusts. Else by `estimate_air_motion`, whose derivatives, lag of the servos and
         noises ``fit`` keeps: ``transform`` estimates gusts, wind and biases of each flight, and the
         surfaces without their lag. Coefficients of such flights agree with these angles by
-        construction: their errors on test flights say little.
+        construction: their errors on test flights say little. Of all flights it gives the position
+        of the inertial sensors, where they do not state it: specific force is then returned at the
+        centre of gravity.
     thrust : str or None, default="auto"
         For ``aircraft``, as in `skdgp.dynamics.aerodynamic_coefficients`.
     settings : AirSettings, optional
@@ -219,6 +229,7 @@ class FlightPathReconstruction(TableTransformer):
 
     def _fit_returning_motion(self, table: pd.DataFrame) -> AirMotion | None:
         """Set the fitted attributes; return the motion of the air, if it can be estimated."""
+        table = with_sensor_position(table, self.aircraft)
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
         self.used_ = not self.missing_
@@ -267,6 +278,10 @@ class FlightPathReconstruction(TableTransformer):
         if motion.converged and couplings:
             finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
             report(finding, stacklevel=4)
+        error = motion.position_error()
+        if motion.converged and error is not None:
+            numbers = {"distance": float(np.linalg.norm(error))}
+            report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers), stacklevel=4)
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         names = [flight.name for flight in flights_of(table)]
@@ -308,12 +323,13 @@ class FlightPathReconstruction(TableTransformer):
 
     def _transformed(self, table: pd.DataFrame, motion: AirMotion | None) -> pd.DataFrame:
         """Return the transformed table, by the motion of its air where this is known."""
+        table = with_sensor_position(table, self.aircraft)
         if not self.used_:
-            return table
+            return at_centre_of_gravity(table)
         if self.optional and (missing := missing_channels(table)):
             finding = Finding(Code.SENSORS_MISSING, numbers={"names": missing})
             report(finding, FlightDataWarning, stacklevel=3)
-            return FlightSmoother().fit_transform(table)
+            return FlightSmoother().fit_transform(at_centre_of_gravity(table))
         self._check(table)
         if motion is None and self.air_motion_ is not None:
             motion, _ = self._estimated_motion(table, self.air_motion_)
@@ -323,6 +339,9 @@ class FlightPathReconstruction(TableTransformer):
             new = self._columns_by_air(table, motion)
         for name in EULER:
             new[name] = wrapped_near(new[name], table[name])
+        if {*SENSOR_POSITION} <= {*table.columns}:
+            # the specific force is that at the centre of gravity
+            new |= {name: np.zeros(len(table)) for name in SENSOR_POSITION}
         return with_columns(table, new)
 
     def _columns_by_path(self, table: pd.DataFrame) -> dict[str, Vector]:
@@ -355,6 +374,8 @@ class FlightPathReconstruction(TableTransformer):
         return _in_rows(flights)
 
     def _columns_out(self, names):
+        if self.aircraft is not None and self.aircraft.sensor_position is not None:
+            names = with_names(names, SENSOR_POSITION)
         if not self.used_:
             return names
         return with_names(names, [*RECONSTRUCTED, "gust"])

@@ -20,6 +20,7 @@ GOOD = {
     "thrust_line": {"position": [-1.2, 0.0, -0.1], "direction": [2.0, 0.0, 0.0]},
     "propeller": {"diameter": 0.7, "thrust_coefficients": [0.1, -0.05], "max_advance_ratio": 0.9},
     "full_deflections": {"elevator": 0.42, "rudder": 0.35},
+    "sensor_position": [0.35, 0.0, -0.12],
 }
 
 
@@ -37,12 +38,13 @@ def test_json_round_trip(tmp_path):
     assert isinstance(again.propeller, Propeller)
     assert_allclose(again.thrust_line.direction, [1, 0, 0])
     assert again.full_deflections == {"elevator": 0.42, "rudder": 0.35}
+    assert_allclose(again.sensor_position, [0.35, 0.0, -0.12])
 
 
 def test_toml_says_the_same_as_json(tmp_path):
     lines = [
         f"{key} = {json.dumps(GOOD[key])}"
-        for key in ("name", "mass", "inertia", "wing_area", "span", "chord")
+        for key in ("name", "mass", "inertia", "wing_area", "span", "chord", "sensor_position")
     ]
     for table in ("thrust_line", "propeller", "full_deflections"):
         lines += [

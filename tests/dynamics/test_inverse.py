@@ -1,5 +1,7 @@
 """Inverse dynamics: what was flown comes back, and what cannot be right is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,6 +14,8 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
+FORCES = ["ax", "ay", "az"]
+POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 
 
 def relative(got, expected):
@@ -33,6 +37,39 @@ def test_rates_are_differentiated_where_accelerations_are_not_measured(
     assert relative(got, true_coefficients).max() < 2e-3
     two_of_three = simulated.drop(columns="q_dot").assign(p_dot=1e3)
     assert_frame_equal(aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got)
+
+
+def sensed_at(flight, arm):
+    """Return a flight whose accelerometers are at ``arm`` [m] from the centre of gravity."""
+    omega, omega_dot = flight[["p", "q", "r"]].to_numpy(), flight[DERIVATIVES].to_numpy()
+    added = np.cross(omega_dot, arm) + np.cross(omega, np.cross(omega, arm))
+    return flight.assign(**dict(zip(FORCES, (flight[FORCES] + added).to_numpy().T, strict=True)))
+
+
+def test_sensors_half_a_metre_ahead_give_the_same_coefficients(
+    simulated, aircraft, true_coefficients
+):
+    arm = (0.5, 0.1, -0.2)
+    flight = sensed_at(simulated, arm)
+    placed = replace(aircraft, sensor_position=arm)
+    assert (
+        relative(aerodynamic_coefficients(flight, aircraft, cutoff=None), true_coefficients).max()
+        > 0.5
+    )
+    got = aerodynamic_coefficients(flight, placed, cutoff=None)
+    assert_allclose(got, true_coefficients, atol=1e-12)
+    got = aerodynamic_coefficients(flight.drop(columns=DERIVATIVES), placed, cutoff=None)
+    assert relative(got, true_coefficients).max() < 3e-3
+
+
+def test_a_position_in_the_flight_counts_in_place_of_the_aircrafts(
+    simulated, aircraft, true_coefficients
+):
+    arm = (0.5, 0.1, -0.2)
+    flight = sensed_at(simulated, arm).assign(**dict(zip(POSITION, arm, strict=True)))
+    wrong = replace(aircraft, sensor_position=(-0.3, 0.0, 0.0))
+    got = aerodynamic_coefficients(flight, wrong, cutoff=None)
+    assert_allclose(got, true_coefficients, atol=1e-12)
 
 
 def test_smoothing_takes_sensor_noise_out_of_every_coefficient(

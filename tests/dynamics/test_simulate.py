@@ -1,5 +1,6 @@
 """Simulation against independent equations, the pipeline's own regressors, and what must hold of any flight."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +25,7 @@ from skdgp.dynamics import (
     SimulationWarning,
     Simulator,
     UncertainStart,
+    aerodynamic_coefficients,
     as_aerodynamics,
     simulate,
     standard_density,
@@ -146,6 +148,16 @@ class TestEquations:
         assert_allclose(end[["p", "q", "r"]], truth[15:], atol=1e-6)
         angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")
         assert_allclose(end[["psi", "theta", "phi"]], angles, atol=1e-7)
+
+    def test_forces_are_of_the_centre_of_gravity_wherever_the_sensors_are(self, aircraft):
+        placed = replace(aircraft, sensor_position=(0.5, 0.1, -0.2))
+        here = fly(aircraft, dt=0.01, duration=1.0)
+        there = fly(placed, dt=0.01, duration=1.0)
+        position = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
+        assert_allclose(there[position], 0.0)
+        assert_frame_equal(there[here.columns], here)
+        coefficients_of = partial(aerodynamic_coefficients, cutoff=None)
+        assert_frame_equal(coefficients_of(there, placed), coefficients_of(here, aircraft))
 
     def test_is_of_fourth_order_in_the_step(self, aircraft):
         exact, half, whole = (

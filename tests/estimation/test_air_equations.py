@@ -8,6 +8,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
+from scipy.signal import lfilter
 
 from skdgp.dynamics import Aircraft, euler_to_matrix
 from skdgp.estimation import AirSettings
@@ -33,6 +34,7 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
 )
 from skdgp.estimation._air_records import Record, servo_output
+from skdgp.estimation._air_start import steady_wind
 from skdgp.estimation._kalman import (
     Linearization,
     Noise,
@@ -68,6 +70,8 @@ def flight_of_sines(n=30):
         0.3 * wave(3) + np.array([17.0, 1.0, 1.5]),
         attitude,
         measured,
+        measured[:, :3],
+        np.array([0.3, -0.1, 0.2]),
         np.zeros((n, 3)),
         inputs,
         np.zeros(3),
@@ -81,6 +85,34 @@ def flight_of_sines(n=30):
     value |= {"servo_lag": 0.03}
     states = 0.2 * wave(N_STATES)
     return record, Layout.of(list(derivatives), SURFACES), value, states
+
+
+def still_flight(airspeed):
+    """Return a record at 20 m/s over the ground, 50 Hz, with an airspeed (n,)."""
+    n = len(airspeed)
+    measured = np.zeros((n, 9))
+    measured[:, 6] = airspeed
+    still = np.zeros((n, 3))
+    time = 0.02 * np.arange(n)
+    velocity = np.broadcast_to([20.0, 0.0, 0.0], (n, 3))
+    attitude = np.broadcast_to(np.eye(3), (n, 3, 3))
+    inputs = Inputs(still, np.zeros((n, 6)), np.full(n, 1.2))
+    force, position, periods = still, np.zeros(3), np.zeros(3)
+    return Record(
+        0, np.arange(n), time, velocity, attitude, measured, force, position, still, inputs, periods
+    )
+
+
+@pytest.mark.parametrize("gust", [0.0, 1.0])
+def test_the_airspeed_shows_the_size_of_gusts_without_the_noise_of_its_sensor(gust):
+    """Gusts of 2 s, sampled as a first-order process, and white noise of 0.3 m/s."""
+    rng = default_rng(1)
+    n = 30000
+    rho = np.exp(-0.02 / 2.0)
+    gusts = lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], rng.standard_normal(n))
+    record = still_flight(20.0 + gust * gusts + 0.3 * rng.standard_normal(n))
+    found = steady_wind([record], AirSettings()).gust
+    assert found == pytest.approx(gust * np.exp(-0.5 * 0.2 / 2.0), abs=0.1)
 
 
 DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))

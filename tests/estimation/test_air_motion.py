@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,8 +67,12 @@ def pulses(time, starts):
     return inputs
 
 
-def flown(case, seconds, *, inputs=True, seed=3, deflections=False, bank=0.0):
-    """Return a flight of the trainer, with commands of servos 50 ms late, or deflections."""
+def flown(case, seconds, *, inputs=True, seed=3, deflections=False, bank=0.0, arm=None):
+    """Return a flight of the trainer, with commands of servos 50 ms late, or deflections.
+
+    The aircraft states that its inertial sensors are at ``arm`` [m], None: at the centre of gravity,
+    and unknown.
+    """
     module = benchmark()
     rng = default_rng(seed)
     plane = module.AIRCRAFT["trainer"]
@@ -78,11 +83,14 @@ def flown(case, seconds, *, inputs=True, seed=3, deflections=False, bank=0.0):
     fleet.pulses[:] = 0.0
     fleet.pulses[:, 0] += pulses(module.STEP * np.arange(len(fleet.pulses)), starts)
     rows = fleet.fly()[:, 0]
+    if arm is not None:
+        spin, rates = rows[:, 3:6], rows[:, 17:20]
+        rows[:, :3] += np.cross(spin, arm) + np.cross(rates, np.cross(rates, arm))
     table = module.logged(rows, rng, "ideal")
     table[SURFACES] = rows[:, 23:26] if deflections else rows[:, 26:29]
     alpha = table.pop("alpha_true")
     sizes = ("mass", "wing_area", "span", "chord", "inertia")
-    aircraft = Aircraft(**{name: plane[name] for name in sizes})
+    aircraft = Aircraft(**{name: plane[name] for name in sizes}, sensor_position=arm)
     return Flown(table, alpha, module.truth_of(plane, alpha.mean(), 0.0), aircraft)
 
 
@@ -129,6 +137,38 @@ def test_derivatives_lie_inside_their_bands():
     assert np.median(1.96 * std / np.abs(value)) < 0.4
     assert np.all(std < 1.05 * prior)
     assert_allclose(np.sqrt(np.diag(found.covariance)), found.derivatives["std"])
+
+
+def test_sensors_half_a_metre_ahead_tell_the_same():
+    """A known position leaves less unknown, so that bands are no wider."""
+    flight = flown(GUSTY, 18.0, arm=(0.5, 0.05, -0.1))
+    found = flight.estimate()
+    assert found.converged
+    value, std, _, truth = flight.compared(found)
+    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
+    _, without_position, _, _ = in_gusts().compared(found_in_gusts())
+    assert np.median(std / without_position) < 1.0
+    arms = found.constants.loc[["arm_x", "arm_y", "arm_z"]]
+    assert_array_less(abs(arms["value"]), 3 * arms["prior_std"])
+    assert np.std(found.air["alpha"] - flight.alpha) < np.deg2rad(0.25)
+
+
+def test_a_wrong_position_of_the_sensors_is_told_and_widens_all_bands():
+    """Stated 20 cm above where they are."""
+    flight = flown(GUSTY, 18.0, arm=(0.0, 0.0, 0.0))
+    wrong = replace(flight.aircraft, sensor_position=(0.0, 0.0, -0.2))
+    with pytest.warns(UserWarning, match="puts the inertial sensors 0.[12]"):
+        motion = FlightPathReconstruction(aircraft=wrong).fit(flight.table).air_motion_
+    assert motion.misfit > 2
+    assert flight.estimate().position_error() is None
+
+
+def test_another_position_of_the_sensors_is_no_other_aircraft():
+    """Derivatives from sensors at one place tell the air of a flight with sensors at another."""
+    learned = flown(GUSTY, 18.0, arm=(0.5, 0.05, -0.1)).estimate()
+    other = flown(GUSTY, 10.0, seed=5, arm=(-0.4, 0.0, 0.1))
+    seen = other.estimate(known=learned)
+    assert np.std(seen.air["alpha"] - other.alpha) < np.deg2rad(0.3)
 
 
 def test_lag_wind_and_gusts_are_found():

@@ -28,6 +28,8 @@ def near_path():
         velocity=rng.normal([24.0, 5.0, 1.0], 0.1, (n, 3)),
         attitude=Rotation.from_euler("ZYX", angles),
         attitude_sampled=np.ones(n, dtype=bool),
+        position=np.zeros((n, 3)),
+        acceleration=np.zeros((n, 3)),
     )
     constants = np.zeros(len(PLACE))
     constants[PLACE["p_bias"]] = 0.01

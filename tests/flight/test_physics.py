@@ -295,6 +295,20 @@ def test_a_reversed_rudder_is_found_without_vanes(flight, moved):
     assert channels_of(found) == {"rudder"}
 
 
+def test_a_known_position_of_the_accelerometers_ends_a_contradiction(flight):
+    """Five metres ahead, they contradict the ground velocity."""
+    log = ahead(flight, arm=5.0)
+    assert contradictions(log)
+    placed = dict(
+        zip(
+            ["sensor_position_x", "sensor_position_y", "sensor_position_z"],
+            (5.0, 0.0, 0.0),
+            strict=True,
+        )
+    )
+    assert contradictions(log.assign(**placed)) == []
+
+
 def test_good_flights_together_have_none(flights):
     assert contradictions(pd.concat(flights.values(), ignore_index=True)) == []
 

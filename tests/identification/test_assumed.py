@@ -2,6 +2,7 @@
 
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -92,6 +93,16 @@ class TestThrust:
         flight = pd.DataFrame({"throttle": [0.5], "airspeed": 20.0, "density": 1.2, column: 3.0})
         force, _ = propulsive_loads(flight, UNKNOWN)
         assert_allclose(force, [[3.0, 0.0, 0.0]])
+
+
+@pytest.mark.parametrize(("stated", "differs"), [(0.3, True), (0.805, False), (0.0, False)])
+def test_two_positions_of_the_inertial_sensors(stated, differs):
+    """Zero is the centre of gravity, to which the forces of a simulation refer."""
+    placed = replace(UNKNOWN, sensor_position=(0.8, 0.0, 0.0))
+    position = dict.fromkeys(("sensor_position_y", "sensor_position_z"), 0.0)
+    flight = table(200).assign(sensor_position_x=stated, **position)
+    said = said_of(flight, placed)
+    assert ("states inertial sensors 0.5 m from where the aircraft has them" in said) is differs
 
 
 def quietly(*flights, **options):

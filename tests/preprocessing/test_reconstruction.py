@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
-from skdgp.dynamics import air_data
+from skdgp.dynamics import Aircraft, air_data
 from skdgp.estimation import PATH_CHANNELS, air_columns, flights_of
 from skdgp.preprocessing import (
     FlightDataWarning,
@@ -30,6 +30,14 @@ RATES = ["p", "q", "r"]
 ATTITUDE = ["phi", "theta", "psi"]
 AIR = ["airspeed", "alpha", "beta"]
 VELOCITY = ["v_north", "v_east", "v_down"]
+POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
+SIZES = {
+    "mass": 2.0,
+    "inertia": np.diag([0.2, 0.3, 0.4]),
+    "wing_area": 0.5,
+    "span": 2.0,
+    "chord": 0.25,
+}
 WIND = ["wind_north", "wind_east", "wind_down"]
 # White noise of the sensors, standard deviation
 SHEET = {
@@ -152,6 +160,30 @@ class TestRecovery:
         out = FlightPathReconstruction().fit_transform(table.drop(columns=["alpha", "beta"]))
         assert_near(table, out, {"alpha": 0.003, "beta": 0.003})
         assert {"alpha", "beta", "alpha_dot", "beta_dot"} <= set(out)
+
+    @pytest.mark.parametrize("by_aircraft", [False, True])
+    def test_forces_are_moved_to_the_centre_of_gravity(self, by_aircraft):
+        """Sensors two metres ahead; their acceleration is that of the true rotation."""
+        table = flown(40.0)
+        arm = np.array([2.0, 0.1, -0.2])
+        omega = table[[f"{name}_true" for name in RATES]].to_numpy()
+        spin = CubicSpline(table["time"], omega)(table["time"], 1)
+        far = table.copy()
+        far[FORCES] += np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
+        options = {}
+        if by_aircraft:
+            options["aircraft"] = Aircraft(**SIZES, sensor_position=arm)
+        else:
+            far[POSITION] = arm
+        reconstruction = FlightPathReconstruction(**options).fit(far)
+        out = reconstruction.transform(far)
+        assert_near(table, out, shares(0.2) | dict.fromkeys(FORCES, 0.08))
+        assert_allclose(out[POSITION], 0.0)
+        assert list(reconstruction.get_feature_names_out()) == list(out.columns)
+        unplaced = far.drop(columns=POSITION, errors="ignore")
+        wrong = FlightPathReconstruction().fit_transform(unplaced)
+        for name in FORCES:
+            assert error(table, wrong, name) > 1.8 * error(table, out, name)
 
     def test_slow_and_silent_sensors(self):
         table = flown(40.0)

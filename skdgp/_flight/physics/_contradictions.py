@@ -13,6 +13,7 @@ from skdgp._flight.physics._checks import Confirmation, Contradiction, Exchange,
 from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, SIGNS
 from skdgp._flight.physics._settings import PHYSICS_SETTINGS, PhysicsSettings
 from skdgp._flight.physics._signals import Signals, signals_of
+from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 
 
@@ -22,7 +23,9 @@ def find_contradictions(
     """Return the relations that flights contradict.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
+    The specific force is that at the centre of gravity, where the position of the sensors is known.
     """
+    flights = replace(flights, table=at_centre_of_gravity(flights.table))
     contradictions = _contradictions_of(flights, settings)
     if contradictions or len(flights.clock.names) < 2:
         return contradictions

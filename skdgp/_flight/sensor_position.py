@@ -1,0 +1,72 @@
+r"""Specific force at the centre of gravity, from inertial sensors at another position.
+
+A sensor at r from the centre of gravity reads, with the specific force f there (Stevens, Lewis &
+Johnson 2016, section 1.7),
+
+.. math:: f + \dot\omega \times r + \omega \times (\omega \times r).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.messages import without_warnings
+from skdgp._compute.typing import Array, Matrix
+from skdgp._flight.channels import RATE_DERIVATIVES, RATES, SENSOR_POSITION, SPECIFIC_FORCE
+from skdgp._flight.clock import Clock
+from skdgp._flight.frames import cross
+from skdgp._flight.smoothing import differentiate, smooth
+from skdgp._flight.tables import interpolate_missing, numeric
+
+
+def sensor_position(table: pd.DataFrame) -> Matrix:
+    """Return the position of the inertial sensors (n, 3) [m] by its columns, NaN where it is unknown."""
+    return numeric(table.reindex(columns=list(SENSOR_POSITION)), SENSOR_POSITION)
+
+
+def with_sensors_at(table: pd.DataFrame, position: Matrix) -> pd.DataFrame:
+    """Return the table with the position of the inertial sensors (n, 3) [m]."""
+    return table.assign(**dict(zip(SENSOR_POSITION, position.T, strict=True)))
+
+
+def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Array:
+    """Return the acceleration (..., 3) of a position relative to the centre of gravity [m/s^2].
+
+    ``spin`` is the angular acceleration [rad/s^2], ``rates`` are the angular rates [rad/s].
+    """
+    return cross(spin, position) + cross(rates, cross(rates, position))
+
+
+def sensor_acceleration(table: pd.DataFrame) -> Matrix:
+    """Return the acceleration (n, 3) of the inertial sensors relative to the centre of gravity [m/s^2].
+
+    By smoothed rates; zero where the position of the sensors is unknown.
+    """
+    position = np.nan_to_num(sensor_position(table))
+    if not position.any():
+        return position
+    time = table["time"].to_numpy(float)
+    flight = table.get("flight")
+    measured = numeric(table, RATES)
+    with without_warnings():  # of short segments, which are not smoothed
+        rates = smooth(measured, time, flight=flight, shrink=False)
+        if {*RATE_DERIVATIVES} <= {*table.columns}:
+            spin = numeric(table, RATE_DERIVATIVES)
+        else:
+            spin = differentiate(measured, time, flight=flight, shrink=False)
+    acceleration = acceleration_by_rotation(spin, rates, position)
+    for rows in Clock.of(time, flight).rows.values():
+        acceleration[rows] = interpolate_missing(time[rows], acceleration[rows])
+    return np.nan_to_num(acceleration)  # of a flight without rates
+
+
+def at_centre_of_gravity(table: pd.DataFrame) -> pd.DataFrame:
+    """Return flights with the specific force at the centre of gravity, by the position of their sensors."""
+    position = sensor_position(table)
+    needed = {*SPECIFIC_FORCE, *RATES}
+    if not np.nan_to_num(position).any() or not needed <= {*table.columns}:
+        return table
+    force = numeric(table, SPECIFIC_FORCE) - sensor_acceleration(table)
+    moved = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+    return with_sensors_at(moved, np.zeros_like(position))

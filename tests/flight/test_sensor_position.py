@@ -1,0 +1,89 @@
+"""Inertial sensors away from the centre of gravity: kinematics of a rigid body."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
+from scipy.spatial.transform import Rotation
+
+from skdgp._flight.sensor_position import at_centre_of_gravity, with_sensors_at
+
+RATES = ["p", "q", "r"]
+FORCES = ["ax", "ay", "az"]
+POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
+ARM = np.array([0.5, -0.2, 0.3])
+STEP = 0.01
+
+
+def on_a_turn_table(rate, arm):
+    """Return a flight that turns at a constant yaw rate, without gravity; sensors feel r omega^2 inward."""
+    time = np.arange(0, 4, STEP)
+    still = dict.fromkeys((*RATES, *FORCES), 0.0)
+    turning = {"r": rate, "ax": -arm[0] * rate**2, "ay": -arm[1] * rate**2}
+    return pd.DataFrame({"time": time, **still, **turning})
+
+
+def tumbling(arm):
+    """Return rates of a rigid body, and what sensors at ``arm`` read of its rotation about the origin.
+
+    Their acceleration is the second derivative of R(t) r, by differences of the attitude.
+    """
+    time = np.arange(-2 * STEP, 6, STEP)
+    angles = np.column_stack([0.7 * np.sin(time), 0.4 * np.cos(1.3 * time), 0.5 * time])
+    attitude = Rotation.from_euler("ZYX", angles)
+    place = attitude.apply(arm)
+    acceleration = (place[2:] - 2 * place[1:-1] + place[:-2]) / STEP**2
+    rates = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * STEP)
+    force = attitude[1:-1].inv().apply(acceleration)
+    columns = dict(zip((*RATES, *FORCES), np.hstack([rates, force]).T, strict=True))
+    return pd.DataFrame({"time": time[1:-1], **columns})
+
+
+def placed(flight, arm):
+    return with_sensors_at(flight, np.broadcast_to(arm, (len(flight), 3)))
+
+
+def test_a_turn_table_has_no_force_at_its_axis():
+    flight = placed(on_a_turn_table(2.0, ARM), ARM)
+    moved = at_centre_of_gravity(flight)
+    assert_allclose(moved[FORCES], 0.0, atol=1e-9)
+    assert_allclose(moved[POSITION], 0.0)
+
+
+def test_a_tumbling_body_has_no_force_at_its_origin():
+    flight = tumbling(ARM)
+    assert np.abs(flight[FORCES]).max(axis=None) > 0.5
+    moved = at_centre_of_gravity(placed(flight, ARM))
+    assert_allclose(moved[FORCES][5:-5], 0.0, atol=2e-3)
+
+
+def test_measured_angular_accelerations_count():
+    """A body at rest that begins to turn, as its sensors of angular acceleration say."""
+    still = on_a_turn_table(0.0, ARM)
+    spin = np.array([0.3, -0.2, 0.1])
+    flight = still.assign(**dict(zip(["p_dot", "q_dot", "r_dot"], spin, strict=True)))
+    moved = at_centre_of_gravity(placed(flight, ARM))
+    assert_allclose(moved[FORCES], np.broadcast_to(-np.cross(spin, ARM), (len(flight), 3)))
+
+
+@pytest.mark.parametrize("arm", [np.zeros(3), np.full(3, np.nan)])
+def test_sensors_at_the_centre_or_at_an_unknown_place_read_as_they_are(arm):
+    flight = tumbling(ARM)
+    assert_frame_equal(at_centre_of_gravity(placed(flight, arm))[flight.columns], flight)
+    assert at_centre_of_gravity(flight) is flight
+
+
+def test_each_flight_has_a_position_of_its_own():
+    flights = [
+        placed(tumbling(arm), arm).assign(flight=name) for name, arm in (("a", ARM), ("b", -ARM))
+    ]
+    moved = at_centre_of_gravity(pd.concat(flights, ignore_index=True))
+    for _, flight in moved.groupby("flight"):
+        assert_allclose(flight[FORCES][5:-5], 0.0, atol=2e-3)
+
+
+def test_gyros_slower_than_accelerometers_tell_the_rotation_between_their_samples():
+    flight = placed(tumbling(ARM), ARM)
+    flight.loc[np.arange(len(flight)) % 2 == 1, RATES] = np.nan
+    assert_allclose(at_centre_of_gravity(flight)[FORCES][5:-5], 0.0, atol=5e-3)

@@ -1,0 +1,91 @@
+"""Position of the inertial sensors by the parameters of autopilots."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from skdgp.io import inspect_log
+from skdgp.preprocessing import FlightDataWarning
+
+POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
+PLACE = (0.12, -0.03, 0.05)
+T = 10 + np.arange(500) / 50.0
+FORCE = np.column_stack([np.sin(T), np.cos(T), np.sin(T) - 9.8])
+
+
+def parameters(name, place=PLACE):
+    return {f"{name}_{axis}": value for axis, value in zip("XYZ", place, strict=True)}
+
+
+def inertial(log, number=0):
+    """Add an IMU of ArduPilot."""
+    rates = {f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"}
+    force = {f"Acc{axis}": ("f", values) for axis, values in zip("XYZ", FORCE.T, strict=True)}
+    return log.topic("IMU", T + number * 1e-3, I=("B", number), **rates, **force)
+
+
+def test_of_ardupilot(read, write, dataflash):
+    log = inertial(dataflash(**parameters("INS_POS1")))
+    table = read(log, "log.bin", airborne=False)
+    assert_allclose(table[POSITION], np.broadcast_to(PLACE, (len(table), 3)), rtol=1e-6)
+    assert table.attrs["sources"]["sensor_position_x"] == "INS_POS1_X _Y _Z"
+    summary = inspect_log(write(log, "log.bin"))
+    assert summary.columns.loc["sensor_position_z", "source"] == "INS_POS1_X _Y _Z"
+
+
+def test_of_the_imu_that_the_autopilot_used(read, dataflash):
+    log = dataflash(**parameters("INS_POS1", (1.0, 1.0, 1.0)), **parameters("INS_POS2"))
+    for number in range(2):
+        inertial(log, number)
+    log.topic("XKF4", T[::5], PI=("B", 1))
+    with pytest.warns(FlightDataWarning, match=r"IMU#1 \(as XKF4.PI"):
+        table = read(log, "log.bin", airborne=False)
+    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+
+
+def test_of_px4(read, ulog):
+    log = ulog(**parameters("EKF2_IMU_POS"))
+    log.topic("vehicle_acceleration", T, xyz=FORCE)
+    table = read(log, airborne=False)
+    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+
+
+def test_of_a_tailsitter_in_its_axes_of_forward_flight(read, ulog):
+    """Axes of hover are turned by 90 degrees about y."""
+    to_hover = Rotation.from_euler("y", 90, degrees=True)
+    place = to_hover.apply(PLACE).tolist()
+    log = ulog(VT_TYPE=0, MAV_TYPE=20, **parameters("EKF2_IMU_POS", place))
+    log.topic("vehicle_acceleration", T, xyz=to_hover.apply(FORCE))
+    log.topic("vehicle_status", T[::5], is_vtol=np.ones(len(T[::5]), bool))
+    table = read(log, airborne=False)
+    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6, atol=1e-9)
+
+
+def test_of_telemetry(tlog, read):
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    messages = []
+    for name, value in parameters("INS_POS1").items():
+        message = mavlink.MAVLink_param_value_message(name.encode(), value, 9, 2, 0)
+        messages.append(tlog[0][:8] + message.pack(plane))
+    table = read(b"".join([*messages, *tlog]), "log.tlog")
+    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (np.nan, 0.1, 0.1)])
+def test_zeros_state_nothing(read, dataflash, place):
+    """They are the default of autopilots."""
+    table = read(inertial(dataflash(**parameters("INS_POS1", place))), "log.bin", airborne=False)
+    assert {*POSITION}.isdisjoint(table.columns)
+
+
+def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):
+    """Without accelerometers, wherever these would be."""
+    log = dataflash(**parameters("INS_POS1"))
+    log.topic("IMU", T, **{f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"})
+    log.topic("ATT", T, Roll=("f", np.sin(T)), Pitch=("f", np.cos(T)), Yaw=("f", 10.0))
+    log.topic("XKF1", T, **{name: ("f", np.sin(T)) for name in ("VN", "VE", "VD")})
+    table = read(log, "log.bin", airborne=False)
+    assert table["az"].notna().any()
+    assert_allclose(table[POSITION], 0.0)

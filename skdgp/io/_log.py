@@ -355,12 +355,12 @@ def stated_positions(
 ) -> dict[int, StatedPosition]:
     """Return the position of each instance of the inertial sensors that the parameters ``names`` _X, _Y, _Z state.
 
-    Zeros, the default of autopilots, state nothing. The axes of a tailsitter are turned to forward
+    Zeros, the default of autopilots, state nothing, and so do two of three. The axes of a tailsitter are turned to forward
     flight.
     """
     positions = {}
     for number, name in enumerate(names):
-        position = np.array([[parameters.get(f"{name}_{axis}", 0.0) for axis in "XYZ"]])
+        position = np.array([[parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ"]])
         if sits_on_tail:
             position = _swapped(position)
         if np.isfinite(position).all() and position.any():

@@ -285,13 +285,15 @@ def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
 def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) -> Use:
     """Return a judgement by the scores, no better than the data and the estimates behind them allow.
 
-    "no" and "unknown" remain. Of a model from too little data nothing is known. Doubts turn "yes"
-    into "partly", and the doubt of a failed estimate both into "no".
+    Of a model from too little data nothing is known, but what its regressors exclude. Otherwise "no"
+    and "unknown" remain, and doubts turn "yes" into "partly", the doubt of a failed estimate both
+    into "no".
     """
+    is_excluded = any(finding.code is Code.ACCELERATIONS_AS_REGRESSORS for finding in use.findings)
+    if too_little is not None and not is_excluded:
+        return Use(use.purpose, "unknown", (too_little,))
     if use.fit not in ("yes", "partly"):
         return use
-    if too_little is not None:
-        return Use(use.purpose, "unknown", (too_little,))
     if any(map(_is_failure, doubts)):
         return Use(use.purpose, "no", (*use.findings, *doubts))
     if doubts and use.fit == "yes":

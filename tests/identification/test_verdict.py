@@ -215,10 +215,16 @@ def test_a_wide_band_has_its_source():
     assert "Cm_elevator ± 98 % (gusts, or noise of the regressors)" in reason
 
 
-def test_little_flown_does_not_hide_a_no():
+def test_of_little_flown_a_large_error_says_nothing():
     training = replace(FIT.training, flown=5.0)
-    found = verdict([evaluation(error=1.5)], fit={"training": training})
-    assert use(found, "predict coefficients")[0] == "no"
+    found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
+    assert {use.fit for use in found.uses} == {"unknown"}
+    assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
+
+
+def test_accelerations_as_regressors_exclude_simulation_after_any_flight():
+    fit = {"regressors": ["alpha", "ax"], "training": replace(FIT.training, flown=5.0)}
+    assert use(verdict(fit=fit), "simulate")[0] == "no"
 
 
 class TestPrediction:

@@ -348,8 +348,14 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     if (by_rudder > 0).all() or (by_rudder < 0).all():
         wrong = wrong.combine_first(by_rudder.iloc[:1])
     is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
-    of_signs = {Code.WRONG_SIGNS: wrong[is_known], Code.SIGNS_UNKNOWN: wrong[~is_known]}
-    return [_of_derivatives(code, values) for code, values in of_signs.items() if len(values)]
+    findings = []
+    if is_known.any():
+        findings.append(_of_derivatives(Code.WRONG_SIGNS, wrong[is_known]))
+    unknown = wrong[~is_known]
+    if len(unknown):
+        parts = _largest_parts(derivatives, unknown.index)
+        findings.append(_of_derivatives(Code.SIGNS_UNKNOWN, unknown, parts=parts))
+    return findings
 
 
 def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
@@ -362,9 +368,10 @@ def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
     return [] if large.empty else [_of_derivatives(Code.IMPLAUSIBLE_SIZES, large)]
 
 
-def _of_derivatives(code: Code, values: pd.Series) -> Finding:
-    """Return a finding of derivatives with their values."""
-    return Finding(code, numbers={"values": values.to_dict(), "names": list(values.index)})
+def _of_derivatives(code: Code, values: pd.Series, **numbers: Any) -> Finding:
+    """Return a finding of derivatives with their values, and further numbers."""
+    names = list(values.index)
+    return Finding(code, numbers={"values": values.to_dict(), "names": names, **numbers})
 
 
 def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:

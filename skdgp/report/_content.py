@@ -173,7 +173,11 @@ class Verdict:
 
 # Facts of a trim and columns of derivatives in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
-DERIVATIVE = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
+DERIVATIVE = (
+    *("value", "std", "lower", "upper"),
+    *("std_random", "std_method", "std_posterior"),
+    *("std_merged", "std_aircraft", "aircraft"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)

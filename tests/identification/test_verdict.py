@@ -470,6 +470,13 @@ def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown():
     assert "not known, as their 95 % bands hold zero: CY_beta +0.1" in found.warnings[0]
 
 
+def test_an_unknown_sign_has_its_source():
+    added = {"value": 0.1, "std": 0.2, "std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
+    table = pd.concat([mechanics().derivatives, pd.DataFrame(added, index=["CY_beta"])])
+    found = verdict(derivatives=table)
+    assert "CY_beta +0.1 (few or small inputs)" in found.warnings[0]
+
+
 def test_without_vanes_forces_that_agree_by_construction_are_not_judged():
     """Alpha and beta follow from the accelerometers that give CZ and CY."""
     flight = evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])

@@ -79,7 +79,11 @@ def judge(
     better, worse = _against_least_squares(judged)
 
     # the costliest first
-    warnings = [*faults, *_warnings_of_scores(judged, evaluations, worse)]
+    warnings = [
+        *faults,
+        *_warnings_of_errors(judged, evaluations, worse),
+        *_warnings_of_bands(table),
+    ]
     if unvarying:
         warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
     if not record.converged:
@@ -384,10 +388,10 @@ def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[
     return tuple(better), tuple(worse)
 
 
-def _warnings_of_scores(
+def _warnings_of_errors(
     table: pd.DataFrame, evaluations: Sequence[Evaluation], worse: Sequence[str]
 ) -> list[Finding]:
-    """Return the warnings of the scores, the costliest first."""
+    """Return the warnings of the errors of coefficients that vary, the costliest first."""
     findings = []
     diverging = []
     for flight in evaluations:
@@ -402,6 +406,12 @@ def _warnings_of_scores(
     if is_mostly_worse or means["normalized_rmse"] > limit:
         numbers = {"names": list(worse), "worse": len(worse), "coefficients": len(table)}
         findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers))
+    return findings
+
+
+def _warnings_of_bands(table: pd.DataFrame) -> list[Finding]:
+    """Return the warnings of bands that are too narrow or too wide, of all coefficients."""
+    findings = []
     coverages = table["interval_coverage"]
     narrow = coverages[coverages < THRESHOLDS.coverage]
     if len(narrow):

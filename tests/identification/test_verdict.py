@@ -451,7 +451,14 @@ class TestCoefficientsThatDoNotVary:
         assert np.isnan(found.error)
         assert found.compared() == ""
         assert use(found, "predict coefficients")[0] == "unknown"
-        assert [finding.code for finding in found.findings] == [Code.NOT_VARYING]
+        assert [one.code for one in found.findings] == [Code.BANDS_TOO_WIDE, Code.NOT_VARYING]
+
+    def test_a_band_that_is_too_wide_is_told_of_one_that_does_not_vary(self):
+        calm = still(evaluation(), 5)
+        wide = replace(calm, measured_std=calm.measured_std * [1, 1, 1, 1, 1, 10])
+        found = verdict([wide])
+        (too_wide,) = [one for one in found.findings if one.code is Code.BANDS_TOO_WIDE]
+        assert too_wide.numbers["coverages"]["Cn"] == 1.0
 
     def test_one_whose_band_does_not_hold_is_judged(self):
         calm = still(evaluation(), 5)

@@ -70,10 +70,11 @@ def judge(
     doubts = _doubts(record, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
+    simulation = _simulation(mechanics, record.regressors)
     by_scores = (
         _prediction(judged, _by_construction(evaluations, record), unvarying),
-        _simulation(mechanics, record.regressors),
-        _control(mechanics, table, judged, faults),
+        simulation,
+        _control(mechanics, table, judged, faults, simulation),
     )
     too_little = _too_little(record)
     better, worse = _against_least_squares(judged)
@@ -212,10 +213,12 @@ def _control(
     table: pd.DataFrame,
     judged: pd.DataFrame,
     faults: Sequence[Finding],
+    simulation: Use,
 ) -> Use:
     """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores.
 
-    It needs a trim, derivatives by the controls, and no fault.
+    It needs a trim, derivatives by the controls, and no fault. "yes" needs a ``simulation`` that
+    is not refuted by the test flights.
     """
     purpose = "design a controller"
     if faults:
@@ -233,7 +236,10 @@ def _control(
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
         return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
-    return _control_of_known(purpose, list(mechanics.trim.beyond), widths, judged)
+    use = _control_of_known(purpose, list(mechanics.trim.beyond), widths, judged)
+    if use.fit == "yes" and simulation.fit == "no":
+        return Use(purpose, "partly", (*use.findings, *simulation.findings))
+    return use
 
 
 def _control_of_known(

@@ -363,6 +363,12 @@ class TestControl:
         assert use(found, "design a controller")[0] == fit
         assert ("bands do not hold" in use(found, "design a controller")[1]) == (not inside)
 
+    @pytest.mark.parametrize(("lasts", "fit"), [(0.5, "partly"), (2.0, "yes")])
+    def test_flights_that_a_simulation_does_not_follow_are_no_yes(self, lasts, fit):
+        found = use(verdict(simulation=simulated([4.0, lasts])), "design a controller")
+        assert found[0] == fit
+        assert ("it follows the test flights for 0.5 s" in found[1]) is (fit == "partly")
+
     def test_derivatives_by_no_control(self):
         angles = pd.DataFrame({"value": [-4.5], "std": [0.1]}, index=["CZ_alpha"])
         fit, reason = use(verdict(derivatives=angles), "design a controller")

@@ -347,17 +347,18 @@ def _is_failure(doubt: Finding) -> bool:
 def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the findings of derivatives of other sign than on a conventional stable aircraft, if any.
 
-    Wrong is a sign that the 95 % band excludes; the others are not known.
+    Wrong is a sign that the 95 % band excludes; the others are not known. The side force of the
+    rudder is small on some aircraft, so that its unknown sign is no fault.
     """
     if derivatives.empty:
         return []
     signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
-    # side force and yawing moment of the rudder
-    by_rudder = derivatives["value"].reindex([*OPPOSITE])
-    if (by_rudder > 0).all() or (by_rudder < 0).all():
-        wrong = wrong.combine_first(by_rudder.iloc[:1])
     is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
+    if _is_rudder_ahead(derivatives):
+        side_force = OPPOSITE[0]
+        wrong[side_force] = derivatives.at[side_force, "value"]
+        is_known[side_force] = True
     findings = []
     if is_known.any():
         findings.append(_of_derivatives(Code.WRONG_SIGNS, wrong[is_known]))
@@ -366,6 +367,13 @@ def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
         parts = _largest_parts(derivatives, unknown.index)
         findings.append(_of_derivatives(Code.SIGNS_UNKNOWN, unknown, parts=parts))
     return findings
+
+
+def _is_rudder_ahead(derivatives: pd.DataFrame) -> bool:
+    """Return whether side force and yawing moment of the rudder surely have the same sign."""
+    of_rudder = derivatives.reindex([*OPPOSITE])
+    ratio = of_rudder["value"] / (half_width(0.95) * of_rudder["std"])
+    return bool((ratio > 1).all() or (ratio < -1).all())
 
 
 def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:

@@ -423,7 +423,7 @@ def test_effects_that_no_aircraft_has_forbid_a_controller():
         ("CY_rudder", -0.1, True),  # of the sign of Cn_rudder
         ("CY_rudder", 0.1, False),
     ]:
-        added = pd.DataFrame({"value": [value], "std": [value / 4]}, index=[name])
+        added = pd.DataFrame({"value": [value], "std": [abs(value) / 4]}, index=[name])
         found = verdict(derivatives=pd.concat([table, added]))
         assert (use(found, "design a controller")[0] == "no") is wrong
         if wrong:
@@ -488,6 +488,13 @@ def test_an_unknown_sign_has_its_source():
     table = pd.concat([mechanics().derivatives, pd.DataFrame(added, index=["CY_beta"])])
     found = verdict(derivatives=table)
     assert "CY_beta +0.1 (few or small inputs)" in found.warnings[0]
+
+
+def test_a_side_force_of_the_rudder_of_unknown_sign_is_no_fault():
+    """Some aircraft have hardly any, and no controller of attitude needs it."""
+    added = pd.DataFrame({"value": [-0.01], "std": [0.01]}, index=["CY_rudder"])
+    found = verdict(derivatives=pd.concat([mechanics().derivatives, added]))
+    assert use(found, "design a controller")[0] == "yes"
 
 
 def test_without_vanes_forces_that_agree_by_construction_are_not_judged():

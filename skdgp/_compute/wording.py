@@ -357,15 +357,28 @@ CAUSES = {
 }
 
 
+def _cause(name: str, finding: Finding) -> str:
+    """Return in brackets what makes the band of a derivative wide; empty if it is no part alone."""
+    part = finding.numbers["parts"].get(name)
+    return "" if part is None else f" ({CAUSES[part]})"
+
+
+def _signs_unknown(finding: Finding) -> str:
+    derivatives = []
+    for name, value in finding.numbers["values"].items():
+        derivatives.append(f"{name} {value:+.2g}{_cause(name, finding)}")
+    return (
+        "The signs of these derivatives are not known, as their 95 % bands hold zero: "
+        f"{', '.join(derivatives)}. Fly larger inputs of every surface."
+    )
+
+
 def _controls_too_uncertain(finding: Finding) -> str:
     widths: Mapping[str, float] = finding.numbers["widths"]
-    parts: Mapping[str, str] = finding.numbers["parts"]
     wide = []
     for name, width in widths.items():
         text = f"{name} ± {100 * width:.0f} %" if width < 10 else f"{name} unknown"
-        if name in parts:
-            text += f" ({CAUSES[parts[name]]})"
-        wide.append(text)
+        wide.append(text + _cause(name, finding))
     return f"not known well enough, half of the 95 % interval: {', '.join(wide)}"
 
 
@@ -485,8 +498,7 @@ TEXTS = _by_code(
     no_frequency_responses="No frequency responses are shown: {error}",
     implausible_sizes="No aircraft has such effects: {values:+.2g}. Look at the place and the signs "
     "of the accelerometers, and at gusts without vanes.",
-    signs_unknown="The signs of these derivatives are not known, as their 95 % bands hold zero: "
-    "{values:+.2g}. Fly larger inputs of every surface.",
+    signs_unknown=_signs_unknown,
     wrong_signs="Signs are not as on a conventional stable aircraft: {values:+.2g}. Look at "
     "the signs of the log's surfaces and rates, at the place and the signs of the accelerometers, "
     "and at gusts without vanes.",

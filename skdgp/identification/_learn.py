@@ -32,6 +32,7 @@ from skdgp.identification._pipeline import (
     regressor_names,
 )
 from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
+from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
@@ -51,6 +52,19 @@ class RowSettings:
 
 
 ROWS = RowSettings()
+
+
+@dataclass(frozen=True)
+class InputNoiseSettings:
+    """When the data determine the noise of a regressor."""
+
+    #: Least information on the logarithm of the variance, whose standard deviation is then one
+    least_information: float = 1.0
+    #: Most rows at which slopes are evaluated, for speed
+    most_rows: int = 500
+
+
+INPUT_NOISE = InputNoiseSettings()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +218,6 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     """Return what a fitted pipeline shows of its fit."""
     regressor = pipeline[-1]
     names = regressor_names(pipeline)
-    input_std = np.sqrt(np.diag(regressor.input_covariance_)) * pipeline["standardscaler"].scale_
     not_converged: list[str] = []
     gusts_unknown = None
     reconstruction = None
@@ -224,13 +237,38 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         converged=bool(regressor.converged_),
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
-        input_noise_std=dict(zip(names, input_std.tolist(), strict=True)),
+        input_noise_std=_input_noise_std(pipeline, names),
         paths_not_converged=not_converged,
         gusts_unknown=gusts_unknown,
         reconstruction=reconstruction,
         lags=lags_of(pipeline),
         training=training,
     )
+
+
+def _input_noise_std(
+    pipeline: Pipeline, names: Sequence[str], settings: InputNoiseSettings = INPUT_NOISE
+) -> dict[str, float | None]:
+    """Return the standard deviations of the regressors' noise, None where the data do not determine them.
+
+    Zero of exact regressors, and a given value, are no estimates and remain.
+    """
+    regressor = pipeline[-1]
+    input_std = np.sqrt(np.diag(regressor.input_covariance_))
+    values = input_std * pipeline["standardscaler"].scale_
+    noise_std: dict[str, float | None] = dict(zip(names, values.tolist(), strict=True))
+    is_learned = isinstance(regressor.input_noise, str)
+    if not is_learned or not input_std.any():
+        return noise_std
+    X = training_inputs(regressor.posterior_)
+    step = math.ceil(len(X) / settings.most_rows)
+    slopes = regressor.predict_gradient(X[::step])
+    noise = regressor.noise_variance_ + regressor.misfit_variance_
+    information = step * input_noise_information(slopes, noise, input_std)
+    for name, of_regressor in zip(names, information, strict=True):
+        if of_regressor < settings.least_information:
+            noise_std[name] = None
+    return noise_std
 
 
 def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:

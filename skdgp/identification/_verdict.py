@@ -70,16 +70,21 @@ def judge(
     doubts = _doubts(record, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
+    simulation = _simulation(mechanics, record.regressors)
     by_scores = (
         _prediction(judged, _by_construction(evaluations, record), unvarying),
-        _simulation(mechanics, record.regressors),
-        _control(mechanics, table, judged, faults),
+        simulation,
+        _control(mechanics, table, judged, faults, simulation),
     )
     too_little = _too_little(record)
     better, worse = _against_least_squares(judged)
 
     # the costliest first
-    warnings = [*faults, *_warnings_of_scores(judged, evaluations, worse)]
+    warnings = [
+        *faults,
+        *_warnings_of_errors(judged, evaluations, worse),
+        *_warnings_of_bands(table),
+    ]
     if unvarying:
         warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
     if not record.converged:
@@ -208,10 +213,12 @@ def _control(
     table: pd.DataFrame,
     judged: pd.DataFrame,
     faults: Sequence[Finding],
+    simulation: Use,
 ) -> Use:
     """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores.
 
-    It needs a trim, derivatives by the controls, and no fault.
+    It needs a trim, derivatives by the controls, and no fault. "yes" needs a ``simulation`` that
+    is not refuted by the test flights.
     """
     purpose = "design a controller"
     if faults:
@@ -229,7 +236,10 @@ def _control(
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
         return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
-    return _control_of_known(purpose, list(mechanics.trim.beyond), widths, judged)
+    use = _control_of_known(purpose, list(mechanics.trim.beyond), widths, judged)
+    if use.fit == "yes" and simulation.fit == "no":
+        return Use(purpose, "partly", (*use.findings, *simulation.findings))
+    return use
 
 
 def _control_of_known(
@@ -285,13 +295,15 @@ def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
 def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) -> Use:
     """Return a judgement by the scores, no better than the data and the estimates behind them allow.
 
-    "no" and "unknown" remain. Of a model from too little data nothing is known. Doubts turn "yes"
-    into "partly", and the doubt of a failed estimate both into "no".
+    Of a model from too little data nothing is known, but what its regressors exclude. Otherwise "no"
+    and "unknown" remain, and doubts turn "yes" into "partly", the doubt of a failed estimate both
+    into "no".
     """
+    is_excluded = any(finding.code is Code.ACCELERATIONS_AS_REGRESSORS for finding in use.findings)
+    if too_little is not None and not is_excluded:
+        return Use(use.purpose, "unknown", (too_little,))
     if use.fit not in ("yes", "partly"):
         return use
-    if too_little is not None:
-        return Use(use.purpose, "unknown", (too_little,))
     if any(map(_is_failure, doubts)):
         return Use(use.purpose, "no", (*use.findings, *doubts))
     if doubts and use.fit == "yes":
@@ -335,19 +347,33 @@ def _is_failure(doubt: Finding) -> bool:
 def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the findings of derivatives of other sign than on a conventional stable aircraft, if any.
 
-    Wrong is a sign that the 95 % band excludes; the others are not known.
+    Wrong is a sign that the 95 % band excludes; the others are not known. The side force of the
+    rudder is small on some aircraft, so that its unknown sign is no fault.
     """
     if derivatives.empty:
         return []
     signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
-    # side force and yawing moment of the rudder
-    by_rudder = derivatives["value"].reindex([*OPPOSITE])
-    if (by_rudder > 0).all() or (by_rudder < 0).all():
-        wrong = wrong.combine_first(by_rudder.iloc[:1])
     is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
-    of_signs = {Code.WRONG_SIGNS: wrong[is_known], Code.SIGNS_UNKNOWN: wrong[~is_known]}
-    return [_of_derivatives(code, values) for code, values in of_signs.items() if len(values)]
+    if _is_rudder_ahead(derivatives):
+        side_force = OPPOSITE[0]
+        wrong[side_force] = derivatives.at[side_force, "value"]
+        is_known[side_force] = True
+    findings = []
+    if is_known.any():
+        findings.append(_of_derivatives(Code.WRONG_SIGNS, wrong[is_known]))
+    unknown = wrong[~is_known]
+    if len(unknown):
+        parts = _largest_parts(derivatives, unknown.index)
+        findings.append(_of_derivatives(Code.SIGNS_UNKNOWN, unknown, parts=parts))
+    return findings
+
+
+def _is_rudder_ahead(derivatives: pd.DataFrame) -> bool:
+    """Return whether side force and yawing moment of the rudder surely have the same sign."""
+    of_rudder = derivatives.reindex([*OPPOSITE])
+    ratio = of_rudder["value"] / (half_width(0.95) * of_rudder["std"])
+    return bool((ratio > 1).all() or (ratio < -1).all())
 
 
 def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
@@ -360,9 +386,10 @@ def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
     return [] if large.empty else [_of_derivatives(Code.IMPLAUSIBLE_SIZES, large)]
 
 
-def _of_derivatives(code: Code, values: pd.Series) -> Finding:
-    """Return a finding of derivatives with their values."""
-    return Finding(code, numbers={"values": values.to_dict(), "names": list(values.index)})
+def _of_derivatives(code: Code, values: pd.Series, **numbers: Any) -> Finding:
+    """Return a finding of derivatives with their values, and further numbers."""
+    names = list(values.index)
+    return Finding(code, numbers={"values": values.to_dict(), "names": names, **numbers})
 
 
 def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -375,10 +402,10 @@ def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[
     return tuple(better), tuple(worse)
 
 
-def _warnings_of_scores(
+def _warnings_of_errors(
     table: pd.DataFrame, evaluations: Sequence[Evaluation], worse: Sequence[str]
 ) -> list[Finding]:
-    """Return the warnings of the scores, the costliest first."""
+    """Return the warnings of the errors of coefficients that vary, the costliest first."""
     findings = []
     diverging = []
     for flight in evaluations:
@@ -393,6 +420,12 @@ def _warnings_of_scores(
     if is_mostly_worse or means["normalized_rmse"] > limit:
         numbers = {"names": list(worse), "worse": len(worse), "coefficients": len(table)}
         findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers))
+    return findings
+
+
+def _warnings_of_bands(table: pd.DataFrame) -> list[Finding]:
+    """Return the warnings of bands that are too narrow or too wide, of all coefficients."""
+    findings = []
     coverages = table["interval_coverage"]
     narrow = coverages[coverages < THRESHOLDS.coverage]
     if len(narrow):

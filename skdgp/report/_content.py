@@ -40,8 +40,7 @@ class Thresholds(NamedTuple):
     # half the gain.
     band: float = 0.5
     seconds: float = 1.0  # shortest simulation that is of use [s] (guess)
-    # Least seconds and rows for each regressor to learn from: below, nothing is judged with "yes" or
-    # "partly" (guesses)
+    # Least seconds and rows for each regressor to learn from: below, the uses are unknown (guesses)
     flown: float = 30.0
     rows: float = 10.0
     tie: float = 0.02  # errors that differ by less than this share are equal (guess)
@@ -174,7 +173,11 @@ class Verdict:
 
 # Facts of a trim and columns of derivatives in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
-DERIVATIVE = ("value", "std", "lower", "upper", "std_merged", "std_aircraft", "aircraft")
+DERIVATIVE = (
+    *("value", "std", "lower", "upper"),
+    *("std_random", "std_method", "std_posterior"),
+    *("std_merged", "std_aircraft", "aircraft"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)

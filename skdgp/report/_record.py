@@ -71,8 +71,8 @@ class FitRecord:
     converged, interrupted : bool
         Whether the search converged, or was ended by Ctrl-C.
     noise_std, input_noise_std : mapping of str to float
-        Standard deviations of the noise of coefficients and of regressors. Of a regressor that
-        no coefficient depends on the data tell no noise: the value is where the search began.
+        Standard deviations of the noise of coefficients and of regressors, None where the data do
+        not determine it: no coefficient depends much on the regressor, or its noise is small.
     paths_not_converged : sequence of str
         Training flights whose reconstruction did not converge.
     gusts_unknown : Finding, optional
@@ -93,7 +93,7 @@ class FitRecord:
     converged: bool
     interrupted: bool
     noise_std: Mapping[str, float]
-    input_noise_std: Mapping[str, float]
+    input_noise_std: Mapping[str, float | None]
     paths_not_converged: Sequence[str]
     gusts_unknown: Finding | None
     reconstruction: Finding | None

@@ -215,10 +215,16 @@ def test_a_wide_band_has_its_source():
     assert "Cm_elevator ± 98 % (gusts, or noise of the regressors)" in reason
 
 
-def test_little_flown_does_not_hide_a_no():
+def test_of_little_flown_a_large_error_says_nothing():
     training = replace(FIT.training, flown=5.0)
-    found = verdict([evaluation(error=1.5)], fit={"training": training})
-    assert use(found, "predict coefficients")[0] == "no"
+    found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
+    assert {use.fit for use in found.uses} == {"unknown"}
+    assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
+
+
+def test_accelerations_as_regressors_exclude_simulation_after_any_flight():
+    fit = {"regressors": ["alpha", "ax"], "training": replace(FIT.training, flown=5.0)}
+    assert use(verdict(fit=fit), "simulate")[0] == "no"
 
 
 class TestPrediction:
@@ -357,6 +363,12 @@ class TestControl:
         assert use(found, "design a controller")[0] == fit
         assert ("bands do not hold" in use(found, "design a controller")[1]) == (not inside)
 
+    @pytest.mark.parametrize(("lasts", "fit"), [(0.5, "partly"), (2.0, "yes")])
+    def test_flights_that_a_simulation_does_not_follow_are_no_yes(self, lasts, fit):
+        found = use(verdict(simulation=simulated([4.0, lasts])), "design a controller")
+        assert found[0] == fit
+        assert ("it follows the test flights for 0.5 s" in found[1]) is (fit == "partly")
+
     def test_derivatives_by_no_control(self):
         angles = pd.DataFrame({"value": [-4.5], "std": [0.1]}, index=["CZ_alpha"])
         fit, reason = use(verdict(derivatives=angles), "design a controller")
@@ -411,7 +423,7 @@ def test_effects_that_no_aircraft_has_forbid_a_controller():
         ("CY_rudder", -0.1, True),  # of the sign of Cn_rudder
         ("CY_rudder", 0.1, False),
     ]:
-        added = pd.DataFrame({"value": [value], "std": [value / 4]}, index=[name])
+        added = pd.DataFrame({"value": [value], "std": [abs(value) / 4]}, index=[name])
         found = verdict(derivatives=pd.concat([table, added]))
         assert (use(found, "design a controller")[0] == "no") is wrong
         if wrong:
@@ -445,7 +457,14 @@ class TestCoefficientsThatDoNotVary:
         assert np.isnan(found.error)
         assert found.compared() == ""
         assert use(found, "predict coefficients")[0] == "unknown"
-        assert [finding.code for finding in found.findings] == [Code.NOT_VARYING]
+        assert [one.code for one in found.findings] == [Code.BANDS_TOO_WIDE, Code.NOT_VARYING]
+
+    def test_a_band_that_is_too_wide_is_told_of_one_that_does_not_vary(self):
+        calm = still(evaluation(), 5)
+        wide = replace(calm, measured_std=calm.measured_std * [1, 1, 1, 1, 1, 10])
+        found = verdict([wide])
+        (too_wide,) = [one for one in found.findings if one.code is Code.BANDS_TOO_WIDE]
+        assert too_wide.numbers["coverages"]["Cn"] == 1.0
 
     def test_one_whose_band_does_not_hold_is_judged(self):
         calm = still(evaluation(), 5)
@@ -462,6 +481,20 @@ def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown():
     found = verdict(derivatives=pd.concat([table, added]))
     assert use(found, "design a controller") == ("no", "unknown sign of CY_beta")
     assert "not known, as their 95 % bands hold zero: CY_beta +0.1" in found.warnings[0]
+
+
+def test_an_unknown_sign_has_its_source():
+    added = {"value": 0.1, "std": 0.2, "std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
+    table = pd.concat([mechanics().derivatives, pd.DataFrame(added, index=["CY_beta"])])
+    found = verdict(derivatives=table)
+    assert "CY_beta +0.1 (few or small inputs)" in found.warnings[0]
+
+
+def test_a_side_force_of_the_rudder_of_unknown_sign_is_no_fault():
+    """Some aircraft have hardly any, and no controller of attitude needs it."""
+    added = pd.DataFrame({"value": [-0.01], "std": [0.01]}, index=["CY_rudder"])
+    found = verdict(derivatives=pd.concat([mechanics().derivatives, added]))
+    assert use(found, "design a controller")[0] == "yes"
 
 
 def test_without_vanes_forces_that_agree_by_construction_are_not_judged():

@@ -420,7 +420,8 @@ TEXTS = _by_code(
     "regressors are missing there (by rows: {missing}). Bring slow sensors to the clock of the "
     "others if these are many.",
     sensor_positions_differ="Flight {flight!r} states inertial sensors {distance:.2g} m from where the "
-    "aircraft has them: the flight's position counts. Correct or leave out the wrong one.",
+    "aircraft of the model has them (the centre of gravity, if it states no position): the "
+    "flight's position counts. Correct the wrong one, or learn the model again.",
     engine_unexplained="Got thrust=None for flights with {names: and }: the coefficients "
     "include the thrust, and no regressor explains it. Name regressors with {names[0]!r} and "
     "'airspeed', or give the thrust.",
@@ -454,8 +455,9 @@ TEXTS = _by_code(
     "signs, units or clocks of their sensors may be the cause.",
     paths_reconstructed=_paths,
     paths_smoothed=_paths,
-    sensors_elsewhere="The motion of the flights puts the inertial sensors {distance:.2g} m from their "
-    "stated position, or without one from the centre of gravity. Bands are wider by it: measure the position.",
+    sensors_elsewhere="By the motion of the flights the inertial sensors are {distance:.2g} m from the "
+    "position that was given, or from the centre of gravity if none was given. Bands are wider by it: "
+    "measure the position.",
     sensors_missing="Got flights without {names!r}, which those of the fit had: they are "
     "smoothed channel by channel (FlightSmoother), not reconstructed. Expect larger errors than "
     "with those sensors.",

@@ -21,8 +21,17 @@ from skdgp._flight.tables import interpolate_missing, numeric
 
 
 def sensor_position(table: pd.DataFrame) -> Matrix:
-    """Return the position of the inertial sensors (n, 3) [m] by its columns, NaN where it is unknown."""
-    return numeric(table.reindex(columns=list(SENSOR_POSITION)), SENSOR_POSITION)
+    """Return the position of the inertial sensors (n, 3) [m] by its columns, NaN where it is unknown.
+
+    Two of three coordinates state nothing. Raises ValueError if one is infinite.
+    """
+    position = numeric(table.reindex(columns=list(SENSOR_POSITION)), SENSOR_POSITION)
+    if np.isinf(position).any():
+        raise ValueError(
+            f"Got infinite values in {SENSOR_POSITION}, but expected metres from the centre of gravity."
+        )
+    is_whole = np.isfinite(position).all(axis=1, keepdims=True)
+    return np.where(is_whole, position, np.nan)
 
 
 def with_sensors_at(table: pd.DataFrame, position: Matrix) -> pd.DataFrame:

@@ -255,12 +255,19 @@ def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
             f"Got sensor_position {value!r}, but expected three finite numbers (x, y, z): the place "
             "of the inertial sensors from the centre of gravity, forward, right, down [m]."
         )
-    if np.linalg.norm(position) > FARTHEST_SENSORS * span:
+    _check_distance(position[None], span)
+    return tuple(position.tolist())
+
+
+def _check_distance(positions: Array, span: float) -> None:
+    """Raise ValueError if a position (n, 3) of the inertial sensors is too far from the centre of gravity."""
+    distance = np.nan_to_num(np.linalg.norm(positions, axis=1))
+    if distance.max(initial=0.0) > FARTHEST_SENSORS * span:
+        farthest = positions[distance.argmax()].tolist()
         raise ValueError(
-            f"Got sensor_position {position.tolist()}, but expected metres: the sensors are farther "
+            f"Got sensor_position {farthest}, but expected metres: the sensors are farther "
             f"from the centre of gravity than {FARTHEST_SENSORS:g} spans of {span:g} m."
         )
-    return tuple(position.tolist())
 
 
 def _inertia_and_deviations(value: Any) -> tuple[Any, dict[str, ScaleFactor]]:
@@ -357,10 +364,16 @@ def _without_nones(items: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def with_sensor_position(table: pd.DataFrame, aircraft: Aircraft | None) -> pd.DataFrame:
-    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs."""
-    if aircraft is None or aircraft.sensor_position is None:
+    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs.
+
+    Raises ValueError if they state one that is too far from the centre of gravity.
+    """
+    if aircraft is None:
         return table
     stated = sensor_position(table)
+    _check_distance(stated, aircraft.span)
+    if aircraft.sensor_position is None:
+        return table
     position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)
     return with_sensors_at(table, position)
 

@@ -192,11 +192,17 @@ def _whole_flight(
         attitude=to_body.as_matrix(),
         measured=np.column_stack([force + sensors.acceleration, rates, vanes]),
         force=force,
-        position=np.nan_to_num(sensors.position[0]),
+        position=_position_of(sensors),
         surface_errors=surface_errors,
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
         periods=periods,
     )
+
+
+def _position_of(sensors: FlightSensors) -> Vector:
+    """Return the stated position of the inertial sensors (3,) [m], zero where it is unknown."""
+    stated = sensors.position[np.isfinite(sensors.position).all(axis=1)]
+    return np.median(stated, axis=0) if len(stated) else np.zeros(3)
 
 
 def _own_clocks(time: Vector, surfaces: Matrix) -> tuple[Vector, Matrix]:

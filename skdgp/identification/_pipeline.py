@@ -121,7 +121,7 @@ def make_identification_pipeline(
         derivatives = [name for name in DIFFERENTIATED if f"{name}_dot" in named]
     steps = make_pipeline(
         FlightCheck(),
-        LagCorrector(lags),
+        LagCorrector(lags, aircraft=aircraft),
         FlightPathReconstruction(),
         FlightSmoother(cutoff=cutoff, derivatives=derivatives),
         ElevonSplitter(),

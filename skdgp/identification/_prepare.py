@@ -132,6 +132,7 @@ def prepare(
         for name in train.keys() & test_flights.keys():
             report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
     columns = regressor_columns([flight.table for flight in train.values()], regressors)
+    aircraft = _with_position_of(aircraft, train)
     usable_train = usable_flights(train, aircraft, regressors, columns)
     usable_test = usable_flights(test_flights, aircraft, regressors, columns)
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
@@ -277,18 +278,31 @@ def usable_flights(
     return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
 
 
+def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
+    """Return the aircraft with the one position of the inertial sensors that all flights state, if it has none.
+
+    A model then has it for flights that state none.
+    """
+    stated = np.unique(
+        np.concatenate([sensor_position(flight.table) for flight in flights.values()]), axis=0
+    )
+    if aircraft.sensor_position is not None or len(stated) != 1 or not np.isfinite(stated).all():
+        return aircraft
+    return replace(aircraft, sensor_position=stated[0].tolist())
+
+
 def _warn_of_positions(
     flight: str, table: pd.DataFrame, aircraft: Aircraft | None, tolerance: float = 0.01
 ) -> None:
     """Warn if a flight states another position of the inertial sensors than the aircraft.
 
-    Positions differ by more than the ``tolerance`` [m]. Zero is the centre of gravity, to which the
-    forces of a simulation refer.
+    Positions differ by more than the ``tolerance`` [m]. An aircraft without one was learned with
+    the sensors at the centre of gravity, to which also the forces of a simulation refer.
     """
-    stated = sensor_position(table).mean(axis=0)
-    if aircraft is None or aircraft.sensor_position is None or not np.nan_to_num(stated).any():
+    stated = np.nan_to_num(sensor_position(table)).mean(axis=0)
+    if aircraft is None or not stated.any():
         return
-    distance = float(np.linalg.norm(stated - aircraft.sensor_position))
+    distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
     if distance > tolerance:
         numbers = {"distance": distance}
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers), stacklevel=4)

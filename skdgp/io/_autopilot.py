@@ -385,7 +385,7 @@ def with_stated_position(
         if source.columns == SPECIFIC_FORCE and stated is not None:
             columns = dict(zip(SENSOR_POSITION, stated.position, strict=True))
             table = _in_order(table.assign(**columns))
-            origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(stated.words, 0.0))
+            origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(stated.words, np.nan))
     return table, origin
 
 

@@ -355,8 +355,8 @@ def stated_positions(
 ) -> dict[int, StatedPosition]:
     """Return the position of each instance of the inertial sensors that the parameters ``names`` _X, _Y, _Z state.
 
-    Zeros, the default of autopilots, state nothing, and so do two of three. The axes of a tailsitter are turned to forward
-    flight.
+    Zeros, the default of autopilots, state nothing, and so do two of three. The axes of a
+    tailsitter are turned to forward flight.
     """
     positions = {}
     for number, name in enumerate(names):

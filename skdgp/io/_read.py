@@ -316,7 +316,8 @@ class LogSummary:
         columns = []
         kinds = self.columns.groupby(["source", "rate"], sort=False, dropna=False)
         for (source, rate), rows in kinds:
-            columns.append(f"{rate:.3g} Hz: {' '.join(rows.index)} ({source})")
+            clock = "constant" if rows["rate"].isna().all() else f"{rate:.3g} Hz"
+            columns.append(f"{clock}: {' '.join(rows.index)} ({source})")
         flights = []
         for begin, end, airspeed in self.flights.to_numpy():
             flights.append(f"flight from {begin:.1f} s to {end:.1f} s at {airspeed:.1f} m/s")

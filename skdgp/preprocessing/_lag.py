@@ -21,6 +21,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.holds import without_repeats
 from skdgp._flight.tables import numeric, unwrapped
+from skdgp.dynamics import Aircraft, with_sensor_position
 from skdgp.estimation import Lag, LagSettings, estimate_lags, removable, without_lag
 from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
 
@@ -64,6 +65,8 @@ class LagCorrector(TableTransformer):
     lags : {"auto"}, dict or None, default="auto"
         Estimated in ``fit``; or given [s], positive where late, by group (air: airspeed, alpha,
         beta; surfaces; attitude; gps) or column; or None for no change.
+    aircraft : Aircraft, optional
+        Its position of the inertial sensors, where flights do not state theirs.
 
     Attributes
     ----------
@@ -82,10 +85,17 @@ class LagCorrector(TableTransformer):
     True
     """
 
-    _parameter_constraints: dict = {"lags": [StrOptions({"auto"}), dict, None]}
+    _parameter_constraints: dict = {
+        "lags": [StrOptions({"auto"}), dict, None],
+        "aircraft": [Aircraft, None],
+    }
 
-    def __init__(self, lags: Any = "auto") -> None:
+    # of models that were saved before there was this parameter
+    aircraft: Aircraft | None = None
+
+    def __init__(self, lags: Any = "auto", *, aircraft: Aircraft | None = None) -> None:
         self.lags = lags
+        self.aircraft = aircraft
 
     @property
     def servo_lag_(self) -> float:
@@ -96,7 +106,8 @@ class LagCorrector(TableTransformer):
         check_columns(table, ["time"])
         if isinstance(self.lags, str):
             self._check_any(table, _columns_of(GROUPS))
-            rows = {group: _applied(lag) for group, lag in estimate_lags(table).items()}
+            lags = estimate_lags(with_sensor_position(table, self.aircraft))
+            rows = {group: _applied(lag) for group, lag in lags.items()}
         else:
             rows = self._given(table)
         columns = ["lag", "std", "applied", "remark"]

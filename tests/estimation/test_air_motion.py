@@ -157,7 +157,7 @@ def test_a_wrong_position_of_the_sensors_is_told_and_widens_all_bands():
     """Stated 20 cm above where they are."""
     flight = flown(GUSTY, 18.0, arm=(0.0, 0.0, 0.0))
     wrong = replace(flight.aircraft, sensor_position=(0.0, 0.0, -0.2))
-    with pytest.warns(UserWarning, match="puts the inertial sensors 0.[12]"):
+    with pytest.warns(UserWarning, match="inertial sensors are 0.[12]"):
         motion = FlightPathReconstruction(aircraft=wrong).fit(flight.table).air_motion_
     assert motion.misfit > 2
     assert flight.estimate().position_error() is None

@@ -8,6 +8,7 @@ from pandas.testing import assert_frame_equal
 from scipy.spatial.transform import Rotation
 
 from skdgp._flight.sensor_position import at_centre_of_gravity, with_sensors_at
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
 RATES = ["p", "q", "r"]
 FORCES = ["ax", "ay", "az"]
@@ -87,3 +88,18 @@ def test_gyros_slower_than_accelerometers_tell_the_rotation_between_their_sample
     flight = placed(tumbling(ARM), ARM)
     flight.loc[np.arange(len(flight)) % 2 == 1, RATES] = np.nan
     assert_allclose(at_centre_of_gravity(flight)[FORCES][5:-5], 0.0, atol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("x", "expected"), [(200.0, "expected metres"), (np.inf, "Got infinite values")]
+)
+def test_columns_that_are_no_metres_are_refused(x, expected):
+    aircraft = Aircraft(mass=2.0, inertia=np.eye(3), wing_area=0.5, span=2.0, chord=0.25)
+    flight = on_a_turn_table(0.1, ARM).assign(az=-9.8, airspeed=20.0, density=1.2)
+    with pytest.raises(ValueError, match=expected):
+        aerodynamic_coefficients(placed(flight, [x, 0.0, 0.0]), aircraft, thrust=None)
+
+
+def test_two_of_three_columns_state_nothing():
+    flight = on_a_turn_table(2.0, ARM).assign(sensor_position_x=0.5)
+    assert_frame_equal(at_centre_of_gravity(flight), flight)

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import welch
 
+from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import LagCorrector
 
 STEP = 0.025
@@ -96,6 +97,20 @@ class TestEstimate:
         assert abs(lags.lag["attitude"] - 0.06) < 0.005
         assert abs(lags.lag["gps"] + 0.05) < 0.005
         assert lags.remark[["attitude", "gps"]].tolist() == ["removed"] * 2
+
+    def test_sensors_ahead_of_the_centre_of_gravity_are_not_late(self, latlon):
+        """Wherever their position is stated: a lag of GPS would be their rotation."""
+        flight = latlon[:2400]
+        ahead = Aircraft.estimate(mass=45.0, span=2.8, sensor_position=(0.5, 0.0, 0.0))
+        turning = flight[["p", "q", "r"]].to_numpy()
+        spin = np.gradient(turning, flight["time"], axis=0)
+        arm = np.array([0.5, 0.0, 0.0])
+        moved = np.cross(spin, arm) + np.cross(turning, np.cross(turning, arm))
+        flight = flight.assign(**(flight[["ax", "ay", "az"]] + moved))
+        columns = flight.assign(sensor_position_x=0.5, sensor_position_y=0.0, sensor_position_z=0.0)
+        of_aircraft = LagCorrector(aircraft=ahead).fit(flight).lags_
+        assert_frame_equal(of_aircraft, LagCorrector().fit(columns).lags_)
+        assert of_aircraft.applied["gps"] == 0.0
 
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
         table = linear_aircraft(0)

@@ -102,7 +102,7 @@ def test_two_positions_of_the_inertial_sensors(stated, differs):
     position = dict.fromkeys(("sensor_position_y", "sensor_position_z"), 0.0)
     flight = table(200).assign(sensor_position_x=stated, **position)
     said = said_of(flight, placed)
-    assert ("states inertial sensors 0.5 m from where the aircraft has them" in said) is differs
+    assert ("states inertial sensors 0.5 m from where the" in said) is differs
 
 
 def quietly(*flights, **options):

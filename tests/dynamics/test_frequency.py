@@ -145,6 +145,7 @@ def test_gusts_that_an_autopilot_feeds_back_are_no_excitation():
     assert error[found["excited"]].max() < 2.0
 
 
+@pytest.mark.slow
 def test_of_the_example_flights_errors_are_as_large_as_stated():
     """Their autopilot feeds back what gusts do. The multisine of the aileron ends at 2 Hz."""
     flights = load_example_flights()

@@ -153,6 +153,7 @@ def test_sensors_half_a_metre_ahead_tell_the_same():
     assert np.std(found.air["alpha"] - flight.alpha) < np.deg2rad(0.25)
 
 
+@pytest.mark.slow
 def test_a_wrong_position_of_the_sensors_is_told_and_widens_all_bands():
     """Stated 20 cm above where they are."""
     flight = flown(GUSTY, 18.0, arm=(0.0, 0.0, 0.0))
@@ -163,6 +164,7 @@ def test_a_wrong_position_of_the_sensors_is_told_and_widens_all_bands():
     assert flight.estimate().position_error() is None
 
 
+@pytest.mark.slow
 def test_another_position_of_the_sensors_is_no_other_aircraft():
     """Derivatives from sensors at one place tell the air of a flight with sensors at another."""
     learned = flown(GUSTY, 18.0, arm=(0.5, 0.05, -0.1)).estimate()

@@ -132,7 +132,7 @@ def margins(
     rows = []
     for k, loop in enumerate(loops):
         found = _marked(_margins_of(transfer[..., k], s.imag), unstable)
-        excited = excitation.of_quantities(loop, found) if excitation else None
+        excited = None if excitation is None else excitation.of_quantities(loop, found)
         rows += _rows(loop, found, excited, settings)
     return pd.DataFrame(rows).set_index(["loop", "quantity"])
 

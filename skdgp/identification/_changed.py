@@ -252,12 +252,10 @@ def _correlated_biases(
     others = products.sum(axis=1, keepdims=True) - products
     # standard deviation of the covariance of each regressor with the errors of the samples
     c = np.sqrt(settings.correlation_variance * S * others)
-    learned_from = np.atleast_2d(np.cov(training_inputs(regressor.posterior_).T))
-    in_flight = np.atleast_2d(np.cov(X.T))
-    inverses = np.linalg.pinv(in_flight, hermitian=True) - np.linalg.pinv(
-        learned_from, hermitian=True
-    )
-    slopes = np.einsum("jk,ik->kji", inverses, c)
+    X_fit = training_inputs(regressor.posterior_)
+    inverse = np.linalg.pinv(np.atleast_2d(np.cov(X_fit.T)), hermitian=True)
+    in_fit = np.einsum("jk,ik->kji", inverse, c)
+    slopes = bias_ratio(X_fit, X) @ in_fit - in_fit
     return (X[rows] - X.mean(axis=0)) @ slopes
 
 

@@ -426,7 +426,9 @@ class EffectsDisplay(Display):
         else:
             self._draw_interaction(ax, self.interactions[output][name])
         ax.locator_params(axis="both", nbins=4)
-        ax.xaxis.set_major_formatter("{x:g}")  # short labels fit narrow panels
+        # short labels fit narrow panels
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.ticklabel_format(axis="y", scilimits=(-3, 4))
         ax.set_ylabel(symbol(output))
 
     def _draw_effect(self, ax: Any, output: str, name: str) -> None:

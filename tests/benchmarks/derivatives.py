@@ -3,8 +3,8 @@
     python tests/benchmarks/derivatives.py [--out OUT]
 
 The default pipeline learns from both training flights. At three level trims of the true aircraft
-each derivative is compared with the known one, and the modes of the learned aircraft at its own
-trims with those of the true one.
+each derivative is compared with the known one over the same perturbation, and the modes of the
+learned aircraft at its own trims with those of the true one.
 
 A model without alpha_dot and beta_dot gives other regressors what these do, as far as they went
 together: what the data hold is the known derivative plus that by alpha_dot times the slope of
@@ -15,16 +15,26 @@ Gusts: value over the known derivative by models of flights in calm, light and m
 example aircraft at the middle trim and of JSBSim's Cessna 172 at the mean of its flight.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
-from _jsbsim_flight import exact_regressors, flight_of, known_derivatives, learned_derivatives
+from _jsbsim_flight import (
+    COEFFICIENTS,
+    exact_regressors,
+    flight_of,
+    known_derivatives,
+    learned_derivatives,
+)
 from freeflight_air import learned
+from numpy.polynomial.hermite_e import hermegauss
 
 from skdgp import make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     aerodynamic_coefficients,
+    as_aerodynamics,
     linearize,
     stability_derivatives,
     trim,
@@ -33,6 +43,7 @@ from skdgp.dynamics import (
 AIRS = {"calm": 0.0, "light": 1.0, "moderate": 2.0}  # in parts of the usual turbulence
 AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0
 RATES = ("p", "q", "r", "alpha_dot", "beta_dot")
+NODES = 9  # of Gauss-Hermite quadrature
 SHOWN = ("CL_alpha", "Cm_alpha", "Cm_q", "Cl_p", "Cn_beta", "Cn_r", "CY_rudder", "Cm_elevator")
 
 
@@ -49,6 +60,27 @@ def slopes_of_slopes(data, regressors):
     X = np.column_stack([np.ones(len(train)), *map(column, regressors)])
     slopes = np.linalg.lstsq(X, np.column_stack([*map(column, RATES[3:])]), rcond=None)[0][1:]
     return pd.DataFrame(slopes, regressors, RATES[3:])
+
+
+def over_perturbation(truth, model):
+    """Return the truth with slopes over the perturbation that the model flew, by quadrature.
+
+    They are expected for each regressor alone, normal about the trim, as in `stability_derivatives`.
+    """
+    learned_from = as_aerodynamics(model)
+    flown = dict(zip(learned_from.regressors, learned_from.perturbation, strict=True))
+    nodes, weights = hermegauss(NODES)
+    weights = weights / weights.sum()
+
+    def slopes(X):
+        expected = np.empty((len(X), len(COEFFICIENTS), X.shape[1]))
+        for k, name in enumerate(truth.regressors):
+            moved = np.repeat(X[None], NODES, axis=0)
+            moved[..., k] += flown.get(name, 0.0) * nodes[:, None]
+            expected[..., k] = np.tensordot(weights, truth.gradient(moved)[..., k], axes=1)
+        return expected
+
+    return replace(truth, slopes=slopes)
 
 
 def compared(model, truth, data):
@@ -116,6 +148,7 @@ def measured(air):
     model = make_identification_pipeline(data.aircraft)
     model.set_params(dependentgpregressor__random_state=0)
     model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
+    truth = over_perturbation(truth, model)
     table = compared(model, truth, data)
     middle = table.loc[AIRSPEEDS.index(36.0)]
     shown = middle.loc[[*SHOWN], ["value", "std", "known", "merged"]]

@@ -112,6 +112,17 @@ def quietly(*flights, **options):
         return identify(*flights, regressor=QUICK, **options)
 
 
+def test_a_position_that_all_flights_state_is_the_models():
+    """A flight that states none is then read with it, and one that states another is told."""
+    position = {"sensor_position_x": 0.3, "sensor_position_y": 0.0, "sensor_position_z": 0.1}
+    stated = table().assign(**position)
+    result = quietly({"first": stated, "second": stated}, aircraft=UNKNOWN)
+    assert_allclose(result.aircraft.sensor_position, (0.3, 0.0, 0.1))
+    only_one = quietly({"first": stated, "second": table(), "third": stated}, aircraft=UNKNOWN)
+    assert only_one.aircraft.sensor_position is None
+    assert Code.SENSOR_POSITIONS_DIFFER in [finding.code for finding in only_one.findings]
+
+
 @pytest.mark.usefixtures("no_mechanics")
 def test_a_table_without_thrust():
     """The model has the throttle, which moves it, among its regressors; sizes are said with all their errors.

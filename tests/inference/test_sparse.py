@@ -87,20 +87,25 @@ class TestFolds:
     """What remains without some samples is the posterior of the reduced table, by the definition of B."""
 
     @pytest.mark.parametrize("common_noise", [False, True])
-    def test_without_samples_is_what_the_others_say(self, problem, stacked, common_noise):
+    @pytest.mark.parametrize("left_out", ["samples", "an output"])
+    def test_without_some_values_is_what_the_others_say(
+        self, problem, stacked, common_noise, left_out
+    ):
         loading = 0.2 * default_rng(7).normal(size=(*problem.Y.shape, 2)) if common_noise else None
         X, Y = problem.X, problem.Y
         features = inducing_features(problem.kernel, Z)
-        whole = Data.from_table(X, Y, loading)
-        out = np.arange(len(X)) < 5
+        is_out = np.zeros(Y.shape, dtype=bool)
+        if left_out == "samples":
+            is_out[:5] = True
+        else:  # common noise ties it to the other outputs of its samples
+            is_out[:, 0] = True
         parts = []
-        for left_out in (out, ~out):
-            kept = np.where(left_out[:, None], np.nan, Y)
-            others = np.where(left_out[:, None], Y, np.nan)
-            parts.append((Data.from_table(X, kept, loading), Data.from_table(X, others, loading)))
-        for (kept, _), posterior in zip(
-            parts, sparse(problem).folds(problem.noise, whole, parts), strict=True
-        ):
+        for mask in (is_out, ~is_out):
+            kept = Data.from_table(X, np.where(mask, np.nan, Y), loading)
+            parts.append((kept, Data.from_table(X, np.where(mask, Y, np.nan), loading)))
+        whole = Data.from_table(X, Y, loading)
+        posteriors = sparse(problem).folds(problem.noise, whole, parts)
+        for (kept, _), posterior in zip(parts, posteriors, strict=True):
             y = np.concatenate(kept.y)
             rows = np.concatenate(kept.sample)
             outputs = np.repeat(np.arange(3), [len(part) for part in kept.y])
@@ -113,16 +118,6 @@ class TestFolds:
             weights = np.linalg.solve(B, Kfu.T @ np.linalg.solve(S, y))
             mean = stacked(features, [NEW] * 3) @ weights
             assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-6, atol=1e-8)
-
-    def test_without_one_output_of_a_sample_common_noise_still_tells(self, problem):
-        loading = np.ones((*problem.Y.shape, 1))
-        X, Y = problem.X, problem.Y
-        whole = Data.from_table(X, Y, loading)
-        kept = Data.from_table(X, np.where([True, False, False], np.nan, Y), loading)
-        out = Data.from_table(X, np.where([True, False, False], Y, np.nan), loading)
-        (posterior,) = sparse(problem).folds(problem.noise, whole, [(kept, out)])
-        anew = sparse(problem).of(kept, problem.noise)
-        assert_allclose(posterior.predict(NEW, True), anew.predict(NEW, True), rtol=1e-9)
 
 
 class TestNoise:

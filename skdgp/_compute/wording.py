@@ -287,8 +287,8 @@ def _lags_corrected(finding: Finding) -> str:
     for name, lag in lags.items():
         parts.append(f"{name} {abs(lag):.3f} s {'late' if lag > 0 else 'early'}")
     text = "Lags against the inertial unit, corrected: {lags}."
-    if lags.get("surfaces", 0) < 0:
-        text += " Surfaces that are early are commands of slower servos."
+    if lags.get("surfaces", 0) < 0 or "servos" in lags:
+        text += " The logged surfaces are commands of slower servos."
     return _filled(text, finding, lags=parts)
 
 

@@ -7,7 +7,6 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations
-from skdgp.estimation._air_records import delayed_surfaces
 from skdgp.estimation._contradictions import Contradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
@@ -27,6 +26,7 @@ from skdgp.estimation._sensors import (
     flights_of,
     missing_channels,
 )
+from skdgp.estimation._servos import delayed_surfaces
 from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
 from skdgp.estimation._shift import without_lag
 

@@ -49,9 +49,10 @@ from skdgp.estimation._air_parameters import (
     is_coupling,
     stacked,
 )
-from skdgp.estimation._air_records import Record, servo_output, servo_slopes
+from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Linearization
 from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE_READINGS, SensorErrors
+from skdgp.estimation._servos import servo_output, servo_slopes
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 N_STATES = 11

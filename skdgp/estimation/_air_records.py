@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.signal import lfilter
 
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
@@ -32,7 +31,7 @@ from skdgp.estimation._sensors import (
     flights_of,
     third_differences,
 )
-from skdgp.estimation._settings import SERVOS, AirSettings
+from skdgp.estimation._settings import AirSettings
 
 
 class Record(NamedTuple):
@@ -242,36 +241,3 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
     noises = [third_differences(record.measured[:, sensors]) for record in records]
     variances = np.mean(np.concatenate(noises) ** 2, axis=0)
     return max(np.sqrt(np.nanmin(variances)), least)
-
-
-def servo_output(surfaces: Matrix, lag: float, step: float) -> Matrix:
-    """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
-    r = max(lag, SERVOS.least_lag) / step
-    a = np.exp(-1 / r)
-    numerator = [1 - (1 - a) * r, (1 - a) * r - a]
-    denominator = [1, -a]
-    return lfilter(numerator, denominator, surfaces - surfaces[0], axis=0) + surfaces[0]
-
-
-def servo_slopes(surfaces: Matrix, lag: float, step: float) -> tuple[Matrix, Matrix]:
-    """Return the outputs (n, k) of servos, and their derivatives by the lag."""
-    lag = max(lag, SERVOS.least_lag)
-    output = servo_output(surfaces, lag, step)
-    later = servo_output(surfaces, lag + SERVOS.lag_difference, step)
-    return output, (later - output) / SERVOS.lag_difference
-
-
-def delayed_surfaces(sensors: FlightSensors, surfaces: Matrix, lag: float) -> Matrix:
-    """Return the deflections (n, k) of servos with a first-order ``lag`` [s].
-
-    They solve lag d(deflection)/dt = command - deflection within each gap-free segment, for the
-    commands ``surfaces`` (n, k).
-    """
-    out = np.empty_like(surfaces)
-    surfaces = interpolate_missing(sensors.time, surfaces)
-    for rows in sensors.segments():
-        step = 1.0
-        if len(rows) > 1:
-            step = np.median(np.diff(sensors.time[rows]))
-        out[rows] = servo_output(surfaces[rows], lag, step)
-    return out

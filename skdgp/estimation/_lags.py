@@ -8,16 +8,20 @@ surfaces are related to rates :math:`\omega` and specific force f by local linea
 
 within a band of frequencies. The lag maximises the profile likelihood
 :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` (Jategaonkar 2006, chapter 10).
+
+Surfaces that are early are commands. Then their servos have a first-order lag T,
+:math:`T \dot\delta = c - \delta`, besides a delay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
-from scipy import linalg, signal
+from scipy import linalg, optimize, signal
 from scipy.interpolate import CubicSpline
 from scipy.stats import norm as normal
 from scipy.stats import sem
@@ -38,6 +42,7 @@ from skdgp.estimation._sensors import (
     flights_of,
     missing_channels,
 )
+from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import LAG_SETTINGS, LagSettings
 
 INERTIAL = (*SPECIFIC_FORCE, *RATES)
@@ -67,20 +72,21 @@ def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
 
 
 def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:
-    r"""Return the lags of air data, surfaces, attitude and GPS by group, against inertial sensors.
+    r"""Return the lags of air data, surfaces, servos, attitude and GPS by group, against inertial sensors.
 
-    Lags of surfaces and air data maximise the profile likelihood
+    Lags of surfaces, servos and air data maximise the profile likelihood
     :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` of local linear models (Jategaonkar 2006, chapter
-    10). Lags of attitude and GPS are constants of the path over the ground. A lag of std NaN is
-    unknown: surfaces without vanes, whose lag is a parameter of `estimate_air_motion`.
+    10); that of servos is the time constant of a first-order lag, of surfaces that are early, and
+    that of surfaces is then what else they are early by. Lags of attitude and GPS are constants of
+    the path over the ground. A lag of std NaN is unknown: surfaces without vanes, whose lag is a
+    parameter of `estimate_air_motion`.
     """
     segments = _segments_of(at_centre_of_gravity(table), settings)
-    surfaces = _most_likely_lag(
-        segments,
-        ALL_SURFACES,
-        lambda segment, lag: (segment.channels(ACCELERATIONS), segment.predictors(lag)),
-        settings,
-    )
+    servos = UNKNOWN
+    surfaces = _most_likely_lag(segments, ALL_SURFACES, _turning_by_surfaces, settings)
+    if removable(surfaces, settings) < 0:
+        servos, surfaces = _most_likely_servos(segments, surfaces, settings)
+        segments = [segment.behind_servos(servos.value) for segment in segments]
     surface_lag = removable(surfaces, settings)
     vanes = _most_likely_lag(
         segments,
@@ -88,11 +94,12 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
         lambda segment, lag: (segment.channels(VANES, lag), segment.predictors(surface_lag)),
         settings,
     )
-    if not segments or missing_channels(table):
-        return {"air": vanes, "surfaces": surfaces} | dict.fromkeys(PATH_LAGS, UNKNOWN)
-    if not has_values(table, *VANES):
-        surfaces = UNKNOWN
-    return {"air": vanes, "surfaces": surfaces} | _lags_of_path(table, settings)
+    of_path = dict.fromkeys(PATH_LAGS, UNKNOWN)
+    if segments and not missing_channels(table):
+        of_path = _lags_of_path(table, settings)
+        if not has_values(table, *VANES):
+            surfaces = servos = UNKNOWN
+    return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
 
 
 def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
@@ -162,6 +169,24 @@ class _Segment:
         speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
         return np.maximum(speed, 0.1 * np.median(speed))
 
+    def behind_servos(self, lag: float) -> _Segment:
+        """Return the segment with the deflections of servos of a first-order lag [s], in place of their commands."""
+        late = copy(self)
+        late.splines = dict(self.splines)
+        for name in self.present(ALL_SURFACES):
+            clock = self.splines[name].x
+            commands = self.splines[name](clock)[:, None]
+            late.splines[name] = CubicSpline(
+                clock, servo_output(commands, lag, clock[1] - clock[0])[:, 0]
+            )
+        return late
+
+    def earlier_surfaces(self, settings: LagSettings) -> Matrix:
+        """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
+        delays = np.arange(0.0, settings.memory + settings.memory_step / 2, settings.memory_step)
+        columns = [self.channels(ALL_SURFACES, -delay) for delay in delays]
+        return _basis(np.hstack(columns), settings.rank_tolerance)
+
     @property
     def seconds(self) -> float:
         """Length of the segment without its ends [s]."""
@@ -229,6 +254,11 @@ Regression: TypeAlias = Callable[[_Segment, float], tuple[Matrix, Matrix]]
 """Responses (n, k) and predictors (n, p) of a segment at a lag."""
 
 
+def _turning_by_surfaces(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
+    """Return the angular accelerations and their predictors, with surfaces of a lag."""
+    return segment.channels(ACCELERATIONS), segment.predictors(lag)
+
+
 def _most_likely_lag(
     segments: list[_Segment], names: Sequence[str], regression: Regression, settings: LagSettings
 ) -> Lag:
@@ -257,6 +287,47 @@ def _most_likely_lag(
     return Lag(float(lag), float(std))
 
 
+def _most_likely_servos(
+    segments: list[_Segment], surfaces: Lag, settings: LagSettings
+) -> tuple[Lag, Lag]:
+    """Return the lags of servos and of surfaces, by which commands are early besides.
+
+    Both maximise the likelihood of the part of the responses that earlier commands explain, by
+    instrumental variables: noise of the rates would make the lag of servos smaller. ``surfaces`` is
+    the lag without servos, and gives both its standard deviation: that commands are early is sure,
+    and these say how.
+    """
+    segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
+    instruments = [segment.earlier_surfaces(settings) for segment in segments]
+
+    def loss(lag_and_delay: Vector) -> float:
+        lag, delay = lag_and_delay
+        total = 0.0
+        for segment, Q in zip(segments, instruments, strict=True):
+            response, predictors = _turning_by_surfaces(segment.behind_servos(lag), -delay)
+            total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
+        return total
+
+    early = -surfaces.value
+    corners = [(early, 0.0), (0.0, early), (early, early)]
+    search = optimize.minimize(
+        loss,
+        corners[0],
+        method="Nelder-Mead",
+        bounds=[(0.0, settings.largest)] * 2,
+        options={"initial_simplex": corners, "xatol": settings.precision, "fatol": np.inf},
+    )
+    lag, delay = search.x.tolist()
+    servos = Lag(lag, surfaces.std)
+    if lag >= settings.largest or not removable(servos, settings):
+        return UNKNOWN, surfaces
+    delayed = Lag(-delay, surfaces.std)
+    if removable(delayed, settings):
+        return servos, delayed
+    # too short to be told from the lag, but late all the same
+    return Lag(lag + delay, surfaces.std), Lag(0.0, surfaces.std)
+
+
 def _profile(
     segments: list[_Segment], regression: Regression, lag: float, settings: LagSettings
 ) -> Vector:
@@ -277,13 +348,18 @@ def _profile(
 
 def _log_rss(response: Matrix, predictors: Matrix, settings: LagSettings) -> float:
     """Return n log RSS, summed over responses, of least squares; RSS is relative to their sums of squares."""
-    scale = np.linalg.norm(predictors, axis=0)
-    X = predictors / np.where(scale > 0, scale, 1.0)
-    Q, R, _ = linalg.qr(X, mode="economic", pivoting=True)
-    Q = Q[:, np.abs(np.diag(R)) > settings.rank_tolerance]
+    Q = _basis(predictors, settings.rank_tolerance)
     residuals = response - Q @ (Q.T @ response)
     rss = np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
     return len(response) * np.log(rss).sum()
+
+
+def _basis(columns: Matrix, tolerance: float) -> Matrix:
+    """Return an orthonormal basis (n, r) of columns (n, k), without those near a combination of others."""
+    scale = np.linalg.norm(columns, axis=0)
+    Q, R, _ = linalg.qr(columns / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
+    independent = np.abs(np.diag(R)) > tolerance
+    return np.asarray(Q[:, independent], dtype=float)
 
 
 def _minimum(steps: Vector, values: Vector) -> float:

@@ -72,6 +72,12 @@ class LagSettings:
     coarse: float = 0.02
     # step of the parabolas around the minimum of the scan [s]
     fine: float = 0.01
+    # precision of the lag of servos and their delay [s]; far below the step of a log
+    precision: float = 1e-3
+    # time within which surfaces explain a response [s], of the lag of servos; at most ``edge``
+    memory: float = 1.5
+    # step of the surfaces within it [s]; half a period of the upper end of the band
+    memory_step: float = 0.125
     # predictors nearer than this to a combination of others are left out, relative
     rank_tolerance: float = 1e-6
     # samples in a period of the upper end of the band

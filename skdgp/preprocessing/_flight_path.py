@@ -368,7 +368,7 @@ class FlightPathReconstruction(TableTransformer):
         for number, (_, rows, sensors) in enumerate(flights_of(table)):
             columns: dict[str, Any] = air_columns(motion.air.iloc[rows], sensors)
             columns["gust"] = np.nan_to_num(motion.gust_change(number), nan=self.gust_std_)
-            late = delayed_surfaces(sensors, deflections[rows], self.servo_lag_)
+            late = delayed_surfaces(sensors.time, deflections[rows], self.servo_lag_)
             columns |= dict(zip(surfaces, late.T, strict=True))
             flights.append(pd.DataFrame(columns, index=rows))
         return _in_rows(flights)

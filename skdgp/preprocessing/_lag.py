@@ -22,12 +22,20 @@ from skdgp._flight.checks import check_columns
 from skdgp._flight.holds import without_repeats
 from skdgp._flight.tables import numeric, unwrapped
 from skdgp.dynamics import Aircraft, with_sensor_position
-from skdgp.estimation import Lag, LagSettings, estimate_lags, removable, without_lag
+from skdgp.estimation import (
+    Lag,
+    LagSettings,
+    delayed_surfaces,
+    estimate_lags,
+    removable,
+    without_lag,
+)
 from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
 
 GROUPS = {
     "air": AIR_DATA,
     "surfaces": ALL_SURFACES,
+    "servos": ALL_SURFACES,
     "attitude": EULER,
     "gps": (*EARTH_VELOCITY, *POSITION),
 }
@@ -46,6 +54,9 @@ class LagCorrector(TableTransformer):
     for :class:`FlightSmoother`; controls, and channels of a jittered clock, by cubic splines. Use
     full-rate flights, before smoothing.
 
+    Surfaces that are early are commands. They become the deflections :math:`\delta` of servos with
+    a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay.
+
     Attitude and GPS follow from gyros and accelerometers by kinematics, as in
     :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear
     model, without assumed derivatives: at the same time
@@ -56,7 +67,9 @@ class LagCorrector(TableTransformer):
     all within the band from 0.3 to 4 Hz. The lag maximises the profile likelihood of the residuals
     (Jategaonkar 2006, chapter 10). About eight pieces of the flights, each with its own B, C and
     lag, give its standard error: an error of the linear model moves their lags apart. Lags of
-    throttle and propeller speed can be given, not estimated: engines respond slowly. Raises
+    throttle and propeller speed can be given, not estimated: engines respond slowly. T and the delay
+    of servos are those of the largest likelihood of what the commands of the last 1.5 s explain
+    (instrumental variables), which noise and gusts do not move. Raises
     ValueError if ``time`` is missing; if the table has no column of the groups; if ``lags`` names
     neither a group nor a column, or is not finite.
 
@@ -64,7 +77,8 @@ class LagCorrector(TableTransformer):
     ----------
     lags : {"auto"}, dict or None, default="auto"
         Estimated in ``fit``; or given [s], positive where late, by group (air: airspeed, alpha,
-        beta; surfaces; attitude; gps) or column; or None for no change.
+        beta; surfaces; servos: T of the commands in the surfaces' columns; attitude; gps) or
+        column; or None for no change.
     aircraft : Aircraft, optional
         Its position of the inertial sensors, where flights do not state theirs.
 
@@ -99,8 +113,9 @@ class LagCorrector(TableTransformer):
 
     @property
     def servo_lag_(self) -> float:
-        """How late the surfaces follow their logged commands [s], zero where they do not."""
-        return max(0.0, -float(self.lags_["applied"].get("surfaces", 0.0)))
+        """How late the surfaces follow their logged commands [s], with their delay; zero where they do not."""
+        applied = self.lags_["applied"]
+        return max(0.0, -float(applied.get("surfaces", 0.0))) + float(applied.get("servos", 0.0))
 
     def _fit_table(self, table):
         check_columns(table, ["time"])
@@ -127,6 +142,10 @@ class LagCorrector(TableTransformer):
                 raise ValueError(
                     f"Got the lag {lag!r} of {name!r}, but expected a finite number of seconds."
                 )
+            if name == "servos" and lag < 0:
+                raise ValueError(
+                    f"Got the lag {lag!r} of servos, but expected seconds by which they follow their commands."
+                )
             rows[name] = (float(lag), np.nan, float(lag), "given")
         if rows:
             self._check_any(table, _columns_of(rows))
@@ -138,13 +157,18 @@ class LagCorrector(TableTransformer):
         lags = self.lags_["applied"]
         fresh = without_repeats(table, (EULER, EARTH_VELOCITY))
         new = {}
-        for group, lag in lags[lags != 0].items():
+        for group, lag in lags[lags != 0].drop("servos", errors="ignore").items():
             for name in present(_columns_of([group]), table):
                 values = unwrapped(fresh, [name])[:, 0]
                 flight = table.get("flight")
                 noisy = name not in CONTROLS
                 repeats = name not in KINEMATIC
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
+        if lags.get("servos"):
+            surfaces = present(ALL_SURFACES, table)
+            commands = numeric(with_columns(table, new), surfaces)
+            late = delayed_surfaces(time, commands, lags["servos"], table.get("flight"))
+            new |= dict(zip(surfaces, late.T, strict=True))
         for name in present(WRAPPED, new):
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)

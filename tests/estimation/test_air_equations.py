@@ -33,7 +33,8 @@ from skdgp.estimation._air_parameters import (
     TERMS,
     derivatives_of,
 )
-from skdgp.estimation._air_records import Record, servo_output
+from skdgp.estimation._air_records import Record
+from skdgp.estimation._servos import servo_output
 from skdgp.estimation._air_start import steady_wind
 from skdgp.estimation._kalman import (
     Linearization,

@@ -261,7 +261,7 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
     assert_allclose(held.air["alpha"], out["alpha"])
     lag = found.constants.loc["servo_lag", "value"]
     sensors = flights_of(flight.table)[0].sensors
-    late = delayed_surfaces(sensors, flight.table[SURFACES].to_numpy(), lag)
+    late = delayed_surfaces(sensors.time, flight.table[SURFACES].to_numpy(), lag)
     assert_allclose(out[SURFACES], late)
     assert list(reconstruction().get_feature_names_out()) == list(out)
 

@@ -28,8 +28,11 @@ def late(table, **lags):
     return LagCorrector({group: -lag for group, lag in lags.items()}).fit_transform(table)
 
 
-def linear_aircraft(seed, air=0.0, surfaces=0.0, seconds=60.0):
-    """Return a log of an aircraft whose accelerations are linear in vanes, surfaces and rates, sensors late."""
+def linear_aircraft(seed, air=0.0, surfaces=0.0, servos=0.0, seconds=60.0):
+    """Return a log of an aircraft whose accelerations are linear in vanes, surfaces and rates.
+
+    Sensors are late, and surfaces are the commands of servos with a first-order lag.
+    """
     rng = default_rng(seed)
     time = STEP * np.arange(-80, round(seconds / STEP) + 80)
 
@@ -52,7 +55,8 @@ def linear_aircraft(seed, air=0.0, surfaces=0.0, seconds=60.0):
     for name, acceleration in accelerations.items():
         table[name] = cumulative_trapezoid(acceleration, time, initial=0)
     for name, values in {"elevator": elevator, "aileron": aileron, "rudder": rudder}.items():
-        table[name] = CubicSpline(time, values)(time - surfaces)
+        deflection = CubicSpline(time, values)
+        table[name] = deflection(time - surfaces) + servos * deflection(time - surfaces, 1)
     for name, values in {"alpha": alpha, "beta": beta}.items():
         vane = CubicSpline(time, 0.1 * values)(time - air)
         table[name] = vane + rng.normal(0, 0.02, time.size)
@@ -64,7 +68,7 @@ def found_in(table):
     return LagCorrector().fit(table.drop(columns="phi", errors="ignore")).lags_
 
 
-UNSHOWN = ["not shown by these flights"] * 4
+UNSHOWN = ["not shown by these flights"] * 5
 
 
 def remarks(table):
@@ -90,6 +94,21 @@ class TestEstimate:
             found = found_in(linear_aircraft(seed, air=0.06, seconds=40)).loc["air"]
             errors.append((found["lag"] - 0.06) / found["std"])
         assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.7
+
+    @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03)])
+    def test_commands_are_told_from_deflections_by_lag_and_delay(self, servos, delay):
+        truth = linear_aircraft(2)
+        table = linear_aircraft(2, servos=servos, surfaces=-delay)
+        rng = default_rng(2)
+        for name in ("p", "q", "r"):
+            table[name] += rng.normal(0, 0.01 * np.std(table[name]), len(table))
+        corrector = LagCorrector()
+        out = corrector.fit_transform(table)
+        assert corrector.lags_.applied["servos"] == pytest.approx(servos, abs=0.01)
+        assert corrector.lags_.applied["surfaces"] == pytest.approx(-delay, abs=0.01)
+        assert corrector.servo_lag_ == pytest.approx(servos + delay, abs=0.01)
+        error = (out.elevator - truth.elevator)[40:-40].std()
+        assert error < 0.2 * (table.elevator - truth.elevator)[40:-40].std()
 
     def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
         spoilt = late(latlon[:2400], attitude=0.06, gps=-0.05)
@@ -212,7 +231,11 @@ class TestTransform:
 
     @pytest.mark.parametrize(
         ("lags", "words"),
-        [({"vane": 0.1}, "a lag of 'vane', but"), ({"air": np.nan}, "expected a finite number")],
+        [
+            ({"vane": 0.1}, "a lag of 'vane', but"),
+            ({"air": np.nan}, "expected a finite number"),
+            ({"servos": -0.1}, "seconds by which they follow"),
+        ],
     )
     def test_lags_that_cannot_be(self, lags, words):
         with pytest.raises(ValueError, match=words):

@@ -1,0 +1,67 @@
+"""Servos: deflections of the surfaces by their commands, with a first-order lag T, T d delta / dt = c - delta."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.clock import Clock
+from skdgp._flight.tables import interpolate_missing
+from skdgp.estimation._settings import SERVOS
+
+
+def servo_output(commands: Matrix, lag: float, step: float) -> Matrix:
+    """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
+    r = max(lag, SERVOS.least_lag) / step
+    a = np.exp(-1 / r)
+    numerator = [1 - (1 - a) * r, (1 - a) * r - a]
+    denominator = [1, -a]
+    return lfilter(numerator, denominator, commands - commands[0], axis=0) + commands[0]
+
+
+def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, Matrix]:
+    """Return the outputs (n, k) of servos, and their derivatives by the lag."""
+    lag = max(lag, SERVOS.least_lag)
+    output = servo_output(commands, lag, step)
+    later = servo_output(commands, lag + SERVOS.lag_difference, step)
+    return output, (later - output) / SERVOS.lag_difference
+
+
+def delayed_surfaces(time: Vector, commands: Matrix, lag: float, flight: Any = None) -> Matrix:
+    r"""Return the deflections (n, k) of servos with a first-order lag.
+
+    They solve :math:`T \dot\delta = c - \delta` within each gap-free segment, in which the servos begin
+    at rest.
+
+    Parameters
+    ----------
+    time : ndarray (n,)
+        [s].
+    commands : ndarray (n, k)
+        Commands c; NaN is interpolated.
+    lag : float
+        T [s].
+    flight : array-like (n,), optional
+        Identifiers of flights.
+
+    Returns
+    -------
+    ndarray (n, k)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = 0.02 * np.arange(100)
+    >>> ramp = time[:, None]
+    >>> delayed_surfaces(time, ramp, 0.1)[-1].round(3)
+    array([1.88])
+    """
+    out = np.empty_like(commands)
+    commands = interpolate_missing(time, commands)
+    for run in Clock.of(time, flight).segments:
+        step = np.median(np.diff(time[run])) if run.stop - run.start > 1 else 1.0
+        out[run] = servo_output(commands[run], lag, step)
+    return out

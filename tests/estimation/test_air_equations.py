@@ -34,7 +34,6 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._servos import servo_output
 from skdgp.estimation._air_start import steady_wind
 from skdgp.estimation._kalman import (
     Linearization,
@@ -44,6 +43,7 @@ from skdgp.estimation._kalman import (
     innovations,
     smoothed,
 )
+from skdgp.estimation._servos import servo_output
 
 SURFACES = ["elevator", "aileron", "rudder"]
 AIRCRAFT = Aircraft(

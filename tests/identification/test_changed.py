@@ -125,8 +125,8 @@ def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
     expected = SLOPES[0, 2] * (in_gentle - in_fit)
     rows = result.derivatives.xs("CZ_alpha", level="derivative")
     assert rows["change"].mean() == pytest.approx(expected, rel=0.2)
-    # instruments, which are earlier regressors, may find the same bias once more
-    assert abs(expected) < rows["std"].mean() < 2 * abs(expected)
+    # the fit knows a slope that is flattened, too
+    assert in_fit * abs(expected) < rows["std"].mean() < 1.5 * abs(expected)
 
     large = {"iced": with_noise_of_alpha(20, 1.0)}
     assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01

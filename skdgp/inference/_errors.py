@@ -253,9 +253,9 @@ def function_errors(
       exceeds the white noise that the posterior holds;
     - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
-      slopes d of the residuals, with standard deviation s; weak ones find none. Chance makes
-      :math:`\sum d^2 / s^2` of k slopes k. The slopes count as far as their sum, z, exceeds it, by
-      :math:`\sqrt{1 - k / z}`;
+      k slopes d of the residuals, with standard deviations s; weak ones find none. With
+      :math:`\chi^2 = \sum d^2 / s^2`, which is k by chance, these count as
+      :math:`d \sqrt{1 - k / \chi^2}`;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
       of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
       counts by one number for each regressor;

@@ -23,7 +23,11 @@ from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
-from skdgp.identification._pipeline import flight_regressors, regressor_names
+from skdgp.identification._pipeline import (
+    flight_regressors,
+    reconstruction_of,
+    regressor_names,
+)
 from skdgp.inference import bias_ratio, training_inputs
 
 WHOLE = "whole"
@@ -42,7 +46,7 @@ class ChangeSettings:
     fewest_times: float = 1.0
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
-    # variance of the unknown correlation of the noise of two regressors, uniform between -1 and 1
+    # variance of the unknown correlation of the errors of two regressors, uniform between -1 and 1
     correlation_variance: float = 1 / 3
     # p-value below which the summary says that the aircraft has changed
     level: float = 0.05
@@ -113,8 +117,8 @@ class Changes:
 def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) -> Changes:
     r"""Return whether the aircraft of a model has changed in new flights.
 
-    The residuals r of a coefficient, measured less predicted, are fitted by least squares on the
-    regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
+    The residuals r of a coefficient, measured without smoothing less predicted, are fitted by least
+    squares on the regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
     likely change of its derivatives. Without a change their covariance is
 
     .. math:: C = \frac{B - 1}{B} \sum_b w_b w_b^T + G Q^T K Q G, \quad
@@ -122,21 +126,27 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
 
     The first part is the jackknife over B blocks of the flight, which are longer than the residuals
     e of this fit are correlated (Bell & McCaffrey 2002): rougher air widens it. The second part is
-    the uncertainty K of the function, in which the bias of the fit is replaced. Noise of the
-    regressors and gusts that move the aircraft bias the slopes of least squares, in the fit by
-    :math:`m_j` (:func:`skdgp.inference.function_errors`). With the covariance :math:`S_0` of the
-    regressors in the fit, and S in the flight, the bias of the flight differs by
+    the uncertainty K of the function, in which the bias of the fit is replaced. Errors of the
+    regressors bias the slopes of least squares. With the covariance :math:`S_0` of the regressors in
+    the fit, and S in the flight, and the covariance c of the regressors with the errors, which is
+    the same in both, the bias of the flight differs by
 
-    .. math:: a_j = (S^{-1} S_0 - I)\, m_j,
+    .. math:: a = (S^{-1} - S_0^{-1})\, c, \quad c_k = \sum_j \rho_{jk} s_j s_k J_j,
 
     which is zero in flights with the same motion, and large in gentler ones (Fuller 1987,
-    section 1.1). Filters and the reconstruction of the path make the noise of different regressors
-    correlated, by unknown correlations :math:`\rho`. With the standard deviations s of the noise
-    and the slopes J they add :math:`(S^{-1} - S_0^{-1})_{\cdot k}\, \rho_{jk} s_j s_k J_j` for each pair.
-    With k weights and
-    :math:`\nu = B - 1`, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
-    :math:`F(k, \nu - k + 1)`. The p-values of the coefficients are combined into the whole by
-    Simes' test, which allows for positive dependence (Simes 1986).
+    section 1.1). The errors have the standard deviations s, and J are the slopes. How far a filter
+    makes the errors of one regressor correlate with the estimate of another, :math:`\rho_{jk}`, is
+    unknown, and independent for each k; :math:`\rho_{jj}` is 1 of a sensor without a filter, and 0 of
+    an optimal smoother.
+
+    With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
+    :math:`F(k, \nu - k + 1)`. The degrees of freedom follow from the fraction M of C that is the
+    first part, as the second one is no estimate from B blocks (Krishnamoorthy & Yu 2004):
+
+    .. math:: \nu = (B - 1) \frac{k + k^2}{\mathrm{tr}\, M^2 + (\mathrm{tr}\, M)^2}.
+
+    The p-values of the coefficients are combined into the whole by Simes' test, which allows for
+    positive dependence (Simes 1986).
 
     Raises ValueError as `validate` does.
 
@@ -158,9 +168,10 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
     samples = {}
     for name, table in tables.items():
-        measured = aerodynamic_coefficients(table, model.aircraft, **loads).to_numpy()
+        # a smoother that depends on the flight takes more signal from a gentle one
+        measured = aerodynamic_coefficients(table, model.aircraft, cutoff=None, **loads)
         X, noise_ratio = flight_regressors(model.pipeline, table)
-        samples[name] = X, measured - model.pipeline.mean_of_rows(X, noise_ratio)
+        samples[name] = X, measured.to_numpy() - model.pipeline.mean_of_rows(X, noise_ratio)
     return changes_of(model.pipeline, samples, settings)
 
 
@@ -174,18 +185,18 @@ def changes_of(
     tables = {}
     scale = np.append(1.0, pipeline["standardscaler"].scale_)
     bare = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
+    variances = _error_variances(pipeline)
     for flight, (X, residuals) in samples.items():
         is_measured = np.isfinite(residuals).all(axis=1)
         X = X[is_measured]
         residuals = residuals[is_measured]
-        uncertainty = _function_covariance(pipeline[-1], X, settings)
+        uncertainty = _function_covariance(pipeline[-1], X, variances, settings)
         row = {}
         changes = {}
         for i, coefficient in enumerate(COEFFICIENTS):
             weights, scatter, n_blocks = block_weights(X, residuals[:, i], settings)
-            C = scatter + uncertainty[i]
-            row[coefficient] = _p_value(weights, C, n_blocks)
-            std = np.sqrt(np.diag(C))
+            row[coefficient] = _p_value(weights, scatter, uncertainty[i], n_blocks)
+            std = np.sqrt(np.diag(scatter + uncertainty[i]))
             names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
             for name, change, error in zip(names, weights / scale, std / scale, strict=True):
                 changes[name] = {"change": change, "std": error}
@@ -202,8 +213,23 @@ def _terms(X: Matrix) -> Matrix:
     return np.column_stack([np.ones(len(X)), X])
 
 
+def _error_variances(pipeline: Pipeline) -> Vector:
+    """Return the variances (d,) of the errors of the regressors of the last step.
+
+    These are learned from the residuals. Angles that a filter derived from the forces agree with
+    the residuals, so there its own variances count, the larger ones.
+    """
+    variances = np.diag(pipeline[-1].input_covariance_)
+    reconstruction = reconstruction_of(pipeline)
+    if reconstruction is None or reconstruction.air_motion_ is None:
+        return variances
+    air = reconstruction.air_motion_.air.mean()
+    std = np.array([air.get(f"{name}_std", 0.0) for name in regressor_names(pipeline)])
+    return np.maximum(variances, (std / pipeline["standardscaler"].scale_) ** 2)
+
+
 def _function_covariance(
-    regressor: DependentGPRegressor, X: Matrix, settings: ChangeSettings
+    regressor: DependentGPRegressor, X: Matrix, variances: Vector, settings: ChangeSettings
 ) -> Array:
     """Return G Q^T K Q G of each output, (P, d + 1, d + 1), from evenly spaced rows of X (n, d)."""
     n_rows = min(settings.n_rows, len(X))
@@ -211,8 +237,7 @@ def _function_covariance(
     mean, cov = regressor.predict(X[rows], return_cov=True, include_input_noise=False)
     n_outputs = mean.shape[1]
     blocks = cov.reshape(n_outputs, n_rows, n_outputs, n_rows)
-    in_fit, further = _biases(regressor, X, rows)
-    further = np.concatenate([further, _correlated_biases(regressor, X, rows, settings)])
+    in_fit, further = _biases(regressor, X, rows, variances, settings)
     fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
     covariances = []
     for i in range(n_outputs):
@@ -223,8 +248,14 @@ def _function_covariance(
     return np.stack(covariances)
 
 
-def _biases(regressor: DependentGPRegressor, X: Matrix, rows: Indices) -> tuple[Array, Array]:
-    """Return the biases m_j of the fit and the further ones a_j of a flight X (n, d), each (J, n_rows, P).
+def _biases(
+    regressor: DependentGPRegressor,
+    X: Matrix,
+    rows: Indices,
+    variances: Vector,
+    settings: ChangeSettings,
+) -> tuple[Array, Array]:
+    """Return the biases of the fit and the further ones a of a flight X (n, d), (J, n_rows, P) and (d, n_rows, P).
 
     A bias of slopes turns the function about the mean of the regressors.
     """
@@ -232,31 +263,17 @@ def _biases(regressor: DependentGPRegressor, X: Matrix, rows: Indices) -> tuple[
     if errors is None:
         nothing = np.zeros((0, len(rows), len(regressor.scale_)))
         return nothing, nothing
-    slopes = errors.method[:, 1:]
-    ratio = bias_ratio(training_inputs(regressor.posterior_), X)
-    in_fit = (X[rows] - errors.centre) @ slopes
-    in_flight = (X[rows] - X.mean(axis=0)) @ (ratio @ slopes)
-    return in_fit, in_flight - in_fit
-
-
-def _correlated_biases(
-    regressor: DependentGPRegressor, X: Matrix, rows: Indices, settings: ChangeSettings
-) -> Array:
-    """Return the further biases of a flight X (n, d) by correlated noise of regressors, (d, n_rows, P)."""
-    errors = regressor.function_errors()
-    if errors is None:
-        return np.zeros((0, len(rows), len(regressor.scale_)))
-    S = np.diag(regressor.input_covariance_)
+    in_fit = (X[rows] - errors.centre) @ errors.method[:, 1:]
     J = regressor.predict_gradient(errors.centre[None])[0]
-    products = S * J**2
+    products = variances * J**2
     others = products.sum(axis=1, keepdims=True) - products
-    # standard deviation of the covariance of each regressor with the errors of the samples
-    c = np.sqrt(settings.correlation_variance * S * others)
+    # standard deviations (P, d) of the covariance of each regressor with the errors
+    c = np.sqrt(variances * (products + settings.correlation_variance * others))
     X_fit = training_inputs(regressor.posterior_)
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(X_fit.T)), hermitian=True)
-    in_fit = np.einsum("jk,ik->kji", inverse, c)
-    slopes = bias_ratio(X_fit, X) @ in_fit - in_fit
-    return (X[rows] - X.mean(axis=0)) @ slopes
+    slopes = np.einsum("jk,ik->kji", inverse, c)
+    further = bias_ratio(X_fit, X) @ slopes - slopes
+    return in_fit, (X[rows] - X.mean(axis=0)) @ further
 
 
 def block_weights(
@@ -287,14 +304,17 @@ def block_weights(
     return weights, errors.T @ errors * (n_blocks - 1) / n_blocks, n_blocks
 
 
-def _p_value(weights: Vector, covariance: Matrix, n_blocks: int) -> float:
+def _p_value(weights: Vector, scatter: Matrix, uncertainty: Matrix, n_blocks: int) -> float:
     """Return the probability of weights as far from zero, NaN without blocks."""
     if n_blocks == 0:
         return float("nan")
     k = len(weights)
-    freedom = n_blocks - 1
-    wald = weights @ np.linalg.pinv(covariance, hermitian=True) @ weights
-    statistic = wald * (freedom - k + 1) / (freedom * k)
+    inverse = np.linalg.pinv(scatter + uncertainty, hermitian=True)
+    fraction = scatter @ inverse
+    # of Krishnamoorthy & Yu 2004; n_blocks - 1 if the scatter is all
+    estimated = np.trace(fraction @ fraction) + np.trace(fraction) ** 2
+    freedom = (n_blocks - 1) * (k + k**2) / estimated
+    statistic = weights @ inverse @ weights * (freedom - k + 1) / (freedom * k)
     return float(f_distribution.sf(statistic, k, freedom - k + 1))
 
 

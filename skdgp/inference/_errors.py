@@ -253,8 +253,9 @@ def function_errors(
       exceeds the white noise that the posterior holds;
     - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
-      slopes d of the residuals, with standard deviation s. These count as :math:`\sqrt{d^2 - s^2}`,
-      the part beyond chance, zero of weak instruments;
+      k slopes d of the residuals, with standard deviations s; weak ones find none. With
+      :math:`\chi^2 = \sum d^2 / s^2`, which is k by chance, these count as
+      :math:`d \sqrt{1 - k / \chi^2}`;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
       of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
       counts by one number for each regressor;
@@ -360,10 +361,13 @@ def _gust_bias(
 ) -> Vector:
     """Return the slopes that instruments find in the residuals, beyond chance, and zero for the constant, (m,)."""
     change, scatter, is_determined = instrumented(Q, residual, records, settings)
-    beyond_chance = np.maximum(change**2 - np.sum(scatter**2, axis=0), 0.0)
-    bias = np.sign(change) * np.sqrt(beyond_chance) * is_determined
-    bias[0] = 0.0
-    return bias
+    is_determined[0] = False
+    variance = np.sum(scatter**2, axis=0)
+    squares = np.divide(change**2, variance, out=np.zeros_like(change), where=variance > 0)
+    total = np.sum(squares * is_determined)
+    beyond_chance = np.maximum(total - is_determined.sum(), 0.0)
+    fraction = beyond_chance / total if total > 0 else 0.0
+    return change * np.sqrt(fraction) * is_determined
 
 
 def _records(sample: Sequence[Indices], flight: Vector | None) -> list[Indices]:

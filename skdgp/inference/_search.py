@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import column_scale, output_scale
+from skdgp._compute.linalg import column_scale, keep_freed_memory, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import (
@@ -264,6 +264,7 @@ def search(
     list of Hyperparameters
         Of the kernels, then of those with shifts.
     """
+    keep_freed_memory()
     random_state = check_random_state(options.random_state)
     settings = options.settings
     rows = some_rows(Y, random_state, settings, options.time_series)

@@ -130,6 +130,8 @@ class TriangleSettings:
 
     #: Largest side of a block that LAPACK inverts: of larger ones products of halves take less time
     side: int = 64
+    #: Largest side of a matrix for which this gains a tenth of the time, for a copy of a part of it
+    largest: int = 1200
 
 
 TRIANGLES = TriangleSettings()
@@ -137,6 +139,9 @@ TRIANGLES = TriangleSettings()
 
 def cholesky_inverse(L: Matrix) -> Matrix:
     """Return K^-1 in the lower triangle of ``L``, of double or single precision, which it overwrites."""
+    if len(L) > TRIANGLES.largest:
+        potri = lapack.spotri if L.dtype == np.float32 else lapack.dpotri
+        return potri(L, lower=1, overwrite_c=1)[0]
     _invert_triangle(L)
     lauum = lapack.slauum if L.dtype == np.float32 else lapack.dlauum
     return lauum(L, lower=1, overwrite_c=1)[0]

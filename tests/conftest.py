@@ -208,7 +208,7 @@ def cut_short():
     @contextmanager
     def cut_short(**others):
         search = SearchSettings(
-            values=(300, 300), width_factors=(1.0,), trial_iterations=(2, 0), single_iterations=2
+            values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
         )
         settings = {"search": search} | others
         short = replace(DependentGPRegressor.settings, **settings)

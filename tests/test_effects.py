@@ -46,7 +46,7 @@ def alone(X):
 
 
 SEARCH = SearchSettings(
-    values=(300, 300), structure_values=150, trial_iterations=(2, 0), single_iterations=2
+    values=(300, 300), structure_values=150, trial_iterations=2, single_iterations=2
 )
 
 

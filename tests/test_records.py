@@ -47,7 +47,7 @@ def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
     transform, regressor = model[:-1], model[-1]
     search = SearchSettings(
-        values=(300, 300), width_factors=(1.0,), trial_iterations=(2, 0), single_iterations=2
+        values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
     )
     regressor.settings = replace(regressor.settings, search=search)
     X, asked = (

@@ -83,8 +83,8 @@ class SearchSettings:
     single_iterations: int = 100
     #: Most values of each short trial for an output alone
     trial_values: int = 150
-    #: Most iterations of each trial, and of the best one thereafter
-    trial_iterations: tuple[int, int] = (12, 28)
+    #: Most iterations of each trial
+    trial_iterations: int = 40
     #: Starting widths of the trials, over the estimates of ``initialize``
     width_factors: tuple[float, ...] = (1.0, 0.3, 0.1)
     #: Widths whose likelihood is compared with the best trial
@@ -763,17 +763,15 @@ class SingleOutput(NamedTuple):
         settings = self.settings
         start = starting_kernel(self.kernel, self.x, self.y, np.random.RandomState(seed))
         step = max(1, len(self.x) // settings.trial_values)
-        first, further = (min(n, max_iter) for n in settings.trial_iterations)
+        few = min(settings.trial_iterations, max_iter)
         trials = []
         tried = set()
         for factor in settings.width_factors:
             trial = narrowed(self.kernel, start, factor)
             if trial.theta.tobytes() not in tried:  # a trend has no widths
                 tried.add(trial.theta.tobytes())
-                trials.append(self._climb(trial, self.noise, step, first))
+                trials.append(self._climb(trial, self.noise, step, few))
         best = max(trials, key=lambda trial: trial.end.value)
-        if not best.end.converged:
-            best = self._climb(best.kernel, best.noise, step, further)
         starts = [(best.kernel, best.noise)]
         for width, factor in product(settings.narrow_factors, settings.noise_factors):
             starts.append((narrowed(self.kernel, start, width), factor * self.noise))

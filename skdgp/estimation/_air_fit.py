@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skdgp._compute.linalg import matrix_vector
+from skdgp._compute.linalg import keep_freed_memory, matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import RATE_STATES, Layout, linearized
@@ -84,6 +84,7 @@ class AirFit:
 
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges.
         """
+        keep_freed_memory()
         settings = self.settings
         damping = settings.first_damping
         fraction = 1.0  # of a step that is taken
@@ -158,7 +159,7 @@ class AirFit:
             run = filtered(linear, self.noise_search.noise(record))
             L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
             e = matrix_vector(L_inverse, run.innovations.values)
-            slopes = L_inverse @ innovation_slopes(linear, run)
+            slopes = innovation_slopes(linear, run, L_inverse)
             has_instruments = by_instruments and not self.is_known
             scores = self._add_scores(sums, record.flight, e, slopes, has_instruments)
             if has_instruments:

@@ -15,7 +15,7 @@ the sum of its derivatives times terms, such as alpha. Instruments are the same 
 terms in the motion that surfaces alone cause.
 
 n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
-coefficients, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d
+coefficients and c are constants, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d
 instruments, together N + p.
 """
 
@@ -108,6 +108,10 @@ class Layout(NamedTuple):
         """Return places of parameters among the slopes."""
         return [self.names.index(name) for name in names]
 
+    def place_of_constants(self, *names: str) -> list[int]:
+        """Return places of parameters among the constants."""
+        return [place - self.n_derivatives for place in self.place(*names)]
+
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
         return np.flatnonzero(self.rows == COEFFICIENTS.index(name))
@@ -121,6 +125,11 @@ class Layout(NamedTuple):
         """Return whether each derivative is by one of the state's terms."""
         return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
 
+    @property
+    def constants(self) -> slice:
+        """Places of the constants, which are the parameters behind the derivatives, among the slopes by z."""
+        return slice(N_STATES + self.n_derivatives, N_STATES + len(self.names))
+
     def variable_slopes(
         self,
         attitude: Array,
@@ -128,18 +137,18 @@ class Layout(NamedTuple):
         air_by_state: Array,
         by_lag_and_thrust: Array | float = 0.0,
     ) -> Array:
-        """Return d variables of the model / d states and parameters, (n, 12, N + k), zero by derivatives.
+        """Return d variables of the model / d states and constants, (n, 12, N + c).
 
-        ``by_lag_and_thrust`` (n, 6, 2) are slopes of the coefficients.
+        They are zero by derivatives. ``by_lag_and_thrust`` (n, 6, 2) are slopes of the coefficients.
         """
-        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + len(self.names)))
+        slopes = np.zeros((len(rates), N_VARIABLES, self.constants.stop - self.n_derivatives))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
-        by_parameters = slopes[..., N_STATES:]
-        lag_and_thrust = self.place("servo_lag", "thrust_scale")
-        by_parameters[:, COEFFICIENT_ERRORS, lag_and_thrust] = by_lag_and_thrust
-        by_parameters[:, AIR_VELOCITY, self.place(*WINDS)] = -attitude
-        by_parameters[:, AIR_VELOCITY, self.place(*ARM)] = -cross_matrix(rates)
+        by_constants = slopes[..., N_STATES:]
+        lag_and_thrust = self.place_of_constants("servo_lag", "thrust_scale")
+        by_constants[:, COEFFICIENT_ERRORS, lag_and_thrust] = by_lag_and_thrust
+        by_constants[:, AIR_VELOCITY, self.place_of_constants(*WINDS)] = -attitude
+        by_constants[:, AIR_VELOCITY, self.place_of_constants(*ARM)] = -cross_matrix(rates)
         return slopes
 
     def chained(
@@ -149,14 +158,19 @@ class Layout(NamedTuple):
 
         By the `variable_slopes`, and the terms (n, f) of derivatives and instruments.
         """
+        values = np.empty((*by_variables.shape[:2], N_STATES + self.n_slopes))
+        by_states_and_constants = by_variables @ slopes
+        values[..., :N_STATES] = by_states_and_constants[..., :N_STATES]
+        values[..., self.constants] = by_states_and_constants[..., N_STATES:]
         by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
-        by_states = by_variables @ slopes[..., :N_STATES]
-        by_derivatives = by_coefficients * terms[:, None, self.columns]
-        by_constants = by_variables @ slopes[..., N_STATES + self.n_derivatives :]
-        parts = [by_states, by_derivatives, by_constants]
+        by_derivatives = values[..., N_STATES : self.constants.start]
+        np.multiply(by_coefficients, terms[:, None, self.columns], out=by_derivatives)
         if self.by_instruments:
-            parts.append(by_coefficients * instrument_terms[:, None, self.columns])
-        return np.concatenate(parts, axis=-1)
+            by_instruments = values[..., self.constants.stop :]
+            np.multiply(
+                by_coefficients, instrument_terms[:, None, self.columns], out=by_instruments
+            )
+        return values
 
 
 def motion_model(
@@ -201,8 +215,10 @@ def linearized(
     step_slopes = expansion.step_slopes(end, by_start, instrument_terms)
     predicted = states[:-1] * expansion.remaining
     predicted[:, RATE_STATES] = end[:, BODY_RATES]
-    transition = expansion.remaining[:, :, None] * np.eye(N_STATES, N_STATES + layout.n_slopes)
-    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES]
+    transition = expansion.remaining[:, :, None] * np.eye(N_STATES)
+    transition_slopes = np.zeros((len(end), N_STATES, layout.n_slopes))
+    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES, :N_STATES]
+    transition_slopes[:, RATE_STATES] = step_slopes[:, BODY_RATES, N_STATES:]
 
     # two predictions of the readings at its end
     past = expansion.readings_of_past(end, step_slopes, instrument_terms)
@@ -213,7 +229,6 @@ def linearized(
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
     not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
-    transition, transition_slopes = _split(transition)
     innovation_states, innovation_slopes = _split(past.slopes)
     residual_states, residual_slopes = _split(path.slopes)
     return Linearization(
@@ -333,11 +348,12 @@ class _Expansion:
         self, end: Matrix, step_slopes: Array, instrument_terms: Matrix
     ) -> _Readings:
         """Return the readings at the end of the step, from its start alone."""
-        values, by_variables, slopes = self._readings(end)
-        by_motion = by_variables[..., :6] @ step_slopes
+        values, by_variables, by_constants = self._readings(end)
         by_errors = by_variables.copy()
         by_errors[..., :6] = 0.0
-        slopes = slopes + by_motion + self.end_slopes(end, by_errors, instrument_terms)
+        slopes = self.end_slopes(end, by_errors, instrument_terms)
+        slopes += by_variables[..., :6] @ step_slopes
+        slopes[..., self.layout.constants] += by_constants
         return _Readings(values, by_variables, slopes)
 
     def readings_of_path(
@@ -346,27 +362,27 @@ class _Expansion:
         """Return the readings at the recorded path, with the predicted gusts and rates."""
         change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
         variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
-        values, by_variables, slopes = self._readings(variables)
-        slopes = slopes + self.end_slopes(variables, by_variables, instrument_terms)
+        values, by_variables, by_constants = self._readings(variables)
+        slopes = self.end_slopes(variables, by_variables, instrument_terms)
+        slopes[..., self.layout.constants] += by_constants
         return _Readings(values, by_variables, slopes)
 
-    def _readings(self, end: Matrix) -> _Readings:
-        """Return readings at variables (n - 1, 12), with their slopes by z at given variables."""
+    def _readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
+        """Return readings at variables (n - 1, 12), and their slopes by these and by the sensors' constants."""
         errors = SensorErrors.of(self.value)
         truth, by_variables = differentiated(lambda s: self.model.sensors(s, self.end_inputs), end)
         values = errors.readings(truth)
         layout = self.layout
-        slopes = np.zeros((*values.shape, N_STATES + layout.n_slopes))
-        by_parameters = slopes[..., N_STATES:]
-        by_parameters[:, [*BIASES.values()], layout.place(*BIASES)] = 1.0
-        (scale,) = layout.place("airspeed_scale")
-        by_parameters[:, AIRSPEED, scale] = truth[:, AIRSPEED]
-        by_parameters[:, FORCE_READINGS, layout.place(*ARM)] = self.model.arm_slopes(
-            end, self.end_inputs
-        )
+        n_constants = layout.constants.stop - layout.constants.start
+        by_constants = np.zeros((*values.shape, n_constants))
+        by_constants[:, [*BIASES.values()], layout.place_of_constants(*BIASES)] = 1.0
+        (scale,) = layout.place_of_constants("airspeed_scale")
+        by_constants[:, AIRSPEED, scale] = truth[:, AIRSPEED]
+        arm = layout.place_of_constants(*ARM)
+        by_constants[:, FORCE_READINGS, arm] = self.model.arm_slopes(end, self.end_inputs)
         by_variables = errors.scale[:, None] * by_variables
         sampled = self.record.sampled
-        return _Readings(values[:, sampled], by_variables[:, sampled], slopes[:, sampled])
+        return values[:, sampled], by_variables[:, sampled], by_constants[:, sampled]
 
     def end_slopes(self, end: Matrix, by_variables: Array, instrument_terms: Matrix) -> Array:
         """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""
@@ -375,7 +391,7 @@ class _Expansion:
         return self.layout.chained(by_variables, slopes, terms, instrument_terms[1:])
 
     def end_variable_slopes(self, end: Matrix) -> Array:
-        """Return d variables / d states and parameters of the same sample, (n - 1, 12, N + k)."""
+        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + c)."""
         return self.layout.variable_slopes(
             self.record.attitude[1:],
             end[:, BODY_RATES],

@@ -75,8 +75,8 @@ def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) ->
     slopes[:, OF_RATES, RATE_STATES] = np.eye(3)
     slopes[:, OF_WIND, SLOW_GUST] = np.eye(3)
     slopes[:, OF_WIND, FAST_GUST] = np.eye(3)
+    slopes[:, OF_AIR_DATA, layout.constants] = by_air[..., N_STATES:]
     by_parameters = slopes[..., N_STATES:]
-    by_parameters[:, OF_AIR_DATA, : len(layout.names)] = by_air[..., N_STATES:]
     by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
     return slopes
 

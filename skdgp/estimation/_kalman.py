@@ -29,12 +29,16 @@ n samples, N states, m sensors, p parameters, s sets of noises.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
+
+STEPS = 256  # whose matrices are in memory at a time
 
 
 class Linearization(NamedTuple):
@@ -118,10 +122,25 @@ class _FilterMatrices(NamedTuple):
         P_predicted = Phi @ P @ Phi.mT + self.Q[k]
         PHt = P_predicted @ H.T
         S = H @ PHt + self.R[k]
-        K = np.linalg.solve(S, PHt.mT).mT
+        K = _gain(S, PHt)
         x = self.c[k] + x + K @ (self.y[k] - H @ x)
         P = P_predicted - K @ PHt.mT
         return x, 0.5 * (P + P.mT), P_predicted, K
+
+    def of_one_set(self) -> _FilterMatrices:
+        """Return the matrices of the first set, without the axis of the sets."""
+        return self._replace(Phi=self.Phi[:, 0], Q=self.Q[:, 0], R=self.R[:, 0])
+
+
+def _gain(S: Array, PHt: Array) -> Array:
+    """Return P H^T S^-1; of one set of noises by LAPACK itself, as NumPy takes twice the time."""
+    if S.ndim > 2:
+        transposed: Any = np.linalg.solve(S, PHt.mT)
+        return transposed.mT
+    _, transposed, failed = lapack.dposv(S, PHt.T, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("An innovation covariance is not positive definite.")
+    return transposed.T
 
 
 class _Steps(NamedTuple):
@@ -154,9 +173,8 @@ def innovations(linear: Linearization, noise: Noise) -> Innovations:
     values = []
     covariance = []
     x, P = _start(noise)
-    n = 256  # steps whose matrices at all noises are in memory at a time
-    for first in range(0, len(linear.step), n):
-        steps = _filtered_steps(linear.part(first, first + n), noise, x, P)
+    for first in range(0, len(linear.step), STEPS):
+        steps = _filtered_steps(linear.part(first, first + STEPS), noise, x, P)
         values.append(steps.innovations.values)
         covariance.append(steps.innovations.covariance)
         x, P = steps.x[-1], steps.P[-1]
@@ -172,15 +190,21 @@ def _start(noise: Noise) -> tuple[Array, Array]:
 def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Steps:
     """Return some steps of the filter, from deviation and covariance of the sample before."""
     matrices = _filter_matrices(linear, noise)
+    R = matrices.R
     n, m, N = matrices.H.shape
     xs = np.empty((n + 1, *x.shape))
     Ps = np.empty((n + 1, *P.shape))
     P_predicted = np.empty((n, *P.shape))
     gain = np.empty((n, len(P), N, m))
     xs[0], Ps[0] = x, P
+    sets: int | slice = slice(None)
+    if len(P) == 1:  # NumPy takes longer for a stack of one matrix
+        sets = 0
+        matrices = matrices.of_one_set()
     for k in range(n):
-        xs[k + 1], Ps[k + 1], P_predicted[k], gain[k] = matrices.step(xs[k], Ps[k], k)
-    past = _past_innovations(linear, noise, matrices.R, xs[:-1], Ps[:-1])
+        step = matrices.step(xs[k, sets], Ps[k, sets], k)
+        xs[k + 1, sets], Ps[k + 1, sets], P_predicted[k, sets], gain[k, sets] = step
+    past = _past_innovations(linear, noise, R, xs[:-1], Ps[:-1])
     return _Steps(past, xs[1:], Ps[1:], P_predicted, gain)
 
 
@@ -240,21 +264,45 @@ def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     return (by_late + by_early) / 6
 
 
-def innovation_slopes(linear: Linearization, run: Pass) -> Array:
-    """Return d innovation / d parameters (n - 1, m, p), the gains being given."""
-    Z = state_slopes(linear, run)
-    return -(linear.innovation_states @ Z[:-1] + linear.innovation_slopes)
+def innovation_slopes(linear: Linearization, run: Pass, factors: Array | None = None) -> Array:
+    """Return d innovation / d parameters (n - 1, m, p), the gains being given.
+
+    With ``factors`` (n - 1, m, m) each is multiplied by its factor.
+    """
+    slopes = np.empty_like(linear.innovation_slopes)
+    for steps, Z in _parts_of_state_slopes(linear, run):
+        by_states = linear.innovation_states[steps] @ Z[:-1]
+        part = -(by_states + linear.innovation_slopes[steps])
+        slopes[steps] = part if factors is None else factors[steps] @ part
+    return slopes
 
 
 def state_slopes(linear: Linearization, run: Pass) -> Array:
     """Return d filtered states / d parameters (n, N, p), the gains being given."""
-    correction = np.eye(linear.states.shape[1]) - run.gain @ linear.residual_states  # I - K H
-    T = correction @ linear.transition
-    B = correction @ linear.transition_slopes - run.gain @ linear.residual_slopes
-    Z = np.zeros((len(T) + 1, *B.shape[1:]))
-    for k in range(len(T)):
-        Z[k + 1] = T[k] @ Z[k] + B[k]
-    return Z
+    n, N, p = linear.transition_slopes.shape
+    slopes = np.zeros((n + 1, N, p))
+    for steps, Z in _parts_of_state_slopes(linear, run):
+        slopes[steps.start + 1 : steps.stop + 1] = Z[1:]
+    return slopes
+
+
+def _parts_of_state_slopes(linear: Linearization, run: Pass) -> Iterator[tuple[slice, Array]]:
+    """Yield slices of steps, which fit the cache, and the slopes of the states before and after these steps."""
+    n, N, p = linear.transition_slopes.shape
+    last = np.zeros((N, p))
+    for first in range(0, n, STEPS):
+        steps = slice(first, min(first + STEPS, n))
+        gain = run.gain[steps]
+        correction = np.eye(N) - gain @ linear.residual_states[steps]  # I - K H
+        T = correction @ linear.transition[steps]
+        B = correction @ linear.transition_slopes[steps] - gain @ linear.residual_slopes[steps]
+        Z = np.empty((len(T) + 1, N, p))
+        Z[0] = last
+        for k in range(len(T)):
+            np.matmul(T[k], Z[k], out=Z[k + 1])
+            Z[k + 1] += B[k]
+        last = Z[-1]
+        yield steps, Z
 
 
 def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:

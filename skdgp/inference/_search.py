@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import column_scale, output_scale
+from skdgp._compute.linalg import column_scale, keep_freed_memory, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp.inference._likelihood import (
@@ -264,6 +264,7 @@ def search(
     list of Hyperparameters
         Of the kernels, then of those with shifts.
     """
+    keep_freed_memory()
     random_state = check_random_state(options.random_state)
     settings = options.settings
     rows = some_rows(Y, random_state, settings, options.time_series)
@@ -402,11 +403,14 @@ class _JointSearch(NamedTuple):
     ) -> Hyperparameters:
         """Return the hyperparameters of a structure, with its price.
 
-        It is searched again from the ends of simpler ones that it contains, and the best score counts.
+        It is searched again from the ends of simpler ones that it contains and that are not much
+        worse, and the best score counts.
         """
         best = self._priced(structure, self.likeliest(structure.kernel))
+        _, margin = self.options.settings.trial_margins
         for each in simpler:
-            if contains(structure.kernel, each.kernel) and not self.stop.is_set():
+            is_promising = each.score() > best.score() - margin
+            if contains(structure.kernel, each.kernel) and is_promising and not self.stop.is_set():
                 other = self._priced(structure, self.learned(structure.kernel, each))
                 if other.score() > best.score():
                     best = other

@@ -77,12 +77,17 @@ class GaussianBasis:
 
     def __call__(self, X: Matrix) -> Matrix:
         """Return all functions at X (n, d), (n, C)."""
+        values = self.exponentials(X)
+        values *= self.gain
+        return values
+
+    def exponentials(self, X: Matrix) -> Matrix:
+        """Return all functions without their gains at X (n, d), (n, C)."""
         if self._far:
             values = self._exponents_of_differences(X)
         else:
             values = self._powers(X) @ self._matrix
         np.exp(values, out=values)
-        values *= self.gain
         return values
 
     def _powers(self, X):
@@ -123,7 +128,7 @@ class GaussianBasis:
     def moments(self, X: Matrix, G: Matrix) -> Moments:
         """Return the moments of weights G (n, C) about the centre of each function."""
         d = X.shape[1]
-        sums = G.T @ self._powers(X)
+        sums = (self._powers(X).T @ G).T
         z = self._centred
         zeroth = sums[:, -1]
         of_x = sums[:, d:-1]
@@ -191,13 +196,12 @@ class FilterPair:
         self.Sigma = 2 / self.squares
         self.gain = self.c * w[0] * w[1]
 
-    def basis(self, Z: Matrix, gain: Vector | None = None) -> GaussianBasis:
+    def basis(self, Z: Matrix) -> GaussianBasis:
         """Return the covariances with output j at Z (k, d), of each latent in turn, (m k) functions."""
-        gain = self.gain if gain is None else gain
         m, d = self.mu.shape
         precision = np.repeat(self.Sigma, len(Z), axis=0)
         centres = (self.mu[:, None] + Z).reshape(m * len(Z), d)
-        return GaussianBasis(np.repeat(gain, len(Z)), precision, centres)
+        return GaussianBasis(np.repeat(self.gain, len(Z)), precision, centres)
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
@@ -230,8 +234,8 @@ class FilterPair:
         """
         m = len(self.gain)
         shape = len(Xi), m, len(Xj)
-        basis = self.basis(Xj, gain=np.ones(m))
-        exponentials = basis(Xi).reshape(shape)
+        basis = self.basis(Xj)
+        exponentials = basis.exponentials(Xi).reshape(shape)
 
         def moments(W: Matrix) -> Moments:
             G = exponentials * W[:, None]

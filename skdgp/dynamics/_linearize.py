@@ -383,11 +383,11 @@ def _motion_of_paths(
     model = motion.aerodynamics
     motion_of_paths = copy.copy(motion)
     motion_of_paths.aerodynamics = model.sample(n_paths, random_state)
-    if model.function_errors is None:
+    if model.learned is None:
         return motion_of_paths, None
     now = motion.at(state, controls)
     slopes = model.gradient(now.regressors)
-    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.function_errors()))
+    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
     # slopes by alpha_dot and beta_dot of each path
     draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
     return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)

@@ -115,6 +115,12 @@ def has_values(table: pd.DataFrame, *names: str) -> bool:
     return bool(is_sampled.any(axis=0).all())
 
 
+def interpolated(at: Vector, time: Vector, values: Matrix, beyond: float | None = None) -> Matrix:
+    """Return columns (n, k) at other times, by straight lines, ``beyond`` the ends (by default the end's value)."""
+    columns = [np.interp(at, time, column, left=beyond, right=beyond) for column in values.T]
+    return np.column_stack(columns)
+
+
 def interpolate_missing(time: Vector, values: Matrix) -> Matrix:
     """Return columns (n, k) with linear interpolation of values that are not finite."""
     sampled = np.where(np.isfinite(values), values, np.nan)

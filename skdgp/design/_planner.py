@@ -18,6 +18,7 @@ from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.tables import interpolated
 from skdgp.design._check import std_at, with_range
 from skdgp.design._choice import Choice, information
 from skdgp.design._envelope import (
@@ -397,7 +398,7 @@ def _rows(
     time = item.flight["time"].to_numpy(float)
     times = np.arange(time[0], time[-1] + 0.5 * interval, interval)
     X = regressors_of(item.flight, aircraft, model.regressors)
-    return np.column_stack([np.interp(times, time, column) for column in X.T])
+    return interpolated(times, time, X)
 
 
 def _chosen(

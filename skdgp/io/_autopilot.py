@@ -509,9 +509,7 @@ def find_segments(
     on its wheels after it was reported as landed does not fly yet.
     """
     time = table["time"].to_numpy()
-    landed = np.zeros(len(time), dtype=bool)
-    if believes_landed:
-        landed = _landed(time, log)
+    landed = log.lands(time) & believes_landed
     is_flight = (_speed(table, log) > speed) & ~landed & ~log.lifts(time)
     rows = np.flatnonzero(is_flight)
     pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
@@ -626,9 +624,9 @@ def _against_flight(log: Log) -> list[str]:
 def _landed_throughout(part: Part) -> list[str]:
     """Return that the autopilot itself says to be on the ground in all rows, with the number, if it does."""
     log = part.log
-    if log.landed is None or not _landed(part.table["time"].to_numpy(), log).all():
+    if not log.lands(part.table["time"].to_numpy()).all():
         return []
-    name, field, value = log.landed
+    ((name, field, value, _),) = log.landed
     return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
 
 
@@ -652,14 +650,3 @@ def _speed(table: pd.DataFrame, log: Log) -> Vector:
     ground_speed = np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
     is_dead = np.nanmax(airspeed, initial=-np.inf) == np.nanmin(airspeed, initial=np.inf)
     return np.where(np.isnan(airspeed) | is_dead, ground_speed, airspeed)
-
-
-def _landed(time: Vector, log: Log) -> Mask:
-    """Return whether the autopilot reported to be landed, (n,); False where it does not say."""
-    if log.landed is not None:
-        name, field, value = log.landed
-        topic = log.topics.get(name, NOTHING)
-        if field in topic:
-            last = np.searchsorted(topic.time, time, side="right") - 1
-            return (topic[field] == value)[np.maximum(last, 0)]
-    return np.zeros(len(time), dtype=bool)

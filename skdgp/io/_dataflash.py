@@ -31,10 +31,10 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
-    Lifting,
     Log,
     Rule,
     Servo,
+    States,
     Topic,
     Use,
     centi,
@@ -338,7 +338,7 @@ def _log(
     if "RCOU" in topics:
         topics = topics | {"RCOU": _all_outputs(topics)}
     outputs = outputs_of(topics.get("RCOU", NOTHING), parameters)
-    lifting: Lifting = ()
+    lifting: States = ()
     if vehicle == "VTOL":
         lifting = outputs.lifting or lifting_modes("MODE", "ModeNum")
     return Log(
@@ -349,7 +349,7 @@ def _log(
         firmware=firmware,
         vehicle=vehicle,
         remarks=(*remarks, *outputs.remarks),
-        landed=("STAT", "isFlying", 0.0),
+        landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
         controls=outputs.controls,
         aliases=ALIASES,
@@ -393,14 +393,14 @@ def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | No
     return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
 
 
-def lifting_modes(topic: str, field: str) -> Lifting:
+def lifting_modes(topic: str, field: str) -> States:
     """Return the field of the mode, and its numbers while rotors lift a VTOL."""
     return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
 
 
 def _lifting(
     outputs: Topic, parameters: Mapping[str, float], name: str, settings: LiftSettings = LIFT
-) -> Lifting:
+) -> States:
     """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt.
 
     ``name`` is the channel of output n; none where no such output is logged.
@@ -436,7 +436,7 @@ def _pulses_short_of(
 
 
 def _rules(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: Lifting
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: States
 ) -> tuple[Rule, ...]:
     """Return the rules, without estimators that the autopilot did not fly by, with the engines that run."""
     used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
@@ -609,7 +609,7 @@ class Outputs(NamedTuple):
 
     controls: dict[str, Control]
     commands: dict[str, Control]
-    lifting: Lifting
+    lifting: States
     remarks: tuple[str, ...]
 
 

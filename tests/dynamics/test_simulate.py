@@ -51,7 +51,21 @@ SLOPES = np.array(
 INTERCEPT = np.array([-0.03, 0.0, -0.1, 0.0, 0.03, 0.0])
 START = {"airspeed": 22.0, "alpha": 0.08, "beta": 0.02, "phi": 0.3, "theta": 0.1, "psi": 1.0}
 START |= {"p": 0.1, "q": 0.05, "r": -0.1, "north": 10.0, "east": -20.0, "altitude": 300.0}
-STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r", "north", "east", "down", "airspeed"]
+STATES = [
+    "v_north",
+    "v_east",
+    "v_down",
+    "phi",
+    "theta",
+    "psi",
+    "p",
+    "q",
+    "r",
+    "north",
+    "east",
+    "down",
+    "airspeed",
+]
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SURFACES = ["elevator", "aileron", "rudder"]
 ACCELERATIONS = ["ax", "ay", "az"]

@@ -10,7 +10,18 @@ import pandas as pd
 import pytest
 
 PAGE = Path(__file__).parents[2] / "docs" / "identification.md"
-NAMES = ["inspect", "identify", "demo", "validate", "predict", "derivatives", "plan", "export", "margins", "fly"]
+NAMES = [
+    "inspect",
+    "identify",
+    "demo",
+    "validate",
+    "predict",
+    "derivatives",
+    "plan",
+    "export",
+    "margins",
+    "fly",
+]
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import as_floats, check_number
+from skdgp._flight.checks import check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
 from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.dynamics import (
@@ -542,10 +542,8 @@ def fly(
     """
     check_number("height", height, is_open=False, unit="m")
     check_number("wait", wait, unit="s")
-    if wind is not None and not (np.shape(wind) == (3,) and np.isfinite(as_floats(wind)).all()):
-        raise ValueError(
-            f"Got wind={wind!r}, but expected three finite numbers: north, east, down [m/s]."
-        )
+    if wind is not None:
+        check_numbers("wind", wind, 3)
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)

@@ -25,6 +25,7 @@ from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.checks import check_number
 from skdgp._flight.frames import (
     euler_per_rotation,
     euler_to_quaternion,
@@ -197,10 +198,7 @@ def linearize(
     roll              19.51     1.00
     spiral             0.05    -1.00
     """
-    if not 0 <= delay < np.inf:
-        raise ValueError(
-            f"Got delay={delay!r}, but expected a finite number of seconds, at least 0."
-        )
+    check_number("delay", delay, is_open=False, unit="s")
     check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)

@@ -127,7 +127,7 @@ def test_a_size_is_kept(portable_of, tmp_path):
 
 @pytest.mark.parametrize(
     ("max_kb", "message"),
-    [(0, "max_kb=0, but expected a size > 0"), (1, "the smallest form of this model takes")],
+    [(0, "max_kb=0, but expected a number > 0"), (1, "the smallest form of this model takes")],
 )
 def test_a_size_that_cannot_be_is_refused(portable_of, tmp_path, max_kb, message):
     with pytest.raises(ValueError, match=message):

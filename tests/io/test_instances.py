@@ -10,6 +10,9 @@ from skdgp.preprocessing import FlightDataWarning
 T = 10 + np.arange(1500) / 50.0
 SLOW = T[::5]
 TRUE = 18 + np.sin(SLOW)
+# Left and right aileron of PX4 with flaps
+FLAPERONS = {"CA_SV_CS0_TYPE": 1, "CA_SV_CS1_TYPE": 2, "CA_SV_CS0_FLAP": 0.5}
+FLAPERONS |= {"CA_SV_CS1_FLAP": 0.5, "CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS1_TRQ_R": 0.5}
 
 
 @pytest.fixture
@@ -32,23 +35,31 @@ def surfaces(read):
     return lambda log, name="log.ulg": read(log, name, servos="full throw", airborne=False)[10:-10]
 
 
+def pulse(part):
+    """Return pulses of parts of the full throw."""
+    return "H", 1500 + 400 * part
+
+
+def assert_is_cut(table):
+    """A flight ends where the heading jumps, and in none it does."""
+    assert table.flight.nunique() == 2
+    steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
+    assert np.abs(steps).max() < 0.01
+
+
 def assert_is_the_true_airspeed(table):
     assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
-
-
-def second(log, own_message):
-    """Return the name and the fields of the second airspeed sensor."""
-    return ("ASP2", {}) if own_message else ("ARSP", {"I": ("B", 1)})
 
 
 class TestArduPilot:
     @pytest.mark.parametrize("own_message", [False, True])
     def test_a_healthy_sensor_stands_in_for_a_failed_one(self, read, own_message, plane):
         log = plane()
-        number = {} if own_message else {"I": ("B", 0)}
-        log.topic("ARSP", SLOW, **number, Airspeed=("f", 0.0), H=("B", 0))
-        name, number = second(log, own_message)
-        log.topic(name, SLOW + 1e-3, **number, Airspeed=("f", TRUE), H=("B", 1))
+        names = ("ARSP", "ASP2") if own_message else ("ARSP", "ARSP")
+        for number, (name, airspeed) in enumerate(zip(names, (0.0, TRUE), strict=True)):
+            instance = {} if own_message else {"I": ("B", number)}
+            health = ("B", number)
+            log.topic(name, SLOW + 1e-3 * number, **instance, Airspeed=("f", airspeed), H=health)
         with pytest.warns(FlightDataWarning, match="of 2 instances"):
             table = read(log, "log.bin", airborne=False)
         assert_is_the_true_airspeed(table)
@@ -185,9 +196,7 @@ class TestResets:
         log = ulog().topic("vehicle_attitude", T, q=q, quat_reset_counter=("uint8_t", T >= 25))
         with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
             table = read(log, airborne=False)
-        assert table.flight.nunique() == 2
-        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
-        assert np.abs(steps).max() < 0.01
+        assert_is_cut(table)
 
     @pytest.mark.parametrize("suffix", ["ulg", "bin"])
     def test_a_heading_whose_reset_another_topic_counts_is_cut(self, read, ulog, suffix, plane):
@@ -204,9 +213,7 @@ class TestResets:
             log.topic("ATT", T, **angles)
         with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
             table = read(log, f"log.{suffix}", airborne=False)
-        assert table.flight.nunique() == 2
-        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
-        assert np.abs(steps).max() < 0.01
+        assert_is_cut(table)
 
 
 class TestVehicles:
@@ -326,11 +333,10 @@ class TestVehicles:
 
     def test_a_v_tail_on_outputs_of_two_messages(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
-        functions = {"SERVO5_FUNCTION": 79.0, "SERVO15_FUNCTION": 80.0, "SERVO15_REVERSED": 1.0}
-        log = plane(**functions)
+        log = plane(SERVO5_FUNCTION=79.0, SERVO15_FUNCTION=80.0, SERVO15_REVERSED=1.0)
         up, right = 0.3 * np.sin(SLOW), 0.2 * np.cos(SLOW)
-        log.topic("RCOU", SLOW, C5=("H", 1500 + 400 * (up + right)))
-        log.topic("RCO2", SLOW + 1e-4, C15=("H", 1500 - 400 * (up - right)))
+        log.topic("RCOU", SLOW, C5=pulse(up + right))
+        log.topic("RCO2", SLOW + 1e-4, C15=pulse(right - up))
         table = surfaces(log, "log.bin")
         assert_allclose(table.elevator, -0.3 * np.sin(table.time), atol=0.01)
         assert_allclose(table.rudder, -0.2 * np.cos(table.time), atol=0.01)
@@ -346,21 +352,17 @@ class TestVehicles:
     @pytest.mark.parametrize(("reverse", "turn"), [(0.0, 1.0), (1.0, -1.0)])
     def test_flaperons(self, reverse, turn, plane, surfaces):
         """left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
-        functions = {"SERVO1_FUNCTION": 24.0, "SERVO5_FUNCTION": 25.0, "SERVO5_REVERSED": reverse}
-        log = plane(**functions)
+        log = plane(SERVO1_FUNCTION=24.0, SERVO5_FUNCTION=25.0, SERVO5_REVERSED=reverse)
         aileron, flap = 0.3 * np.sin(SLOW), 0.2 * (SLOW > 30)
-        left, right = 1500 + 400 * (aileron + flap), 1500 + turn * 400 * (aileron - flap)
-        log.topic("RCOU", SLOW, C1=("H", left), C5=("H", right))
+        log.topic("RCOU", SLOW, C1=pulse(aileron + flap), C5=pulse(turn * (aileron - flap)))
         inside = surfaces(log, "log.bin")
         assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)
         assert_allclose(inside.flap[inside.time > 30.5], 0.2, atol=0.01)
 
     def test_flaperons_against_their_parameters_are_told(self, plane, surfaces):
-        functions = {"SERVO1_FUNCTION": 24.0, "SERVO5_FUNCTION": 25.0}
-        log = plane(**functions)
+        log = plane(SERVO1_FUNCTION=24.0, SERVO5_FUNCTION=25.0)
         aileron, flap = 0.3 * np.sin(SLOW), 0.9 * (SLOW > 30)
-        left, right = 1500 + 400 * (aileron + flap), 1500 + 400 * (flap - aileron)
-        log.topic("RCOU", SLOW, C1=("H", left), C5=("H", right))
+        log.topic("RCOU", SLOW, C1=pulse(aileron + flap), C5=pulse(flap - aileron))
         with pytest.warns(FlightDataWarning, match="move against each other"):
             inside = surfaces(log, "log.bin")
         assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)
@@ -384,9 +386,7 @@ class TestVehicles:
     @pytest.mark.parametrize("second", [0.5, 0.3])
     def test_flaperons_of_px4(self, read, second, px4, surfaces):
         """The flap is read where rolling leaves the mean of the ailerons over their CA_SV_CSn_FLAP alone."""
-        flaps = {"CA_SV_CS0_FLAP": 0.5, "CA_SV_CS1_FLAP": second}
-        torques = {"CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS1_TRQ_R": 0.5}
-        log = px4(CA_SV_CS0_TYPE=1, CA_SV_CS1_TYPE=2, **flaps, **torques)
+        log = px4(**FLAPERONS | {"CA_SV_CS1_FLAP": second})
         roll, flap = 0.2 * np.sin(SLOW), 0.3
         outputs = [0.5 * (2 * flap - 1) - roll, second * (2 * flap - 1) + roll]
         log.topic("actuator_servos", SLOW, control=np.column_stack(outputs))
@@ -424,10 +424,7 @@ class TestVehicles:
 
     def test_flaperons_of_px4_that_only_open(self, px4, surfaces):
         """Since version 1.16 they are closed at zero, and open by f CA_SV_CSn_FLAP."""
-        parameters = {"CA_SV_CS0_TYPE": 1, "CA_SV_CS1_TYPE": 2}
-        for n, torque in enumerate((-0.5, 0.5)):
-            parameters |= {f"CA_SV_CS{n}_FLAP": 0.5, f"CA_SV_CS{n}_TRQ_R": torque}
-        log = px4(**parameters)
+        log = px4(**FLAPERONS)
         roll, flap = 0.2 * np.sin(SLOW), np.clip((SLOW - 20) / 10, 0.0, 1.0)
         outputs = np.column_stack([0.5 * flap - roll, 0.5 * flap + roll])
         log.topic("actuator_servos", SLOW, control=outputs)
@@ -447,7 +444,7 @@ class TestVehicles:
     def test_an_output_that_is_off_gives_way_to_one_that_moves(self, plane, surfaces):
         """Two outputs have the function of the aileron, and the first gets no pulse."""
         log = plane(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=4.0)
-        log.topic("RCOU", SLOW, C1=("H", 0), C5=("H", 1500 + 120 * np.sin(SLOW)))
+        log.topic("RCOU", SLOW, C1=("H", 0), C5=pulse(0.3 * np.sin(SLOW)))
         table = surfaces(log, "log.bin")
         assert_allclose(table.aileron, 0.3 * np.sin(table.time), atol=0.005)
 

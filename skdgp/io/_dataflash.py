@@ -405,16 +405,12 @@ def _lifting(
 
     ``name`` is the channel of output n; none where no such output is logged.
     """
-    functions = {}
-    for n in range(1, MOST_SERVOS + 1):
-        if name.format(n).split(".")[1] in outputs:
-            functions[n] = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
     low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
     high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
     motors = []
     tilts = []
-    for n, function in functions.items():
+    for n, function in _functions(outputs, parameters, name).items():
         topic, field = name.format(n).split(".")
         if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
             motors.append((topic, field, low + settings.running * (high - low), np.inf))
@@ -640,14 +636,21 @@ def _servos_of(outputs: Topic, parameters: Mapping[str, float], name: str) -> di
     """Return the first logged servo of each SERVOn_FUNCTION, one that gets pulses before one that is off."""
     servos: dict[int, Servo] = {}
     silent: dict[int, Servo] = {}
-    for n in range(1, MOST_SERVOS + 1):
-        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+    for n, function in _functions(outputs, parameters, name).items():
         servo = _servo(parameters, n, name.format(n), function)
-        if servo.field in outputs:
-            gets_pulses = bool((outputs[servo.field] >= NO_PULSE).any())
-            group = servos if gets_pulses else silent
-            group.setdefault(function, servo)
+        gets_pulses = (outputs[servo.field] >= NO_PULSE).any()
+        group = servos if gets_pulses else silent
+        group.setdefault(function, servo)
     return silent | servos
+
+
+def _functions(outputs: Topic, parameters: Mapping[str, float], name: str) -> dict[int, int]:
+    """Return SERVOn_FUNCTION of each output n that is logged."""
+    functions = {}
+    for n in range(1, MOST_SERVOS + 1):
+        if name.format(n).split(".")[1] in outputs:
+            functions[n] = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+    return functions
 
 
 def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:

@@ -19,9 +19,9 @@ from sklearn.preprocessing import StandardScaler
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
-    Aircraft,
     Drift,
     FlightComputer,
+    Propeller,
     SimulationWarning,
     Simulator,
     UncertainStart,
@@ -297,9 +297,8 @@ class TestControls:
         assert_allclose([phi for _, phi in seen], flown["phi"], atol=1e-12)
 
     def test_throttle_turns_the_propeller(self, aircraft, fly):
-        engine = {"diameter": 0.5, "thrust_coefficients": (0.1, -0.05, -0.08)}
-        engine["speed_range"] = (200.0, 800.0)
-        powered = Aircraft.from_dict(aircraft.to_dict() | {"propeller": engine})
+        propeller = Propeller(0.5, (0.1, -0.05, -0.08), speed_range=(200.0, 800.0))
+        powered = replace(aircraft, propeller=propeller)
         by_throttle = fly(aircraft=powered, controls=REST | {"throttle": 0.5}, duration=1.0)
         by_speed = fly(aircraft=powered, controls=REST | {"propeller_speed": 500.0}, duration=1.0)
         assert_allclose(by_throttle[STATES], by_speed[STATES])

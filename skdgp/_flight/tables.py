@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import WRAPPED
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import Clock
@@ -105,6 +105,11 @@ def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
             sampled = np.isfinite(values[:, j])
             values[sampled, j] = np.unwrap(values[sampled, j])
     return values
+
+
+def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:
+    """Return the last axis of ``values`` (..., n) by name."""
+    return {name: values[..., k] for k, name in enumerate(names)}
 
 
 def has_values(table: pd.DataFrame, *names: str) -> bool:

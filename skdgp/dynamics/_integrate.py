@@ -20,9 +20,10 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
 )
+from skdgp._flight.tables import by_name
 from skdgp.dynamics._air import AirAt, LocalAir
 from skdgp.dynamics._inputs import Clock
-from skdgp.dynamics._motion import Instant, Motion, Tangent, by_name
+from skdgp.dynamics._motion import Instant, Motion, Tangent
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._servos import Servos
 

@@ -31,10 +31,11 @@ from skdgp._flight.frames import (
     euler_to_quaternion,
     quaternion_to_euler,
 )
+from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion, by_name, check_settled
+from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim

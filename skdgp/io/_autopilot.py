@@ -34,6 +34,7 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
+from skdgp._flight.tables import by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import MARK, read_dataflash, read_dataflash_text
 from skdgp.io._instances import Origin, Source, choose, validity_fields
@@ -371,7 +372,7 @@ def _on_clock(
             values = _attitude(source, clock, rate)
         else:
             values = resample(source.time, source.values, clock, rate)
-        columns |= dict(zip(names, values.T, strict=True))
+        columns |= by_name(names, values)
         origin |= dict.fromkeys(names, source.origin)
     return columns, origin
 
@@ -439,7 +440,7 @@ def with_specific_force(
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change)
     source = Origin("velocity and attitude, as no accelerometer is of use", rate)
-    table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+    table = table.assign(**by_name(SPECIFIC_FORCE, force))
     # of the body's origin, wherever the sensors are
     table = table.assign(**dict.fromkeys(SENSOR_POSITION, 0.0))
     return table, origin | dict.fromkeys((*SPECIFIC_FORCE, *SENSOR_POSITION), source)

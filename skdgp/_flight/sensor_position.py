@@ -17,7 +17,7 @@ from skdgp._flight.channels import RATE_DERIVATIVES, RATES, SENSOR_POSITION, SPE
 from skdgp._flight.clock import Clock
 from skdgp._flight.frames import cross
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._flight.tables import interpolate_missing, numeric
+from skdgp._flight.tables import by_name, interpolate_missing, numeric
 
 
 def sensor_position(table: pd.DataFrame) -> Matrix:
@@ -36,7 +36,7 @@ def sensor_position(table: pd.DataFrame) -> Matrix:
 
 def with_sensors_at(table: pd.DataFrame, position: Matrix) -> pd.DataFrame:
     """Return the table with the position of the inertial sensors (n, 3) [m]."""
-    return table.assign(**dict(zip(SENSOR_POSITION, position.T, strict=True)))
+    return table.assign(**by_name(SENSOR_POSITION, position))
 
 
 def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Array:
@@ -77,5 +77,5 @@ def at_centre_of_gravity(table: pd.DataFrame) -> pd.DataFrame:
     if not np.nan_to_num(position).any() or not needed <= {*table.columns}:
         return table
     force = numeric(table, SPECIFIC_FORCE) - sensor_acceleration(table)
-    moved = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+    moved = table.assign(**by_name(SPECIFIC_FORCE, force))
     return with_sensors_at(moved, np.zeros_like(position))

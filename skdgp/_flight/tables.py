@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import WRAPPED
 from skdgp._flight.checks import check_columns, check_table
 from skdgp._flight.clock import Clock
@@ -107,12 +107,23 @@ def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
     return values
 
 
+def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:
+    """Return the last axis of ``values`` (..., n) by name."""
+    return {name: values[..., k] for k, name in enumerate(names)}
+
+
 def has_values(table: pd.DataFrame, *names: str) -> bool:
     """Return whether the table has all these columns, each with a finite value."""
     if not {*names} <= {*table.columns}:
         return False
     is_sampled = np.isfinite(numeric(table, names))
     return bool(is_sampled.any(axis=0).all())
+
+
+def interpolated(at: Vector, time: Vector, values: Matrix, beyond: float | None = None) -> Matrix:
+    """Return columns (n, k) at other times, by straight lines, ``beyond`` the ends (by default the end's value)."""
+    columns = [np.interp(at, time, column, left=beyond, right=beyond) for column in values.T]
+    return np.column_stack(columns)
 
 
 def interpolate_missing(time: Vector, values: Matrix) -> Matrix:

@@ -26,7 +26,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import as_floats, check_number
+from skdgp._flight.checks import check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
 from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.dynamics import (
@@ -133,24 +133,16 @@ def read_packet(data: bytes) -> Packet | None:
 
 
 class Servo(NamedTuple):
-    """An output of the autopilot: its place among the pulses, its weight, and the pulses [us] of its range."""
+    """An output of the autopilot: its place among the pulses, and its weighted values at some of them [us]."""
 
     place: int
-    weight: float
-    low: float
-    middle: float
-    high: float
-    sign: float
+    pulses: tuple[float, ...]
+    #: -1, 0, 1 of a surface, 0 and 1 of a throttle, or in reverse, times the weight
+    outputs: Vector
 
-    def surface(self, pulse: float) -> float:
-        """Return the output -1 to 1 of a surface, 0 at the middle pulse."""
-        end = self.high if pulse > self.middle else self.low
-        return self.sign * float(np.clip((pulse - self.middle) / abs(end - self.middle), -1.0, 1.0))
-
-    def throttle(self, pulse: float) -> float:
-        """Return the output 0 to 1 of a throttle."""
-        value = float(np.clip((pulse - self.low) / (self.high - self.low), 0.0, 1.0))
-        return value if self.sign > 0 else 1.0 - value
+    def output(self, pulse: float) -> float:
+        """Return the output at a pulse, by straight lines."""
+        return float(np.interp(pulse, self.pulses, self.outputs))
 
 
 def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
@@ -168,20 +160,23 @@ def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
         for function, weight in weights.items():
             numbers = [n for n in functions if functions[n] == function]
             for n in numbers:
-                servo = _servo(parameters, n, weight / len(numbers))
+                servo = _servo(parameters, n, weight / len(numbers), control in RAISED)
                 servos.setdefault(control, []).append(servo)
     return servos
 
 
-def _servo(parameters: Mapping[str, float], n: int, weight: float) -> Servo:
+def _servo(parameters: Mapping[str, float], n: int, weight: float, is_surface: bool) -> Servo:
+    """Return servo n, whose outputs begin at the first pulse, of a surface in the middle."""
     pulses = [parameters.get(f"SERVO{n}_{end}", usual) for end, usual in USUAL_PULSES.items()]
     low, middle, high = pulses
     if not low <= middle <= high or low == high:
         raise ValueError(
             f"Got SERVO{n}_MIN {low:g}, TRIM {middle:g} and MAX {high:g}, but expected pulses that increase."
         )
-    sign = -1.0 if parameters.get(f"SERVO{n}_REVERSED", 0.0) else 1.0
-    return Servo(n - 1, weight, low, middle, high, sign)
+    used = (low, middle, high) if is_surface else (low, high)
+    outputs = weight * np.linspace(-1.0 if is_surface else 0.0, 1.0, len(used))
+    is_reversed = parameters.get(f"SERVO{n}_REVERSED", 0.0)
+    return Servo(n - 1, used, outputs[::-1] if is_reversed else outputs)
 
 
 class Outputs:
@@ -212,18 +207,12 @@ class Outputs:
     def commands(self, pulses: Sequence[int]) -> dict[str, float]:
         """Return the commanded controls by name."""
         commands = dict(self.steady)
+        sent = dict(enumerate(pulses))
         for name, servos in self.servos.items():
-            sent = [
-                servo
-                for servo in servos
-                if servo.place < len(pulses) and pulses[servo.place] > self.no_pulse
-            ]
-            if servos and len(sent) == len(servos):
-                output = 0.0
-                for servo in servos:
-                    read = servo.surface if name in RAISED else servo.throttle
-                    output += servo.weight * read(pulses[servo.place])
-                commands[name] = self.gains[name] * output
+            of_servos = [sent.get(servo.place, 0) for servo in servos]
+            if min(of_servos, default=0) > self.no_pulse:
+                outputs = map(Servo.output, servos, of_servos)
+                commands[name] = self.gains[name] * sum(outputs)
         return commands
 
 
@@ -553,10 +542,8 @@ def fly(
     """
     check_number("height", height, is_open=False, unit="m")
     check_number("wait", wait, unit="s")
-    if wind is not None and not (np.shape(wind) == (3,) and np.isfinite(as_floats(wind)).all()):
-        raise ValueError(
-            f"Got wind={wind!r}, but expected three finite numbers: north, east, down [m/s]."
-        )
+    if wind is not None:
+        check_numbers("wind", wind, 3)
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)

@@ -277,8 +277,8 @@ def _factor(decibels):
 def _check(linear, loops):
     """Raise a ValueError if loops are none, two of a control, or of controls that are no inputs."""
     inputs = [*linear.B.columns]
-    moved = [loop.control for loop in loops]
-    moved += ["rudder" for loop in loops if loop.rudder]
+    controls = [loop.control for loop in loops]
+    moved = controls + ["rudder" for loop in loops if loop.rudder]
     missing = [control for control in moved if control not in inputs]
     if missing:
         raise ValueError(f"Got loops of {missing}, but the linear model has the inputs {inputs}.")
@@ -287,7 +287,6 @@ def _check(linear, loops):
             f"Got a linear model at an airspeed of {linear.airspeed} m/s and a density of {linear.density} kg/m^3, "
             "but expected finite numbers, which scale the gains."
         )
-    controls = [loop.control for loop in loops]
     if not loops or len(set(controls)) < len(controls):
         raise ValueError(
             f"Got loops of {controls}, but expected at least one, each of its own control."
@@ -404,31 +403,24 @@ def _margins_of(transfer: Matrix, w: Vector) -> Margins:
     crossing the margin is infinite, and the frequency unknown.
     """
     size = 20 * np.log10(np.abs(transfer))
-    log_w = np.log(w)
     # angles from -180 deg: positive is a margin
     angle = np.rad2deg(np.unwrap(np.angle(-transfer), axis=-1))
     places = np.arange(len(w))
-    gains, phases, crossovers, phase_crossovers = [], [], [], []
+    found = []
     for of_size, of_angle in zip(size, angle, strict=True):
         at = _crossings(of_size)
         left = np.interp(at, places, of_angle)
         left -= 360.0 * np.round(left / 360.0)
-        phase, place = _smallest(left, at)
-        phases.append(phase)
-        crossovers.append(np.exp(np.interp(place, places, log_w)))
+        phase, crossover = _smallest(left, at)
         # where the angle rises, a larger gain makes a mode stable
         at = np.concatenate([_falls(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
         left = -np.interp(at, places, of_size)
-        gain, place = _smallest(left[left > 0], at[left > 0])
-        gains.append(gain)
-        phase_crossovers.append(np.exp(np.interp(place, places, log_w)))
-    return Margins(
-        gain=np.array(gains),
-        phase=np.array(phases),
-        sensitivity=(1 / np.abs(1 + transfer)).max(axis=-1),
-        crossover=np.array(crossovers),
-        phase_crossover=np.array(phase_crossovers),
-    )
+        gain, phase_crossover = _smallest(left[left > 0], at[left > 0])
+        found.append([gain, phase, crossover, phase_crossover])
+    gain, phase, *crossings = np.transpose(found)
+    crossover, phase_crossover = np.exp(np.interp(crossings, places, np.log(w)))
+    sensitivity = (1 / np.abs(1 + transfer)).max(axis=-1)
+    return Margins(gain, phase, sensitivity, crossover, phase_crossover)
 
 
 def _smallest(values, places):

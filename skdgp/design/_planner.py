@@ -18,6 +18,7 @@ from skdgp._excitation import Signal, Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.tables import interpolated
 from skdgp.design._check import std_at, with_range
 from skdgp.design._choice import Choice, information
 from skdgp.design._envelope import (
@@ -391,12 +392,13 @@ def _rows(
 ) -> Matrix:
     """Return the regressors (n, d) of a manoeuvre at the rate of the model's own rows."""
     interval = settings.row_step
-    if model.training_rows is not None and model.training_seconds is not None:
-        interval = model.training_seconds / len(model.training_rows())
+    learned = model.learned
+    if learned is not None and learned.seconds is not None:
+        interval = learned.seconds / len(learned.training_rows())
     time = item.flight["time"].to_numpy(float)
     times = np.arange(time[0], time[-1] + 0.5 * interval, interval)
     X = regressors_of(item.flight, aircraft, model.regressors)
-    return np.column_stack([np.interp(times, time, column) for column in X.T])
+    return interpolated(times, time, X)
 
 
 def _chosen(
@@ -411,8 +413,8 @@ def _chosen(
     informations = [information(X) for X in rows]
     moved = np.max([np.diag(matrix) for matrix in informations], axis=0)
     known = settings.vague * np.diag(np.maximum(moved, settings.unmoved))
-    if model.training_rows is not None:
-        known += information(model.training_rows())
+    if model.learned is not None:
+        known += information(model.learned.training_rows())
     places = _derivative_places(model)
     slopes = [1 + places[name] for name in goal]  # behind the constant
     choice = Choice(informations, seconds, known, slopes, time)
@@ -427,7 +429,7 @@ def _errors(
     point = vars(trim)
     before = std_at(model, aircraft, point, thrust)
     promised = pd.Series(dtype=float)
-    if as_aerodynamics(model).training_rows is not None and len(before):
+    if as_aerodynamics(model).learned is not None:
         promised = std_at(model, aircraft, point, thrust, added)
     return with_range(pd.DataFrame({"before": before, "promised": promised}, dtype=float))
 

@@ -76,7 +76,6 @@ from skdgp.dynamics._rigid_body import (
     propeller_loads,
     propulsive_loads,
     rigid_body_derivative,
-    rk4,
 )
 from skdgp.dynamics._rigid_body import (
     VELOCITY as VELOCITY,
@@ -139,7 +138,6 @@ __all__ = [
     "quaternion_to_euler",
     "quaternion_to_matrix",
     "rigid_body_derivative",
-    "rk4",
     "simulate",
     "stability_derivatives",
     "standard_density",

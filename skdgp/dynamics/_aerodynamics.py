@@ -93,21 +93,11 @@ class Aerodynamics:
     servo_lag : float, default=0.0
         Time constant [s] of the servos, from the commands of a simulation to the surfaces, which
         are the regressors.
-    function_errors : callable, optional
-        () to the part of the errors of the paths that comes from the time series of the fit, or to
-        None: see ``DependentGPRegressor``.
-    expected_errors : callable, optional
-        Function of the regressors (k, d) of rows that are flown next, to the errors expected then:
-        see ``DependentGPRegressor.expected_errors``.
-    training_rows : callable, optional
-        () to the regressors (n, d) that the model was learned from, or to None.
-    training_seconds : float, optional
-        Duration of the flights of these rows [s].
+    learned : Coefficients, optional
+        The fit of a regressor with a posterior: its rows, the errors of its function, and slopes
+        over a perturbation.
     perturbation : array-like of shape (d,), optional
-        Standard deviation of each regressor around the trims that were flown.
-    averaged : callable, optional
-        Function of standard deviations (d,) to ``slopes`` and ``sampler`` whose slopes are
-        expectations over a normal perturbation.
+        Standard deviation of each regressor around the trims that were flown; only with ``learned``.
     n_paths : int, optional
         Number of paths of functions drawn from a posterior: see `sample`.
 
@@ -142,12 +132,8 @@ class Aerodynamics:
     mixing: Mixing | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     servo_lag: float = 0.0
-    function_errors: Callable | None = None
-    expected_errors: Callable | None = None
-    training_rows: Callable | None = None
-    training_seconds: float | None = None
+    learned: Coefficients | None = None
     perturbation: Any = None
-    averaged: Callable | None = None
     n_paths: int | None = None
 
     def __post_init__(self) -> None:
@@ -213,9 +199,9 @@ class Aerodynamics:
             raise ValueError(
                 f"Got perturbation={perturbation!r}, but expected 'flown', or None for local slopes."
             )
-        if perturbation is None or self.perturbation is None or self.averaged is None:
-            return replace(self, perturbation=None, averaged=None)
-        slopes, sampler = self.averaged(self.perturbation)
+        if perturbation is None or self.perturbation is None or self.learned is None:
+            return replace(self, perturbation=None)
+        slopes, sampler = self.learned.averaged(self.perturbation)
         return replace(self, slopes=slopes, sampler=sampler)
 
     def with_function(self, function: Callable, slopes: Callable) -> Aerodynamics:
@@ -226,10 +212,8 @@ class Aerodynamics:
             slopes=slopes,
             sampler=None,
             drift=None,
-            function_errors=None,
-            expected_errors=None,
+            learned=None,
             perturbation=None,
-            averaged=None,
         )
 
     def sample(self, n_paths: int, random_state: Any = 0, *, rounded: bool = False) -> Aerodynamics:
@@ -343,52 +327,45 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
             "estimator, or Aerodynamics(function, regressors=[...])."
         )
     check_is_fitted(model)
-    pipeline = _PipelineInFlight(model)
-    coefficients = _Coefficients(pipeline.behind, len(pipeline.regressors))
+    before, behind = steps_by_choice(model)
+    _check_unscaled(before)
+    by_role = {_role(step): step for step in before}
+    choice = by_role.get("regressors", behind[0])
+    regressors, limits, flown = _chosen_regressors(choice, type(model).__name__)
+    rates = by_role.get("rates")
+    lengths = {} if rates is None else {"span": rates.span, "chord": rates.chord}
+    late = [step for step in (*before, *behind) if isinstance(step, LateSurfaces)]
     facts = vars(unwrap(model))
+    coefficients = Coefficients(behind, len(regressors), facts.get("seconds_"))
     aerodynamics = Aerodynamics(
         coefficients.mean,
-        pipeline.regressors,
+        regressors,
         turbulence=facts.get("turbulence_"),
-        limits=pipeline.limits,
-        flown=pipeline.flown,
-        span=pipeline.span,
-        chord=pipeline.chord,
-        mixing=pipeline.mixing,
+        limits=limits,
+        flown=flown,
+        mixing=_mixing_of(by_role.get("controls")),
         units=facts.get("control_units_", {}),
-        servo_lag=pipeline.servo_lag,
+        servo_lag=sum(step.servo_lag_ for step in late),
+        **lengths,
     )
     if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):
         return aerodynamics
-    learned = _LearnedCoefficients(coefficients, coefficients.regressor)
-    return learned.added_to(aerodynamics, facts.get("seconds_"))
-
-
-class _PipelineInFlight:
-    """The steps of a fitted pipeline by their roles in a simulation (``in_simulation``)."""
-
-    def __init__(self, model: BaseEstimator):
-        before, self.behind = steps_by_choice(model)
-        steps = [*before, *self.behind]
-        by_role = {_role(step): step for step in before}
-        self.regressors, self.limits, self.flown = _chosen_regressors(
-            by_role.get("regressors"), steps[0], type(model).__name__
-        )
-        _check_unscaled(before)
-        rates = by_role.get("rates")
-        self.span = None if rates is None else rates.span
-        self.chord = None if rates is None else rates.chord
-        self.mixing = _mixing_of(by_role.get("controls"))
-        late = [step for step in steps if isinstance(step, LateSurfaces)]
-        self.servo_lag = sum(step.servo_lag_ for step in late)
+    return replace(
+        aerodynamics,
+        slopes=coefficients.slopes,
+        sampler=coefficients.sample,
+        drift=coefficients.drift(),
+        learned=coefficients,
+        perturbation=flown_perturbation(coefficients.training_rows(), coefficients.seconds),
+    )
 
 
 def _chosen_regressors(
-    selector: Any, first: Any, model: str
+    step: Any, model: str
 ) -> tuple[list[str], Array | None, dict[str, tuple[float, float]]]:
-    """Return names, limits and flown ranges of the regressors of a selector, or of the table of the ``first`` step."""
-    learned = vars(first if selector is None else selector)
-    names = learned.get("feature_names_in_" if selector is None else "regressors_")
+    """Return names, limits and flown ranges of the regressors that a step chooses, or of its table."""
+    learned = vars(step)
+    names = learned.get("regressors_", learned.get("feature_names_in_"))
     if names is None:
         raise ValueError(
             f"Got a {model} whose regressors have no names: put RegressorSelector([...]) into the "
@@ -417,10 +394,15 @@ def _mixing_of(splitter: Any) -> Mixing | None:
     return Mixing(tuple(splitter.surfaces), controls, np.array(splitter.mixing_))
 
 
-class _Coefficients:
-    """Prediction by the steps after the selection of regressors: transforms and regressor."""
+class Coefficients:
+    """Prediction by the steps after the selection of regressors, in units and order of a flight.
 
-    def __init__(self, steps: list, n_regressors: int):
+    What a regressor with a posterior knows besides its mean is defined for such a regressor alone,
+    behind scalers. ``seconds`` is the duration of the flights that it was learned from, if known.
+    """
+
+    def __init__(self, steps: list, n_regressors: int, seconds: float | None = None):
+        self.seconds = seconds
         transforms = [_for_arrays(step) for step in steps[:-1]]
         self.regressor = _without_names(steps[-1])
         self.shift, self.scale, self.others = scaling_of(transforms, n_regressors)
@@ -460,32 +442,6 @@ class _Coefficients:
         if names == list(COEFFICIENTS):
             return slice(None)
         return [names.index(name) for name in COEFFICIENTS]
-
-
-class _LearnedCoefficients:
-    """What a regressor with a posterior knows of the coefficients, in units and order of a flight."""
-
-    def __init__(self, coefficients: _Coefficients, regressor: PosteriorRegressor):
-        self.regressor = regressor
-        self.shift = coefficients.shift
-        self.scale = coefficients.scale
-        self.scaled = coefficients.scaled
-        self.order = coefficients.order
-
-    def added_to(self, mean: Aerodynamics, seconds: float | None) -> Aerodynamics:
-        """Return the aerodynamics with slopes, posterior and training rows, flown in some ``seconds``."""
-        return replace(
-            mean,
-            slopes=self.slopes,
-            sampler=self.sample,
-            perturbation=flown_perturbation(self.training_rows(), seconds),
-            averaged=self.averaged,
-            drift=self.drift(),
-            function_errors=self.function_errors,
-            expected_errors=self.expected_errors,
-            training_rows=self.training_rows,
-            training_seconds=seconds,
-        )
 
     def averaged(self, perturbation: Array) -> tuple[Callable, Callable]:
         """Return the slopes of the mean and the sampler, with slopes over a perturbation (d,)."""
@@ -528,12 +484,9 @@ class _LearnedCoefficients:
         """Return the regressors (n, d) that the model was learned from."""
         return self.regressor.posterior_.data.X[0] * self.scale + self.shift
 
-    def function_errors(self) -> Any:
-        """Return the errors of the function that come from the time series, None where none are known."""
-        return self._function_errors
-
     @cached_property
-    def _function_errors(self) -> Any:
+    def function_errors(self) -> Any:
+        """The errors of the function that come from the time series, None where none are known."""
         errors = self.regressor.function_errors()
         return None if errors is None else self._in_units(errors)
 

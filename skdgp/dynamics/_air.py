@@ -117,8 +117,6 @@ class GustyAir:
 
     def __call__(self, stage: Any, state: Array) -> LocalAir:
         """Return the air at a stage, or at several, and states (..., 13)."""
+        steady = self.wind(stage, state) or LocalAir()
         velocity, acceleration, rotation = (part[stage] for part in self.gusts)
-        steady = self.wind(stage, state)
-        if steady is None:
-            return LocalAir(None, None, velocity, acceleration, rotation)
-        return LocalAir(steady.wind, steady.wind_rate, velocity, acceleration, rotation)
+        return steady._replace(gust=velocity, gust_rate=acceleration, rotation=rotation)

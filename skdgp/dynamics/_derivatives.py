@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
-from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
+from skdgp.dynamics._aerodynamics import Aerodynamics, Coefficients, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
@@ -130,8 +130,7 @@ def stability_derivatives(
     """
     check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
-    if added is not None:
-        added = _check_added(added, motion.aerodynamics)
+    rows = None if added is None else _check_added(added, motion.aerodynamics)
     states, controls, is_single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)
@@ -145,7 +144,7 @@ def stability_derivatives(
     if frame.perturbation is not None:
         columns["perturbation"] = np.broadcast_to(frame.perturbation[:, None], values.shape)
     if n_paths and motion.aerodynamics.is_uncertain:
-        columns |= _deviations(motion, now, frame, n_paths, random_state, added)
+        columns |= _deviations(motion, now, frame, n_paths, random_state, rows)
     if aircraft.deviations:
         columns |= _errors_of_aircraft(motion, now, frame)
     tables = []
@@ -168,7 +167,7 @@ def _with_points(tables: list[pd.DataFrame], now: Instant) -> pd.DataFrame:
 
 def _check_added(added: ArrayLike, model: Aerodynamics) -> Array:
     """Return the regressors of rows that are flown next, (k, d)."""
-    if model.expected_errors is None:
+    if model.learned is None:
         raise ValueError(
             "Got rows that are added to a model without its own, but expected one that holds the rows "
             "it was learned from: give a pipeline of identify."
@@ -189,7 +188,7 @@ def _deviations(
     frame: _Frame,
     n_paths: int,
     random_state: Seed,
-    added: ArrayLike | None,
+    added: Array | None,
 ) -> dict[str, np.ndarray]:
     """Return the standard deviations of the table by column, (n, rows, 1 + columns) each.
 
@@ -197,15 +196,15 @@ def _deviations(
     """
     model = motion.aerodynamics
     std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
-    if model.function_errors is None:
+    if model.learned is None:
         return {"std": std}
-    errors = model.function_errors()
+    errors = model.learned.function_errors
     std_random, std_method = _std_of_errors(errors, now, frame)
     # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
     parts = {"std_posterior": std_posterior, "std_random": std_random, "std_method": std_method}
-    if added is not None and model.expected_errors is not None:
-        later = _later_parts(model, now, frame, std_posterior, added)
+    if added is not None:
+        later = _later_parts(model, model.learned, now, frame, std_posterior, added)
         std = std * _ratio(_total(later), _total(parts))
         parts = later
     std_merged, merged = _merged(motion, now, frame, std_by_method(errors))
@@ -222,14 +221,19 @@ def _std_of_errors(errors: Any, now: Instant, frame: _Frame) -> tuple[Array, Arr
 
 
 def _later_parts(
-    model: Aerodynamics, now: Instant, frame: _Frame, std_posterior: Array, added: ArrayLike
+    model: Aerodynamics,
+    learned: Coefficients,
+    now: Instant,
+    frame: _Frame,
+    std_posterior: Array,
+    added: Array,
 ) -> dict[str, Array]:
     """Return the parts of standard deviations of a model that learned from added rows too.
 
     The discrepancy, a part of ``std_posterior``, is none that more rows reduce.
     """
-    expected = model.expected_errors(added)  # type: ignore[misc]
-    errors = model.function_errors()  # type: ignore[misc]
+    expected = learned.expected_errors(added)
+    errors = learned.function_errors
     discrepancy = np.zeros_like(std_posterior)
     discrepancy_later = discrepancy
     if errors is not None:

@@ -35,7 +35,7 @@ from skdgp._flight.channels import (
     POSITION,
     RATES,
 )
-from skdgp._flight.tables import FlightTable, unwrapped
+from skdgp._flight.tables import FlightTable, interpolated, unwrapped
 from skdgp.dynamics._linearize import LinearModel
 from skdgp.dynamics._transfer import transfer
 
@@ -204,8 +204,8 @@ def _records(table: FlightTable, names: list[str], step: float) -> list[Array]:
             if len(run) > 1 and is_whole[run[0]]:
                 time = table.time[run]
                 even = np.arange(time[0], time[-1] + 0.5 * step, step)
-                columns = [np.interp(even, time, column) for column in values[run].T]
-                records.append(np.array(columns))
+                channels = interpolated(even, time, values[run]).T
+                records.append(np.ascontiguousarray(channels))
     return records
 
 
@@ -397,27 +397,20 @@ def _of_model(linear: LinearModel, index: pd.Index) -> pd.DataFrame:
     """Return gain and phase of a linear model, with limits of its paths, at rows (output, input, frequency)."""
     w = np.unique(index.get_level_values("frequency"))
     s: Any = 1j * w
-    mean = transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)
-    paths = None
+    outputs = linear.C.index.intersection(index.unique("output"))
+    inputs = linear.B.columns.intersection(index.unique("input"))
+    rows = linear.C.index.get_indexer(outputs)[:, None]
+    columns = linear.B.columns.get_indexer(inputs)
+    H = transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)[:, rows, columns]
+    responses = {"model_gain": _decibels(H), "model_phase": np.rad2deg(np.angle(H))}
     if linear.paths is not None:
-        p = linear.paths
-        paths = transfer(p.A, p.B, p.C, p.D, linear.A.index, s)
-    rows = []
-    for output, name, frequency in index:
-        row = {"model_gain": np.nan, "model_phase": np.nan}
-        if output in linear.C.index and name in linear.B.columns:
-            place = (
-                int(np.searchsorted(w, frequency)),
-                linear.C.index.get_loc(output),
-                linear.B.columns.get_loc(name),
-            )
-            H = mean[place]
-            row = {"model_gain": _decibels(H), "model_phase": float(np.rad2deg(np.angle(H)))}
-            if paths is not None:
-                drawn = paths[(slice(None), *place)]
-                turned = row["model_phase"] + np.rad2deg(np.angle(drawn / H))
-                for what, values in (("gain", _decibels(drawn)), ("phase", turned)):
-                    lower, upper = np.quantile(values, [0.025, 0.975])
-                    row |= {f"model_{what}_lower": lower, f"model_{what}_upper": upper}
-        rows.append(row)
-    return pd.DataFrame(rows, index=index)
+        drawn = transfer(*linear.paths, linear.A.index, s)[..., rows, columns]
+        turned = responses["model_phase"] + np.rad2deg(np.angle(drawn / H))
+        for name, values in (("model_gain", _decibels(drawn)), ("model_phase", turned)):
+            lower, upper = np.quantile(values, [0.025, 0.975], axis=0)
+            responses |= {f"{name}_lower": lower, f"{name}_upper": upper}
+    of_model = pd.MultiIndex.from_product(
+        [w, outputs, inputs], names=["frequency", "output", "input"]
+    )
+    table = pd.DataFrame({name: values.ravel() for name, values in responses.items()}, of_model)
+    return table.reorder_levels(["output", "input", "frequency"]).reindex(index)

@@ -103,14 +103,11 @@ class Ground:
     def __init__(
         self, aircraft: Aircraft, altitude: float, settings: GroundSettings = GROUND
     ) -> None:
-        points = contact_points(aircraft, settings)
         self.altitude = altitude
         self.creep = settings.creep
-        self.positions = np.array([point.position for point in points])
-        self.stiffness = np.array([point.stiffness for point in points])
-        self.damping = np.array([point.damping for point in points])
-        self.along = np.array([point.along for point in points])
-        self.across = np.array([point.across for point in points])
+        _, positions, *numbers, _ = zip(*contact_points(aircraft, settings), strict=True)
+        self.positions = np.array(positions)
+        self.stiffness, self.damping, self.along, self.across = np.array(numbers)
         self.reach = np.linalg.norm(self.positions, axis=1).max()
         self.rest = altitude + settings.height * aircraft.span - settings.wheel_sink
 

@@ -12,7 +12,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import WIND
 from skdgp._flight.checks import as_floats, check_columns, check_number, check_table
-from skdgp._flight.tables import numeric
+from skdgp._flight.tables import interpolated, numeric
 from skdgp.dynamics._air import AirAt, LocalAir
 
 
@@ -91,7 +91,7 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
                 f"finite velocity of the air, north, east, down [m/s]; or a table with time."
             )
         return lambda stage, state: LocalAir(constant)
-    columns = interpolated(as_tables(wind, "wind", n_starts), WIND, clock, "wind")
+    columns = columns_at_stages(as_tables(wind, "wind", n_starts), WIND, clock, "wind")
     velocity = np.moveaxis(columns, 0, -1)
     rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
     return lambda stage, state: LocalAir(velocity[stage], rate[stage])
@@ -118,7 +118,7 @@ def control_schedule(
         raise ValueError(
             f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft."
         )
-    values = interpolated(tables, chosen, clock, "controls")
+    values = columns_at_stages(tables, chosen, clock, "controls")
     return lambda step, stage, observe: dict(zip(chosen, values[:, stage], strict=True))
 
 
@@ -167,7 +167,7 @@ def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
     return tables
 
 
-def interpolated(
+def columns_at_stages(
     tables: list[pd.DataFrame], names: Sequence[str], clock: Clock, what: str
 ) -> Array:
     """Return columns at every stage, linear between rows: (columns, n_stages), of several tables (..., n_starts)."""
@@ -188,7 +188,7 @@ def _at_stages(table: pd.DataFrame, names: Sequence[str], clock: Clock, what: st
         raise ValueError(
             f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them out."
         )
-    return np.stack([np.interp(clock.stages, time, column) for column in values.T])
+    return interpolated(clock.stages, time, values).T
 
 
 def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, dt: float) -> None:

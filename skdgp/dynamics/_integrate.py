@@ -20,9 +20,10 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
 )
+from skdgp._flight.tables import by_name
 from skdgp.dynamics._air import AirAt, LocalAir
 from skdgp.dynamics._inputs import Clock
-from skdgp.dynamics._motion import Instant, Motion, Tangent, by_name
+from skdgp.dynamics._motion import Instant, Motion, Tangent
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._servos import Servos
 
@@ -249,8 +250,6 @@ def fly_record(
     state: Array,
     drifts: Array | None = None,
     deflections: Mapping[str, Array] | None = None,
-    limits: FlightLimits = FLIGHT_LIMITS,
-    tangents: TangentSettings = TANGENTS,
 ) -> Record:
     """Return the flight from states: the loop of RK4 over time.
 
@@ -269,16 +268,12 @@ def fly_record(
         Added to the coefficients.
     deflections : mapping of str to array (...), optional
         Of the surfaces at the start, by default as commanded.
-    limits : FlightLimits
-        Where a trajectory ends.
-    tangents : TangentSettings
-        Of paths, which are evaluated once a step.
 
     Returns
     -------
     Record
     """
-    integrator = Integrator(motion, commands, air, clock, drifts, tangents)
+    integrator = Integrator(motion, commands, air, clock, drifts)
     start = state = by_components(state)
     last = End(state, deflections or {})
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
@@ -287,7 +282,7 @@ def fly_record(
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(clock.n_steps + 1):
             moment = integrator.begin(k, last)
-            over = end_reasons(moment.state, moment.now, limits)
+            over = end_reasons(moment.state, moment.now)
             for reason, where in over.items():
                 just = where & (ended == FLYING)
                 ended[just] = reason
@@ -337,7 +332,9 @@ def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end
     )
 
 
-def end_reasons(state: Array, now: Instant, limits: FlightLimits) -> dict[str, Array]:
+def end_reasons(
+    state: Array, now: Instant, limits: FlightLimits = FLIGHT_LIMITS
+) -> dict[str, Array]:
     """Return which trajectories cannot go on, (...) by reason; only reasons that apply."""
     is_finite = np.isfinite(now.derivative).all(axis=-1)
     is_slow = (np.abs(state[..., VELOCITY]) < limits.velocity).all(axis=-1)

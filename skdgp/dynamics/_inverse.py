@@ -25,7 +25,7 @@ from skdgp._flight.faults import (
 )
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._flight.tables import FlightTable, numeric
+from skdgp._flight.tables import FlightTable, by_name, numeric
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
 from skdgp.dynamics._rigid_body import (
@@ -163,7 +163,7 @@ def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.Data
     # targets of a regression may not shrink; airspeed is a regressor, too
     shrinks = [name == "airspeed" for name in names]
     smoothed = smooth(numeric(flight, names), shrink=shrinks, **clock)
-    measured = flight.assign(**dict(zip(names, smoothed.T, strict=True)))
+    measured = flight.assign(**by_name(names, smoothed))
     if is_measured:
         return measured, numeric(measured, RATE_DERIVATIVES)
     return measured, differentiate(numeric(flight, RATES), shrink=False, **clock)

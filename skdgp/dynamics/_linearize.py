@@ -25,15 +25,17 @@ from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.checks import check_number
 from skdgp._flight.frames import (
     euler_per_rotation,
     euler_to_quaternion,
     quaternion_to_euler,
 )
+from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion, by_name, check_settled
+from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim
@@ -197,10 +199,7 @@ def linearize(
     roll              19.51     1.00
     spiral             0.05    -1.00
     """
-    if not 0 <= delay < np.inf:
-        raise ValueError(
-            f"Got delay={delay!r}, but expected a finite number of seconds, at least 0."
-        )
+    check_number("delay", delay, is_open=False, unit="s")
     check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     state, controls = flight_point(motion, point, controls)
@@ -383,11 +382,11 @@ def _motion_of_paths(
     model = motion.aerodynamics
     motion_of_paths = copy.copy(motion)
     motion_of_paths.aerodynamics = model.sample(n_paths, random_state)
-    if model.function_errors is None:
+    if model.learned is None:
         return motion_of_paths, None
     now = motion.at(state, controls)
     slopes = model.gradient(now.regressors)
-    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.function_errors()))
+    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
     # slopes by alpha_dot and beta_dot of each path
     draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
     return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)

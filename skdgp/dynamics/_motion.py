@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -34,6 +34,7 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
 )
+from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft
@@ -157,11 +158,6 @@ class Flow(NamedTuple):
     beta: Array
     altitude: Array
     density: Array
-
-
-def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:
-    """Return the last axis of ``values`` (..., n) by name."""
-    return {name: values[..., k] for k, name in enumerate(names)}
 
 
 class Motion:

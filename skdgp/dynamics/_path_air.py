@@ -10,13 +10,14 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
-from skdgp._flight.frames import by_components, ned_to_body
+from skdgp._flight.frames import by_components
 from skdgp.dynamics._aerodynamics import Drift, separate_generator
 from skdgp.dynamics._air import Air, AirAt, GustyAir
 from skdgp.dynamics._dryden import Gusts, dryden_gusts, dryden_system
 from skdgp.dynamics._inputs import Clock, tables_of
+from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._motion import Motion
-from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
+from skdgp.dynamics._rigid_body import ATTITUDE
 from skdgp.dynamics._turbulence import SPECTRA, TooShort, Turbulence
 
 STILL = Turbulence(np.zeros(3), np.full(3, SPECTRA.length))
@@ -209,9 +210,5 @@ def without_rotation(
 def airspeeds(states: Array, air: AirAt) -> Vector:
     """Return the airspeed of starts (n, 13)."""
     local = air(0, states)
-    attitude = states[:, ATTITUDE]
-    velocity = states[:, VELOCITY]
-    wind = None if local is None else local.velocity(attitude)
-    if wind is not None:
-        velocity = velocity - ned_to_body(attitude, np.broadcast_to(wind, velocity.shape))
-    return np.linalg.norm(velocity, axis=-1)
+    wind = None if local is None else local.velocity(states[:, ATTITUDE])
+    return channels(states, wind)["airspeed"]

@@ -143,26 +143,6 @@ def rk4_step(
     return state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-def rk4(derivative: Callable[[float, Array], Array], state0: ArrayLike, times: ArrayLike) -> Array:
-    """Return the states at ``times`` [s] (n_times,), (n_times, ...), by `rk4_step` from each time to the next.
-
-    ``state0`` (...) is the state at the first time; its leading axes hold independent cases.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from skdgp.dynamics import rk4
-    >>> rk4(lambda t, y: -y, np.array([1.0, 2.0]), np.linspace(0, 1, 11))[-1].round(5)
-    array([0.36788, 0.73576])
-    """
-    times = np.asarray(times, dtype=float)
-    states = np.empty(times.shape + np.shape(state0))
-    states[0] = state0
-    for k in range(len(times) - 1):
-        states[k + 1] = rk4_step(derivative, times[k], states[k], times[k + 1] - times[k])
-    return states
-
-
 def aerodynamic_loads(
     coefficients: ArrayLike, airspeed: ArrayLike, density: ArrayLike, aircraft: Aircraft
 ) -> tuple[Array, Array]:

@@ -24,9 +24,10 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
+from skdgp._flight.tables import by_name
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._integrate import FLYING, REASONS, Record, channels
-from skdgp.dynamics._motion import Motion, by_name
+from skdgp.dynamics._motion import Motion
 
 BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
 

@@ -17,6 +17,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, AUXILIARY, CHANNELS, HAT
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
+from skdgp._flight.tables import by_name
 from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
@@ -397,7 +398,7 @@ class SteadyFlight:
 
     def at(self, x: Array, airspeed: float) -> tuple[dict, Array, Instant]:
         """Return all quantities by name, the state and what happens, at unknowns (..., k)."""
-        flight = self.given | dict(zip(self.unknowns, np.moveaxis(x, -1, 0), strict=True))
+        flight = self.given | by_name(self.unknowns, x)
         velocity = air_velocity(airspeed, flight["alpha"], flight["beta"])
         vertical = gravity_in_body_axes(flight["phi"], flight["theta"], 1.0)
         rates = np.asarray(flight["turn_rate"])[..., None] * vertical

@@ -14,11 +14,11 @@ from scipy.optimize import Bounds, minimize
 from scipy.stats import chi2
 from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Array, Seed, Vector
+from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_number, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
-from skdgp._flight.tables import FlightTable, numeric
+from skdgp._flight.tables import FlightTable, interpolated, numeric
 from skdgp._flight.units import check_radians
 from skdgp.dynamics._dryden import dryden_gusts
 
@@ -335,13 +335,11 @@ def _even_gusts(wind: pd.DataFrame, step: float) -> Array:
     """Return a wind less its mean (n, 3) at even times: along a heading, across, down; or north, east, down."""
     time = wind["time"].to_numpy(float)
     even = np.arange(time[0], time[-1], step)
-
-    def resampled(name: str) -> Vector:
-        return np.interp(even, time, wind[name].to_numpy(float))
-
-    gusts = np.stack([resampled(name) for name in WIND], axis=1)
+    gusts = interpolated(even, time, numeric(wind, WIND))
     gusts -= gusts.mean(axis=0)
-    return _turned(gusts, resampled("heading")) if "heading" in wind else gusts
+    if "heading" not in wind:
+        return gusts
+    return _turned(gusts, np.interp(even, time, wind["heading"].to_numpy(float)))
 
 
 def _turned(gusts: Array, heading: Array) -> Array:

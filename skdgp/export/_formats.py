@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import Bunch
 
+from skdgp._flight.checks import check_number
 from skdgp.export._c import c_bytes, write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._file import file_bytes, save_portable
@@ -87,8 +88,7 @@ def export_model(
         write = partial(write_jsbsim, full=full)
     portable = portable_model(**model) if isinstance(model, Bunch) else model
     if max_kb is not None:
-        if not 0 < max_kb < np.inf:
-            raise ValueError(f"Got max_kb={max_kb!r}, but expected a size > 0 [kB].")
+        check_number("max_kb", max_kb, unit="kB")
         portable = reduced(portable, size, int(1024 * max_kb))
     if (bytes_needed := size(portable)) > most:
         raise ValueError(

@@ -34,6 +34,7 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
+from skdgp._flight.tables import by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import MARK, read_dataflash, read_dataflash_text
 from skdgp.io._instances import Origin, Source, choose, validity_fields
@@ -371,7 +372,7 @@ def _on_clock(
             values = _attitude(source, clock, rate)
         else:
             values = resample(source.time, source.values, clock, rate)
-        columns |= dict(zip(names, values.T, strict=True))
+        columns |= by_name(names, values)
         origin |= dict.fromkeys(names, source.origin)
     return columns, origin
 
@@ -439,7 +440,7 @@ def with_specific_force(
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change)
     source = Origin("velocity and attitude, as no accelerometer is of use", rate)
-    table = table.assign(**dict(zip(SPECIFIC_FORCE, force.T, strict=True)))
+    table = table.assign(**by_name(SPECIFIC_FORCE, force))
     # of the body's origin, wherever the sensors are
     table = table.assign(**dict.fromkeys(SENSOR_POSITION, 0.0))
     return table, origin | dict.fromkeys((*SPECIFIC_FORCE, *SENSOR_POSITION), source)
@@ -509,9 +510,7 @@ def find_segments(
     on its wheels after it was reported as landed does not fly yet.
     """
     time = table["time"].to_numpy()
-    landed = np.zeros(len(time), dtype=bool)
-    if believes_landed:
-        landed = _landed(time, log)
+    landed = log.lands(time) & believes_landed
     is_flight = (_speed(table, log) > speed) & ~landed & ~log.lifts(time)
     rows = np.flatnonzero(is_flight)
     pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
@@ -626,9 +625,9 @@ def _against_flight(log: Log) -> list[str]:
 def _landed_throughout(part: Part) -> list[str]:
     """Return that the autopilot itself says to be on the ground in all rows, with the number, if it does."""
     log = part.log
-    if log.landed is None or not _landed(part.table["time"].to_numpy(), log).all():
+    if not log.lands(part.table["time"].to_numpy()).all():
         return []
-    name, field, value = log.landed
+    ((name, field, value, _),) = log.landed
     return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
 
 
@@ -652,14 +651,3 @@ def _speed(table: pd.DataFrame, log: Log) -> Vector:
     ground_speed = np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
     is_dead = np.nanmax(airspeed, initial=-np.inf) == np.nanmin(airspeed, initial=np.inf)
     return np.where(np.isnan(airspeed) | is_dead, ground_speed, airspeed)
-
-
-def _landed(time: Vector, log: Log) -> Mask:
-    """Return whether the autopilot reported to be landed, (n,); False where it does not say."""
-    if log.landed is not None:
-        name, field, value = log.landed
-        topic = log.topics.get(name, NOTHING)
-        if field in topic:
-            last = np.searchsorted(topic.time, time, side="right") - 1
-            return (topic[field] == value)[np.maximum(last, 0)]
-    return np.zeros(len(time), dtype=bool)

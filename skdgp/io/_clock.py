@@ -14,6 +14,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import CLOCK, slices
+from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
 
 
@@ -199,7 +200,7 @@ def resample(
         end = np.searchsorted(clock, run_time[-1] + tolerance, side="right")
         if len(run_time) > 1 and end > begin:
             passed = _low_passed(run_time, values[run], rate, settings)
-            result[begin:end] = _interpolated(clock[begin:end], run_time, passed)
+            result[begin:end] = interpolated(clock[begin:end], run_time, passed)
     return result
 
 
@@ -212,10 +213,5 @@ def _low_passed(time: Vector, values: Matrix, rate: float, settings: ResamplingS
     even = np.linspace(time[0], time[-1], n)
     sections = butter(settings.filter_order, settings.cutoff * rate, fs=old_rate, output="sos")
     padding = min(n - 1, round(4 * old_rate / rate) + 27)
-    passed = sosfiltfilt(sections, _interpolated(even, time, values), axis=0, padlen=padding)
-    return _interpolated(time, even, passed)
-
-
-def _interpolated(at: Vector, time: Vector, values: Matrix) -> Matrix:
-    """Return columns at other times, by straight lines."""
-    return np.column_stack([np.interp(at, time, column) for column in values.T])
+    passed = sosfiltfilt(sections, interpolated(even, time, values), axis=0, padlen=padding)
+    return interpolated(time, even, passed)

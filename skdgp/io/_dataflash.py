@@ -31,10 +31,10 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
-    Lifting,
     Log,
     Rule,
     Servo,
+    States,
     Topic,
     Use,
     centi,
@@ -338,7 +338,7 @@ def _log(
     if "RCOU" in topics:
         topics = topics | {"RCOU": _all_outputs(topics)}
     outputs = outputs_of(topics.get("RCOU", NOTHING), parameters)
-    lifting: Lifting = ()
+    lifting: States = ()
     if vehicle == "VTOL":
         lifting = outputs.lifting or lifting_modes("MODE", "ModeNum")
     return Log(
@@ -349,7 +349,7 @@ def _log(
         firmware=firmware,
         vehicle=vehicle,
         remarks=(*remarks, *outputs.remarks),
-        landed=("STAT", "isFlying", 0.0),
+        landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
         controls=outputs.controls,
         aliases=ALIASES,
@@ -393,28 +393,24 @@ def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | No
     return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
 
 
-def lifting_modes(topic: str, field: str) -> Lifting:
+def lifting_modes(topic: str, field: str) -> States:
     """Return the field of the mode, and its numbers while rotors lift a VTOL."""
     return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
 
 
 def _lifting(
     outputs: Topic, parameters: Mapping[str, float], name: str, settings: LiftSettings = LIFT
-) -> Lifting:
+) -> States:
     """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt.
 
     ``name`` is the channel of output n; none where no such output is logged.
     """
-    functions = {}
-    for n in range(1, MOST_SERVOS + 1):
-        if name.format(n).split(".")[1] in outputs:
-            functions[n] = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
     low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
     high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
     motors = []
     tilts = []
-    for n, function in functions.items():
+    for n, function in _functions(outputs, parameters, name).items():
         topic, field = name.format(n).split(".")
         if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
             motors.append((topic, field, low + settings.running * (high - low), np.inf))
@@ -436,7 +432,7 @@ def _pulses_short_of(
 
 
 def _rules(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: Lifting
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: States
 ) -> tuple[Rule, ...]:
     """Return the rules, without estimators that the autopilot did not fly by, with the engines that run."""
     used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
@@ -609,7 +605,7 @@ class Outputs(NamedTuple):
 
     controls: dict[str, Control]
     commands: dict[str, Control]
-    lifting: Lifting
+    lifting: States
     remarks: tuple[str, ...]
 
 
@@ -640,14 +636,21 @@ def _servos_of(outputs: Topic, parameters: Mapping[str, float], name: str) -> di
     """Return the first logged servo of each SERVOn_FUNCTION, one that gets pulses before one that is off."""
     servos: dict[int, Servo] = {}
     silent: dict[int, Servo] = {}
-    for n in range(1, MOST_SERVOS + 1):
-        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+    for n, function in _functions(outputs, parameters, name).items():
         servo = _servo(parameters, n, name.format(n), function)
-        if servo.field in outputs:
-            gets_pulses = bool((outputs[servo.field] >= NO_PULSE).any())
-            group = servos if gets_pulses else silent
-            group.setdefault(function, servo)
+        gets_pulses = (outputs[servo.field] >= NO_PULSE).any()
+        group = servos if gets_pulses else silent
+        group.setdefault(function, servo)
     return silent | servos
+
+
+def _functions(outputs: Topic, parameters: Mapping[str, float], name: str) -> dict[int, int]:
+    """Return SERVOn_FUNCTION of each output n that is logged."""
+    functions = {}
+    for n in range(1, MOST_SERVOS + 1):
+        if name.format(n).split(".")[1] in outputs:
+            functions[n] = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+    return functions
 
 
 def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:

@@ -219,8 +219,8 @@ UP = (-1.0, 0.0, 1.0)
 DOWN = UP[::-1]
 # of one that moves to one side alone
 OPENING = (0.0, 1.0)
-# Topic, field and its limits while rotors carry a VTOL, or in transition
-Lifting: TypeAlias = tuple[tuple[str, str, float, float], ...]
+# Topic, field and its limits while a vehicle is in some state
+States: TypeAlias = tuple[tuple[str, str, float, float], ...]
 # Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
@@ -253,8 +253,8 @@ class Log:
         log does not say.
     remarks : tuple of str
         Damage of the file: bytes that could not be read, where it was cut off.
-    landed : tuple of (str, str, float) or None
-        Topic, field, and its value while the autopilot is on the ground.
+    landed : tuple of (str, str, float, float)
+        Topic, field and its limits while the autopilot is on the ground; none where it does not say.
     outputs : tuple of str
         Topics with the outputs to servos.
     controls : dict of str to Control
@@ -277,11 +277,11 @@ class Log:
     firmware: str = ""
     vehicle: str | None = None
     remarks: tuple[str, ...] = ()
-    landed: tuple[str, str, float] | None = None
+    landed: States = ()
     outputs: tuple[str, ...] = ()
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    lifting: Lifting = ()
+    lifting: States = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
     sensor_positions: Mapping[int, StatedPosition] = field(default_factory=dict)
 
@@ -301,18 +301,22 @@ class Log:
 
     def lifts(self, time: Vector) -> Mask:
         """Return whether rotors lift a VTOL or it is in transition, (n,); False of other vehicles."""
-        return lifting_rows(self.topics, self.lifting, time)
+        return rows_in(self.lifting, self.topics, time)
+
+    def lands(self, time: Vector) -> Mask:
+        """Return whether the autopilot reports to be on the ground, (n,)."""
+        return rows_in(self.landed, self.topics, time)
 
 
-def lifting_rows(topics: Mapping[str, Topic], lifting: Lifting, time: Vector) -> Mask:
-    """Return where a field of ``lifting`` is within its limits, (n,)."""
-    lifts = np.zeros(len(time), dtype=bool)
-    for name, field_name, low, high in lifting:
+def rows_in(states: States, topics: Mapping[str, Topic], time: Vector) -> Mask:
+    """Return where a field of one of the states is within its limits, (n,)."""
+    rows = np.zeros(len(time), dtype=bool)
+    for name, field_name, low, high in states:
         topic = topics.get(name, NOTHING)
         if field_name in topic:
             values = topic[field_name][last_before(topic.time, time)]
-            lifts |= (values >= low) & (values <= high)
-    return lifts
+            rows |= (values >= low) & (values <= high)
+    return rows
 
 
 def in_flight_axes(rules: Iterable[Rule]) -> tuple[Rule, ...]:
@@ -370,7 +374,7 @@ def stated_positions(
 
 
 def driving(
-    topics: Mapping[str, Topic], name: str, fields: Iterable[str], lifting: Lifting
+    topics: Mapping[str, Topic], name: str, fields: Iterable[str], lifting: States
 ) -> tuple[str, ...]:
     """Return the fields of engines that drive the aircraft forward: they run while no rotor lifts it.
 
@@ -378,7 +382,7 @@ def driving(
     times the fastest.
     """
     topic = topics.get(name, NOTHING)
-    lifts = lifting_rows(topics, lifting, topic.time)
+    lifts = rows_in(lifting, topics, topic.time)
     means = {}
     for field_name in fields:
         if field_name in topic and not lifts.all():

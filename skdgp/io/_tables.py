@@ -20,6 +20,7 @@ from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS, EULER, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.frames import quaternion_to_euler
+from skdgp._flight.tables import by_name
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ def with_attitude(table: pd.DataFrame) -> pd.DataFrame:
         )
         angles = quaternion_to_euler(quaternions)
         others = table.drop(columns=list(names))
-        return others.assign(**dict(zip(EULER, angles.T, strict=True)))
+        return others.assign(**by_name(EULER, angles))
     return table
 
 

@@ -25,9 +25,9 @@ from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
     QUATERNION,
-    Lifting,
     Log,
     Rule,
+    States,
     Topic,
     centi,
     damage,
@@ -36,9 +36,9 @@ from skdgp.io._log import (
     engines_rule,
     in_flight_axes,
     instance_name,
-    lifting_rows,
     milli,
     numeric_fields,
+    rows_in,
     scaling,
     stated_positions,
 )
@@ -158,7 +158,7 @@ def read_tlog(path: Path) -> Log:
         topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
     outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
     vehicle = _vehicle(topics, vehicles, parameters)
-    lifting: Lifting = ()
+    lifting: States = ()
     if vehicle == "VTOL":
         modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
         lifting = (HOVER, *(outputs.lifting or modes))
@@ -172,7 +172,7 @@ def read_tlog(path: Path) -> Log:
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,
         remarks=(*damage(skipped), *others, *outputs.remarks),
-        landed=("EXTENDED_SYS_STATE", "landed_state", 1.0),
+        landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
         controls=outputs.controls,
         aliases=ALIASES,
@@ -190,11 +190,11 @@ def _vehicle(
     """Return the kind of vehicle by heartbeats; of a plane with a state in hover or transition "VTOL"."""
     vehicle = vehicle_of(vehicles[0] if vehicles else None, parameters)
     states = topics.get(HOVER[0], NOTHING)
-    hovers = lifting_rows(topics, (HOVER,), states.time).any()
+    hovers = rows_in((HOVER,), topics, states.time).any()
     return "VTOL" if vehicle == "fixed wing" and hovers else vehicle
 
 
-def _rules(topics: dict[str, Topic], lifting: Lifting) -> tuple[Rule, ...]:
+def _rules(topics: dict[str, Topic], lifting: States) -> tuple[Rule, ...]:
     """Return the rules with the engines that run."""
     rules = list(RULES)
     for name, fields in ENGINES.items():

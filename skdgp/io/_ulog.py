@@ -26,10 +26,10 @@ from skdgp.io._log import (
     QUATERNION,
     UP,
     Control,
-    Lifting,
     Log,
     Rule,
     Servo,
+    States,
     Topic,
     Use,
     damage,
@@ -335,7 +335,7 @@ def px4_log(
         firmware=firmware,
         vehicle=vehicle,
         remarks=remarks,
-        landed=("vehicle_land_detected", "landed", 1.0),
+        landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
         controls=_controls(topics, parameters, sits_on_tail),
         lifting=lifting,
@@ -344,7 +344,7 @@ def px4_log(
     )
 
 
-def _rules(topics: Mapping[str, Topic], lifting: Lifting, tilts: bool) -> tuple[Rule, ...]:
+def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[Rule, ...]:
     """Return the rules, with those of the motors and engines that drive forward.
 
     Several motors come first: other sources are one number for all, also where one is switched off.

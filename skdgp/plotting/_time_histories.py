@@ -13,7 +13,7 @@ from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._display.page import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_columns
-from skdgp._flight.tables import unwrapped
+from skdgp._flight.tables import interpolated, unwrapped
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,
@@ -297,11 +297,7 @@ def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Ve
     """Return a flight at times, its angles without jumps, within half a turn of the simulated ones at the start."""
     check_columns(flown, ["time", *names], what="flown")
     clock = flown["time"].to_numpy(float)
-
-    def interpolated(column: Vector) -> Vector:
-        return np.interp(time, clock, column, left=np.nan, right=np.nan)
-
-    values = np.stack([interpolated(column) for column in unwrapped(flown, names).T], axis=-1)
+    values = interpolated(time, clock, unwrapped(flown, names), beyond=np.nan)
     return values + _turns(names, start, values[0])
 
 

@@ -33,6 +33,18 @@ def in_folder(folder, monkeypatch):
 
 
 @pytest.fixture
+def the_error(capsys):
+    """Return a function to the one line of an error that was printed, after warnings."""
+
+    def the_error():
+        lines = capsys.readouterr().err.splitlines()
+        (error,) = [line for line in lines if not line.startswith("warning: ")]
+        return error
+
+    return the_error
+
+
+@pytest.fixture
 def no_report(no_pictures, no_mechanics):
     """Leave pictures out, and the flight mechanics: ``identified`` and processes of their own have them."""
 

@@ -94,11 +94,15 @@ class TestIdentify:
         output, done, metrics = identified
         (name,) = metrics["test"]
         row = re.search(r"^CZ +(.*)$", done.stdout, flags=re.MULTILINE)[1].split()
-        of = metrics["test"][name]["coefficients"]
-        assert float(row[0]) == round(100 * of["measured"]["CZ"]["median_relative_error"], 1)
-        assert float(row[1]) == round(of["measured"]["CZ"]["normalized_rmse"], 3)
-        assert float(row[2]) == round(100 * of["measured"]["CZ"]["interval_coverage"], 1)
-        assert float(row[-1]) == round(of["truth"]["CZ"]["normalized_rmse"], 3)
+        measured, truth = (
+            metrics["test"][name]["coefficients"][of]["CZ"] for of in ("measured", "truth")
+        )
+        assert [float(row[k]) for k in (0, 1, 2, -1)] == [
+            round(100 * measured["median_relative_error"], 1),
+            round(measured["normalized_rmse"], 3),
+            round(100 * measured["interval_coverage"], 1),
+            round(truth["normalized_rmse"], 3),
+        ]
         assert all(str(output / name) in done.stdout for name in OUTPUTS)
         assert f"flight paths {metrics['fit']['reconstruction']}" in done.stdout
 
@@ -226,13 +230,11 @@ class TestBadInput:
     """Each: exit code 1, one line that says what to do, no traceback, no folder made."""
 
     @pytest.fixture
-    def refused(self, identify, tmp_path, capsys):
+    def refused(self, identify, tmp_path, the_error):
         def refused(message, *arguments, **options):
             output = tmp_path / "new" / "out"
             assert identify(*arguments, output=output, **options) == 1
-            lines = capsys.readouterr().err.splitlines()
-            (error,) = [line for line in lines if not line.startswith("warning: ")]
-            assert re.search(f"^error: .*({message})", error)
+            assert re.search(f"^error: .*({message})", the_error())
             assert not output.parent.exists()
 
         return refused
@@ -284,17 +286,18 @@ class TestBadInput:
         assert identify(option, tmp_path / name) == 1
         assert name in capsys.readouterr().err.splitlines()[-1]
 
-    def test_an_output_folder_that_is_a_file_is_noticed_before_anything_is_read(
-        self, identify, folder, capsys
+    @pytest.mark.parametrize(
+        ("name", "message"),
+        [
+            ("uav.json", "is no folder that can be written to"),
+            ("a" * 300, "name another one after -o"),
+        ],
+    )
+    def test_a_wrong_output_is_noticed_before_anything_is_read(
+        self, identify, folder, the_error, name, message
     ):
-        assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
-        assert "is no folder that can be written to" in capsys.readouterr().err
-
-    def test_an_output_name_that_is_too_long_is_noticed_before_anything_is_read(
-        self, identify, folder, capsys
-    ):
-        assert identify(output=folder / ("a" * 300), train=["nowhere.csv"]) == 1
-        assert "name another one after -o" in capsys.readouterr().err
+        assert identify(output=folder / name, train=["nowhere.csv"]) == 1
+        assert message in the_error()
 
 
 @pytest.mark.slow

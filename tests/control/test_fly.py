@@ -289,33 +289,26 @@ class TestRefuses:
             fly(glider.model(), glider.aircraft, steady, FULL, port=port, wait=0.1)
 
     @pytest.mark.parametrize(
-        ("full", "message"),
+        ("options", "message"),
         [
-            ({"aileron": 0.4}, "Got no value of elevator, rudder, thrust at full output"),
-            (FULL | {"flap": 1.0}, "'flap' is no control of this model"),
-            (FULL | {"elevator": 0.0}, "full elevator"),
+            ({"full": {"aileron": 0.4}}, "Got no value of elevator, rudder, thrust at full output"),
+            ({"full": FULL | {"flap": 1.0}}, "'flap' is no control of this model"),
+            ({"full": FULL | {"elevator": 0.0}}, "full elevator"),
+            ({"wind": [1.0, 2.0]}, "but expected 3 finite numbers"),
+            ({"wind": [np.nan, 0.0, 0.0]}, "but expected 3 finite numbers"),
+            ({"parameters": {"SERVO1_MIN": 2000.0}}, "SERVO1_MIN 2000, TRIM 1500"),
         ],
     )
-    def test_other_full_deflections(self, full, message, glider, steady):
+    def test_what_cannot_be(self, options, message, glider, steady):
         with pytest.raises(ValueError, match=message):
-            fly(glider.model(), glider.aircraft, steady, full)
+            fly(glider.model(), glider.aircraft, steady, **{"full": FULL} | options)
 
     def test_a_surface_without_effect(self, glider, steady):
         idle = np.where(np.arange(8) == 6, 0.0, glider.slopes)
-        model = glider.model(idle)
         with pytest.raises(ValueError, match="whose aileron does not change p"):
-            fly(model, glider.aircraft, steady, FULL)
-
-    @pytest.mark.parametrize("wind", [[1.0, 2.0], [np.nan, 0.0, 0.0]])
-    def test_a_wind_that_is_none(self, wind, glider, steady):
-        with pytest.raises(ValueError, match="but expected three finite numbers"):
-            fly(glider.model(), glider.aircraft, steady, FULL, wind=wind)
+            fly(glider.model(idle), glider.aircraft, steady, FULL)
 
     def test_a_path_without_a_posterior(self, glider, steady):
         model = glider.model(has_paths=False)
         with pytest.raises(ValueError, match="without posterior samples"):
             fly(model, glider.aircraft, steady, FULL, path=3)
-
-    def test_pulses_that_do_not_increase(self, glider, steady):
-        with pytest.raises(ValueError, match="SERVO1_MIN 2000, TRIM 1500"):
-            fly(glider.model(), glider.aircraft, steady, FULL, parameters={"SERVO1_MIN": 2000.0})

@@ -16,11 +16,11 @@ from skdgp.design import (
     wavetrain,
     write_flight_card,
 )
-from skdgp.dynamics import Aircraft, trim
+from skdgp.dynamics import trim
 
 
 @pytest.fixture(scope="module")
-def plan(uav, textbook):
+def plan(glider):
     """Return a plan of two kinds of manoeuvres, one of them flown twice, whose numbers are all known."""
     pulse = {"elevator": doublet(0.5, np.deg2rad(4.0))}
     sines = dict(orthogonal_multisines({"elevator": 0.05, "rudder": 0.05}, 5.0, (0.4, 2.0)))
@@ -32,17 +32,17 @@ def plan(uav, textbook):
     wave = np.deg2rad(6.0) * np.sin(time)
     one = pd.DataFrame({"time": time, "alpha": wave, "beta": 0.0, "phi": wave, "airspeed": 20.0})
     one = one.assign(altitude=100.0, az=-9.80665)
-    bounds = Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(textbook)
+    bounds = Envelope(alpha=(-0.1, 0.2), altitude=60.0).bounds(glider.model())
     limits = pd.DataFrame(bounds, index=["low", "high"]).T
     limits.loc["alpha"] = [-0.05, 0.2]
     return Plan(
         train=wavetrain([pulse, sines, pulse], pause=2.0),
-        trim=trim(textbook, uav, 20.0, altitude=100.0),
+        trim=trim(glider.model(), glider.aircraft, 20.0, altitude=100.0),
         manoeuvres=rows,
         flight=pd.concat([one.assign(flight=k) for k in range(3)]),
         errors=pd.DataFrame({"before": [0.5, 0.4], "promised": [0.1, 0.2]}, ["Cm_alpha", "Cm_q"]),
         limits=limits,
-        aircraft=Aircraft.from_dict(uav.to_dict() | {"name": "<uav>"}),
+        aircraft=replace(glider.aircraft, name="<uav>"),
         margin=0.3,
         servo_lag=0.047,
     )
@@ -90,8 +90,8 @@ def test_the_crew_reads_limits_order_and_steps(plan, written):
     assert all(name in words for name in ("Date", "Pilot", "MANUAL (ArduPilot) or Manual (PX4)"))
 
 
-def test_a_flight_without_limits_says_so(plan, written, textbook):
-    bounds = Envelope(growth=np.inf).bounds(textbook)
+def test_a_flight_without_limits_says_so(plan, written, glider):
+    bounds = Envelope(growth=np.inf).bounds(glider.model())
     free = pd.DataFrame(bounds, ["low", "high"]).T
     warning = "Nothing limits this flight, not even a floor"
     assert warning in words_of(written(replace(plan, limits=free)))

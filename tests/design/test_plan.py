@@ -24,23 +24,12 @@ from skdgp.dynamics import (
 )
 from skdgp.preprocessing import RegressorSelector
 
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-# Coefficients CX ... Cn by 1 and the regressors; lift and drag are linear here.
-TABLE = np.array([
-    [-0.01, 0.2, 0, 0, 0, 0, 0, 0, 0],
-    [0, 0, -0.5, 0, 0, 0, 0, 0, 0.1],
-    [-0.3, -4.5, 0, 0, 0, 0, 0, 0, 0],
-    [0, 0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0],
-    [0.02, -0.6, 0, 0, -9, 0, -1, 0, 0],
-    [0, 0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
-])  # fmt: skip
 FLOWN = {
     "airspeed": (5.0, 35.0),
     "altitude": (50.0, 100.0),
     "phi": (-1.0, 1.0),
     "az": (-30.0, 10.0),
 }
-SPREAD = 0.08
 LIMITS = {"elevator": 0.06}
 LIMITED = Envelope(alpha=(-0.03, 0.055))
 FEW = PlanSettings(widths=(1.0,), multisines=())
@@ -53,27 +42,16 @@ OPTIONS = {
 }
 
 
-def features(X):
-    return np.concatenate([np.ones((*X.shape[:-1], 1)), X], axis=-1)
+@pytest.fixture(scope="module")
+def uav(glider):
+    return glider.aircraft
 
 
 @pytest.fixture(scope="module")
-def model():
-    """Return a model whose derivatives are known to eight parts in a hundred."""
-
-    def sampler(n_paths, random_state):
-        draws = default_rng(random_state).standard_normal((n_paths, *TABLE.shape))
-        table = TABLE * (1 + SPREAD * draws)
-        return (
-            lambda X: np.einsum("knd,kpd->knp", features(X), table),
-            lambda X: np.broadcast_to(table[:, None, :, 1:], (*X.shape[:2], 6, 8)),
-        )
-
+def model(glider):
+    """Return a model whose derivatives are known to a tenth."""
     low = np.array([-0.1, -0.2, -0.1, -0.03, -0.1, -0.3, -0.3, -0.3])
-    return Aerodynamics(
-        lambda X: features(X) @ TABLE.T, NAMES, slopes=lambda X: np.broadcast_to(TABLE[:, 1:], (len(X), 6, 8)),
-        sampler=sampler, limits=[low, -low + [0.2, 0, 0, 0, 0, 0, 0, 0]], flown=FLOWN,
-    )  # fmt: skip
+    return glider.model(limits=[low, -low + [0.2, 0, 0, 0, 0, 0, 0, 0]], flown=FLOWN)
 
 
 @pytest.fixture(scope="module")
@@ -99,11 +77,12 @@ def test_the_time_and_the_limits_are_kept(planned):
         assert_allclose(table["elevator"][now], flown, atol=1e-9)
 
 
-def test_the_pause_is_a_quarter_of_the_phugoid(uav):
+def test_the_pause_is_a_quarter_of_the_phugoid(glider, uav):
     """Of an aircraft that keeps its angle of attack, as Lanchester's does."""
-    table = TABLE.copy()
-    table[4, 1] *= 20
-    stable = Aerodynamics(lambda X: features(X) @ table.T, NAMES)
+    slopes = glider.slopes.copy()
+    slopes[4, 0] *= 20
+    slopes[2, 5] = 0.0
+    stable = glider.model(slopes, has_paths=False)
     steady = trim(stable, uav, 40.0)
     phugoid = linearize(stable, uav, steady).modes().loc["phugoid", "period"]
     found = plan(stable, uav, steady, **OPTIONS | {"seconds": 15.0})
@@ -129,13 +108,12 @@ def test_aircraft_of_the_posterior_stay_inside_in_calm_air(planned, table, model
 
 
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
-def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, table, uav):
-    stronger = TABLE.copy()
-    by_elevator = LIMITED.margin * TABLE[:, 6]
-    stronger[:, 6] += by_elevator
-    stronger[:, 0] -= by_elevator * planned.trim.controls["elevator"]
-    aircraft = Aerodynamics(lambda X: features(X) @ stronger.T, NAMES)
-    flown = simulate(aircraft, uav, planned.trim, table, 0.04)
+def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, table, glider):
+    stronger = glider.slopes.copy()
+    stronger[:, 5] *= 1.0 + LIMITED.margin
+    at_trim = (stronger - glider.slopes)[:, 5] * planned.trim.controls["elevator"]
+    model = glider._replace(level=glider.level - at_trim).model(stronger)
+    flown = simulate(model, glider.aircraft, planned.trim, table, 0.04)
     lowest, highest = LIMITED.alpha
     assert flown["alpha"].between(lowest - 1e-4, highest + 1e-4).all()  # nearly proportional
     expected, room = np.array([planned.expected.loc["alpha"], LIMITED.alpha]) - planned.trim.alpha
@@ -157,6 +135,11 @@ def test_the_goal_decides_which_axis_moves(model, uav, point):
         assert found.manoeuvres["name"].str.startswith(axis).all()
 
 
+# CX ... Cn at zero and by alpha, q_hat and elevator
+SLOPES = np.zeros((6, 4))
+SLOPES[[0, 2, 4]] = [-0.01, 0.2, 0, 0], [-0.3, -4.5, 0, 0], [0.02, -0.6, -9, -1]
+
+
 def flown_rows(n, size, seed):
     """Return regressors of n rows of a flight, and coefficients with errors that last five rows."""
     rng = default_rng(seed)
@@ -164,7 +147,7 @@ def flown_rows(n, size, seed):
     noise = 0.01 * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 6)), axis=0)
     noise[:, [1, 3, 5]] *= 1e-5  # there is a trim
     table = pd.DataFrame(X, columns=["alpha", "q_hat", "elevator"])
-    return table, np.column_stack([np.ones(n), X]) @ TABLE[:, [0, 1, 4, 6]].T + noise
+    return table, np.column_stack([np.ones(n), X]) @ SLOPES.T + noise
 
 
 def learned(*flights):
@@ -299,8 +282,10 @@ def test_limits_are_what_was_flown(model, uav, point):
     room = 0.3 - abs(point.controls["elevator"])
     assert found.train.limits["elevator"] == pytest.approx(room)
     with pytest.raises(ValueError, match="does not say what was flown"):
-        plan(Aerodynamics(model.function, NAMES), uav, point, **options)
-    still = Aerodynamics(model.function, NAMES, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1])
+        plan(Aerodynamics(model.function, model.regressors), uav, point, **options)
+    still = Aerodynamics(
+        model.function, model.regressors, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1]
+    )
     with pytest.raises(ValueError, match=r"Cm_beta.*beta did not move in the flights"):
         plan(still, uav, point, **options | {"goal": ["Cm_beta"]})
 

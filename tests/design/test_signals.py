@@ -140,15 +140,19 @@ def test_manoeuvres_follow_one_another_with_pauses_at_trim():
     assert (table.drop(columns="time").iloc[-1] == 0).all()
 
 
-def test_a_table_with_its_trim_is_flown_and_returns_to_it(uav, textbook):
-    point = trim(textbook, uav, 20.0)
+def test_a_table_with_its_trim_is_flown_and_returns_to_it(glider):
+    aircraft = glider.model(), glider.aircraft
+    point = trim(*aircraft, 20.0)
     train = wavetrain([{"elevator": doublet(0.2, 0.02)}, {"rudder": doublet(0.5, 0.05)}], pause=1.0)
-    flight = simulate(textbook, uav, point, train.table(50.0, trim=point.controls, pause=10.0))
+    flight = simulate(*aircraft, point, train.table(50.0, trim=point.controls, pause=10.0))
     assert np.ptp(flight["alpha"]) > 0.01
     assert np.ptp(flight["beta"]) > 0.01
     end = flight.iloc[-1]
     assert abs(end["beta"]) < 2e-3
     assert end["alpha"] == pytest.approx(point.alpha, abs=1e-2)
+
+
+PULSE = {0.0: doublet(1.0, 0.1)}
 
 
 def test_overlapping_inputs_add_up_within_limits():
@@ -161,19 +165,19 @@ def test_overlapping_inputs_add_up_within_limits():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: Wavetrain({"elevater": {0.0: doublet(1, 0.1)}}), "nearest: 'elevator'"),
-        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}, {"flaps": 0.1}), "flaps"),
+        (lambda: Wavetrain({"elevater": PULSE}), "nearest: 'elevator'"),
+        (lambda: Wavetrain({"elevator": PULSE}, {"flaps": 0.1}), "flaps"),
         (lambda: Wavetrain({"elevator": {-1.0: doublet(1, 0.1)}}), "a number >= 0"),
-        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}, {"elevator": 0.05}), "elevator with a peak"),
+        (lambda: Wavetrain({"elevator": PULSE}, {"elevator": 0.05}), "elevator with a peak"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
         (lambda: Wavetrain({"elevator": {0.0: multisine(10, [60], rms=1)}}).table(50.0), "at least 60 Hz"),
-        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}).table(50.0, trim={"rudder": 0.0}), "elevator"),
+        (lambda: Wavetrain({"elevator": PULSE}).table(50.0, trim={"rudder": 0.0}), "elevator"),
         (lambda: Wavetrain({"elevator": doublet(1, 0.1)}), "expected {start: signal}"),
         (lambda: wavetrain({"elevator": doublet(1, 0.1)}), "expected mappings"),
         (lambda: wavetrain([{}]), "expected mappings"),
         (lambda: Wavetrain({}, {"elevator": -0.1}), "limit of the elevator=-0.1"),
         (lambda: Wavetrain({}).table(0.0), "rate > 0"),
-        (lambda: Wavetrain({"elevator": {0.0: doublet(1, 0.1)}}).table(50.0, pause=-5.0), "a pause from 0 on"),
+        (lambda: Wavetrain({"elevator": PULSE}).table(50.0, pause=-5.0), "a pause from 0 on"),
     ],
 )  # fmt: skip
 def test_a_sequence_that_cannot_be_flown_is_refused(make, words):

@@ -123,6 +123,7 @@ def test_the_switch_ends_the_inputs(flown):
     assert "ended by the switch" in said
 
 
+PULSE = {0.0: doublet(1.0, 0.1)}
 ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
 
 
@@ -130,10 +131,10 @@ ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
     ("inputs", "full", "words"),
     [
         ({"thrust": {0.0: doublet(1, 5.0)}}, FULL, "that move with the thrust: add"),
-        ({"rudder": {0.0: doublet(1, 0.1)}}, {"rudder": np.nan}, "expected a number > 0"),
-        ({"elevator": {0.0: doublet(1, 0.1)}}, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
+        ({"rudder": PULSE}, {"rudder": np.nan}, "expected a number > 0"),
+        ({"elevator": PULSE}, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
         (
-            {name: {0.0: doublet(1, 0.1)} for name in ("elevator", "aileron")},
+            dict.fromkeys(("elevator", "aileron"), PULSE),
             ELEVONS,
             "elevon_left up to 0.2",
         ),

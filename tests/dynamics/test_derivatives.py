@@ -104,36 +104,50 @@ def of_slopes(draws):
     return values, lambda X: np.repeat(draws[:, None], X.shape[1], axis=1)
 
 
+LEARNED = ["alpha", "q", "elevator"]
+UNITS = np.array([1.0, 2 * 36.0 / BRUMBY.chord, 1.0])
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Return a flight of `LEARNED`, and a regressor that learned from its time series. It is no mixture."""
+    rng = default_rng(0)
+    X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=LEARNED)
+    Y = np.sin(8 * X.to_numpy()) @ rng.normal(size=(3, 6))
+    Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
+    options = {"structure": "joint", "max_iter": 15, "random_state": 0}
+    model = DependentGPRegressor(n_latent=1, **options)
+    return X, model.fit(X, Y, time=0.1 * np.arange(len(X)))
+
+
+@pytest.fixture
+def at(flown, state):
+    regressors = Motion(flown[1], BRUMBY).at(state, CONTROLS).regressors
+    return pd.DataFrame([regressors], columns=LEARNED)
+
+
 class TestDeviations:
-    def test_are_over_the_flown_perturbation_unless_local_ones_are_asked_for(self, state):
+    def test_are_over_the_flown_perturbation_unless_local_ones_are_asked_for(
+        self, state, flown, at
+    ):
         """As the regressor says, in the units of the table: means and deviations of functions."""
-        rng = default_rng(0)
-        X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q", "elevator"])
-        Y = np.sin(8 * X.to_numpy()) @ rng.normal(size=(3, 6))
-        Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
-        model = DependentGPRegressor(n_latent=1, structure="joint", max_iter=5, random_state=0)
-        model.fit(X, Y)
+        X, model = flown
         flight = model, BRUMBY, state, CONTROLS
         table = stability_derivatives(*flight, n_paths=50)
         spread = X.std(ddof=0).to_numpy()
-        at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]
-        at = pd.DataFrame(at, columns=X.columns)
         rows = table.index[table["regressor"] != ""][: 6 * 3]
-        units = np.array([1.0, 2 * 36.0 / BRUMBY.chord, 1.0])
-        for values, slopes in [
-            (table.loc[rows, "value"], model.predict_gradient(at, spread)[0]),
-            (
-                table.loc[rows, "std"],
-                model.sample_paths(50, 0).gradient(at, spread)[:, 0].std(axis=0, ddof=1),
-            ),
-        ]:
-            assert_allclose(values, (slopes * units).ravel(), rtol=1e-9)
-        assert_allclose(table.loc[rows[:3], "perturbation"], spread / units)
+        drawn = model.sample_paths(50, 0).gradient(at, spread)[:, 0]
+        for name, slopes in (
+            ("value", model.predict_gradient(at, spread)[0]),
+            ("std", drawn.std(axis=0, ddof=1)),
+        ):
+            assert_allclose(table.loc[rows, name], (slopes * UNITS).ravel(), rtol=1e-9)
+        assert_allclose(table.loc[rows[:3], "perturbation"], spread / UNITS)
         assert table.attrs["slopes"] == "over the perturbation"
         local = stability_derivatives(*flight, n_paths=0, perturbation=None)
         assert local.attrs["slopes"] == "local"
         assert "perturbation" not in local
-        assert_allclose(local.loc[rows, "value"], (model.predict_gradient(at)[0] * units).ravel())
+        assert_allclose(local.loc[rows, "value"], (model.predict_gradient(at)[0] * UNITS).ravel())
         with pytest.raises(ValueError, match="'flown', or None for local slopes"):
             stability_derivatives(*flight, perturbation="large")
 
@@ -164,31 +178,19 @@ class TestDeviations:
         value, lower, upper = table.loc["CL_alpha", ["value", "lower", "upper"]]
         assert_allclose([value - lower, upper - value], 1.96 * std["CL_alpha"], rtol=1e-4)
 
-    def test_are_those_of_the_learned_slopes(self, state, slope_std):
+    def test_are_those_of_the_learned_slopes(self, state, slope_std, flown, at):
         """In body axes, what the regressor says of its gradient, within the spread of so many paths."""
-        rng = default_rng(0)
-        X = pd.DataFrame(0.1 * rng.normal(size=(60, 3)), columns=["alpha", "q_hat", "elevator"])
-        slopes = np.array(
-            [[0.3, 0, -4.5, 0, -0.6, 0], [0, 0, -3, 0, -9, 0], [0, 0, -0.4, 0, -1, 0.0]]
-        )
-        Y = X.to_numpy() @ slopes + np.array([2.0, 0, 8, 0, 3, 0]) * X[["alpha"]].to_numpy() ** 2
-        Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
-        options = {"structure": "joint", "max_iter": 15, "random_state": 0}  # Gaussian, no mixture
-        time = 0.1 * np.arange(len(X))
-        model = DependentGPRegressor(n_latent=1, **options).fit(X, Y, time=time)
+        _, model = flown
         n_paths = 300
         flight = model, BRUMBY, state, CONTROLS
         table = stability_derivatives(*flight, n_paths=n_paths, perturbation=None)
-        at = Motion(model, BRUMBY).at(state, CONTROLS).regressors[None]
-        mean = model.predict_gradient(pd.DataFrame(at, columns=X.columns))
-        std = slope_std(
-            lambda x: model.predict(
-                pd.DataFrame(x, columns=X.columns), return_cov=True, include_input_noise=False
-            )[1],
-            at[0],
-        )
-        rows = table.index[table["regressor"].isin(["alpha", "q", "elevator"])][: 6 * 3]
-        assert_allclose(table.loc[rows, "value"], mean.ravel())
+
+        def covariance(x):
+            table = pd.DataFrame(x, columns=LEARNED)
+            return model.predict(table, return_cov=True, include_input_noise=False)[1]
+
+        std = slope_std(covariance, at.to_numpy()[0]) * UNITS
+        rows = table.index[table["regressor"].isin(LEARNED)][: 6 * 3]
         ratio = table.loc[rows, "std"].to_numpy() / std.ravel()
         assert_allclose(ratio, np.ones(18), atol=5 / np.sqrt(2 * n_paths))
         parts = table[["std_posterior", "std_random", "std_method"]]
@@ -249,6 +251,10 @@ def state_of(rates=RATES):
     return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, rates])
 
 
+MOTION = Motion(LINEAR, BRUMBY, thrust=None)
+NOW = MOTION.at(state_of(), HELD)
+
+
 def test_relation_is_of_the_motion_that_loads_cause(central_difference):
     """Central differences of alpha_dot and beta_dot of the loads alone, by the regressors that are not angles."""
     motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
@@ -272,8 +278,7 @@ def test_relation_is_of_the_motion_that_loads_cause(central_difference):
 
 
 def test_sizes_are_fractions_of_the_slopes_by_rates():
-    motion = Motion(LINEAR, BRUMBY, thrust=None)
-    terms = unsteady_terms(motion, motion.at(state_of(), HELD), SLOPES)
+    terms = unsteady_terms(MOTION, NOW, SLOPES)
     assert_allclose(terms.slopes[:, 0], RELATIVE_STD[0] * SLOPES[:, 3])
     assert_allclose(terms.slopes[:, 1], RELATIVE_STD[1] * SLOPES[:, 4] * BRUMBY.span / (2 * 36.0))
     assert terms.missing.all()
@@ -281,13 +286,12 @@ def test_sizes_are_fractions_of_the_slopes_by_rates():
 
 def test_scatter_of_slopes_by_rates_leaves_slopes_by_alpha_dot_unknown():
     """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
-    motion = Motion(LINEAR, BRUMBY, thrust=None)
-    now, scatter = motion.at(state_of(), HELD), np.zeros_like(SLOPES)
+    scatter = np.zeros_like(SLOPES)
     scatter[4, 3], scatter[3, 3] = 0.16, 0.02
-    terms = unsteady_terms(motion, now, SLOPES, scatter)
+    terms = unsteady_terms(MOTION, NOW, SLOPES, scatter)
     assert_allclose(terms.slopes[4, 0], RELATIVE_STD[0] * -0.2)
     assert_allclose(abs(terms.slopes[3, 0]), RELATIVE_STD[0] * 0.02)
-    assert_allclose(terms.slopes[:, 1], unsteady_terms(motion, now, SLOPES).slopes[:, 1])
+    assert_allclose(terms.slopes[:, 1], unsteady_terms(MOTION, NOW, SLOPES).slopes[:, 1])
 
 
 def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
@@ -299,14 +303,10 @@ def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
     terms = UnsteadyTerms(
         np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool)
     )
-    state, with_alpha_dot, bare = (
-        state_of(),
-        Motion(named, BRUMBY, thrust=None),
-        Motion(LINEAR, BRUMBY, thrust=None),
-    )
-    expected = jacobian(with_alpha_dot, state, HELD, inputs=["elevator"])
-    plain = jacobian(bare, state, HELD, inputs=["elevator"])
-    found = jacobian(bare, state, HELD, inputs=["elevator"], unsteady=terms)
+    at = state_of(), HELD, ["elevator"]
+    expected = jacobian(Motion(named, BRUMBY, thrust=None), *at)
+    plain = jacobian(MOTION, *at)
+    found = jacobian(MOTION, *at, unsteady=terms)
     for k in range(2):  # of the motion, of the outputs
         change = expected[k] - plain[k]
         own = found[k] - plain[k]

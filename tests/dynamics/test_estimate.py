@@ -1,6 +1,7 @@
 """An aircraft of a mass and a span: its inertia is of the right size, and its errors scale what is computed with it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -247,11 +248,9 @@ class TestWhatErrorsDo:
 
     def test_trim_and_modes_do_not_depend_on_the_sizes(self):
         """With a diagonal inertia, so that its moments can be scaled one by one without products between them."""
-        known = Aircraft.from_dict(
-            BRUMBY.to_dict() | {"inertia": np.diag(BRUMBY.inertia.diagonal())}
-        )
-        wrong = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
-        wrong = Aircraft.from_dict(known.to_dict() | wrong | {"inertia": 1.3 * known.inertia})
+        known = replace(BRUMBY, inertia=np.diag(BRUMBY.inertia.diagonal()))
+        sizes = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
+        wrong = replace(known, inertia=1.3 * known.inertia, **sizes)
         at = {"thrust": None, "air": Air(density=1.1)}
         found = []
         for aircraft in (known, wrong):

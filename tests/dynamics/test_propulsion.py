@@ -41,10 +41,6 @@ def flight(**columns):
     return pd.DataFrame({"airspeed": [20.0, 21.0], "density": 1.1, **columns})
 
 
-def with_engine(aircraft, **changes):
-    return Aircraft.from_dict(aircraft.to_dict() | changes)
-
-
 def test_equation_7_by_hand():
     # 10 N along (.8, 0, -.6) at (-.5, .1, -.2): F = (8, 0, -6);
     # r x F = (.1 * -6 - 0, -.2 * 8 - -.5 * -6, 0 - .1 * 8)
@@ -97,7 +93,7 @@ def test_a_static_table_with_pitch_loses_its_thrust_at_the_pitch_speed():
 
 
 def test_propeller_thrust_of_a_flight(aircraft):
-    powered = with_engine(aircraft, propeller=TRUE)
+    powered = replace(aircraft, propeller=TRUE)
     table = flight(propeller_speed=[500.0, 600.0])
     force, moment = propulsive_loads(table, powered)
     state = [500.0, 600.0], [20, 21], 1.1
@@ -109,7 +105,7 @@ def test_propeller_thrust_of_a_flight(aircraft):
 
 
 def test_columns_win_over_the_propeller(aircraft):
-    powered = with_engine(aircraft, propeller=TRUE)
+    powered = replace(aircraft, propeller=TRUE)
     table = flight(propeller_speed=500.0, thrust_x=5.0)
     assert propulsive_loads(table, powered)[0][0, 0] == 5.0
 
@@ -119,7 +115,7 @@ def test_beyond_the_bench_is_warned_of(aircraft):
     with pytest.warns(
         UserWarning, match=r"100 % of the samples .* exceeds the largest one on the bench \(0.20\)"
     ):
-        propulsive_loads(flight(propeller_speed=500.0), with_engine(aircraft, propeller=propeller))
+        propulsive_loads(flight(propeller_speed=500.0), replace(aircraft, propeller=propeller))
 
 
 @pytest.mark.parametrize(("ask", "words"), [
@@ -134,7 +130,7 @@ def test_beyond_the_bench_is_warned_of(aircraft):
     (lambda a: Propeller(0.5, (1, 2, 3, 4)), "thrust_coefficients"),
     (lambda a: Propeller(0.5, (0.1,), rotation=2), "rotation"),
     (lambda a: propulsive_loads(flight(), a), r"and no propeller\. .*thrust=None"),
-    (lambda a: propulsive_loads(flight(), with_engine(a, propeller=TRUE)), r"no propeller_speed.*thrust=None"),
+    (lambda a: propulsive_loads(flight(), replace(a, propeller=TRUE)), r"no propeller_speed.*thrust=None"),
     (lambda a: propulsive_loads(flight(), a, "engine"), "Got thrust='engine', but expected"),
 ])  # fmt: skip
 def test_what_is_no_propulsion(aircraft, ask, words):

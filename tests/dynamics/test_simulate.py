@@ -19,9 +19,9 @@ from sklearn.preprocessing import StandardScaler
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
-    Aircraft,
     Drift,
     FlightComputer,
+    Propeller,
     SimulationWarning,
     Simulator,
     UncertainStart,
@@ -37,18 +37,6 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-NAMES = ("alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder")
-SLOPES = np.array(
-    [
-        [0.10, 0.00, 0.0, 0.0, 0.0, 0.05, 0.00, 0.00],
-        [0.00, -0.50, 0.1, 0.0, 0.2, 0.00, 0.02, 0.20],
-        [-4.00, 0.05, 0.0, -6.0, 0.0, -0.20, 0.00, 0.00],
-        [0.00, -0.03, -0.4, 0.0, 0.08, 0.00, 0.10, 0.01],
-        [-0.50, 0.00, 0.0, -8.0, 0.0, -0.60, 0.00, 0.00],
-        [0.00, 0.06, -0.03, 0.0, -0.15, 0.00, 0.005, -0.05],
-    ]
-)
-INTERCEPT = np.array([-0.03, 0.0, -0.1, 0.0, 0.03, 0.0])
 START = {"airspeed": 22.0, "alpha": 0.08, "beta": 0.02, "phi": 0.3, "theta": 0.1, "psi": 1.0}
 START |= {"p": 0.1, "q": 0.05, "r": -0.1, "north": 10.0, "east": -20.0, "altitude": 300.0}
 STATES = [
@@ -72,15 +60,6 @@ ACCELERATIONS = ["ax", "ay", "az"]
 REST = dict.fromkeys(SURFACES, 0.0)
 
 
-def linear(slopes=SLOPES, intercept=INTERCEPT, **options):
-    return Aerodynamics(
-        lambda X: intercept + X @ slopes.T,
-        NAMES,
-        slopes=lambda X: np.tile(slopes, (len(X), 1, 1)),
-        **options,
-    )
-
-
 def commands(t, state=None):
     return {
         "elevator": -0.02 + 0.03 * np.sin(2.0 * t), "aileron": 0.03 * np.cos(1.5 * t), "rudder": 0.04 * np.sin(t + 1.0),
@@ -88,8 +67,19 @@ def commands(t, state=None):
     }  # fmt: skip
 
 
-def fly(aircraft, model=None, x0=START, controls=commands, **options):
-    return simulate(model or linear(), aircraft, x0, controls, **options)
+@pytest.fixture(scope="module")
+def fly(aircraft, glider):
+    """Return `simulate` of the glider's coefficients, or of another model."""
+
+    def fly(model=None, x0=START, controls=commands, *, aircraft=aircraft, **options):
+        return simulate(model or glider.model(), aircraft, x0, controls, **options)
+
+    return fly
+
+
+def inert(glider, **options):
+    """Return a model without any force or moment."""
+    return glider._replace(level=np.zeros(6)).model(0.0 * glider.slopes, **options)
 
 
 def table_of(duration, step=0.001):
@@ -98,8 +88,8 @@ def table_of(duration, step=0.001):
 
 
 @pytest.fixture(scope="module")
-def flown(aircraft):
-    return fly(aircraft, dt=0.01, duration=4.0, air=[3.0, -2.0, 0.7])
+def flown(fly):
+    return fly(dt=0.01, duration=4.0, air=[3.0, -2.0, 0.7])
 
 
 def solved(aircraft, coefficients, inputs, duration, wind=(0.0, 0.0, 0.0)):
@@ -138,10 +128,10 @@ def solved(aircraft, coefficients, inputs, duration, wind=(0.0, 0.0, 0.0)):
 
 class TestEquations:
     def test_follows_equations_typed_from_the_textbook_with_rotation_matrices(
-        self, aircraft, flown
+        self, aircraft, flown, glider
     ):
         wind = [3.0, -2.0, 0.7]
-        truth = solved(aircraft, lambda x: INTERCEPT + SLOPES @ x, commands, 4.0, wind)
+        truth = solved(aircraft, lambda x: glider.level + glider.slopes @ x, commands, 4.0, wind)
         end = flown[STATES].iloc[-1]
         assert_allclose(end[["north", "east", "down"]], truth[:3], atol=1e-6)
         assert_allclose(end[["v_north", "v_east", "v_down"]], truth[3:6], atol=1e-6)
@@ -149,46 +139,46 @@ class TestEquations:
         angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")
         assert_allclose(end[["psi", "theta", "phi"]], angles, atol=1e-7)
 
-    def test_forces_are_of_the_centre_of_gravity_wherever_the_sensors_are(self, aircraft):
+    def test_forces_are_of_the_centre_of_gravity_wherever_the_sensors_are(self, aircraft, fly):
         placed = replace(aircraft, sensor_position=(0.5, 0.1, -0.2))
-        here = fly(aircraft, dt=0.01, duration=1.0)
-        there = fly(placed, dt=0.01, duration=1.0)
+        here = fly(dt=0.01, duration=1.0)
+        there = fly(aircraft=placed, dt=0.01, duration=1.0)
         position = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
         assert_allclose(there[position], 0.0)
         assert_frame_equal(there[here.columns], here)
         coefficients_of = partial(aerodynamic_coefficients, cutoff=None)
         assert_frame_equal(coefficients_of(there, placed), coefficients_of(here, aircraft))
 
-    def test_is_of_fourth_order_in_the_step(self, aircraft):
+    def test_is_of_fourth_order_in_the_step(self, fly):
         exact, half, whole = (
-            fly(aircraft, dt=dt, duration=2.0)[STATES].iloc[-1] for dt in (0.005, 0.02, 0.04)
+            fly(dt=dt, duration=2.0)[STATES].iloc[-1] for dt in (0.005, 0.02, 0.04)
         )
         errors = [np.abs(end - exact).max() for end in (whole, half)]
         assert 3.6 < np.log2(errors[0] / errors[1]) < 4.5
 
 
 class TestRegressors:
-    def test_are_rebuilt_as_the_pipeline_builds_them(self, aircraft):
+    def test_are_rebuilt_as_the_pipeline_builds_them(self, fly, glider):
         rng = default_rng(1)
         words = ["alpha", "beta", "p", "q", "r", "elevon_left", "elevon_right", "rudder"]
         log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words)
         log["airspeed"] = rng.uniform(18, 26, 200)
         model = make_pipeline(
             ElevonSplitter(), RateNondimensionalizer(span=2.0, chord=0.4),
-            RegressorSelector([*NAMES, "airspeed"]), StandardScaler(), LinearRegression(),
+            RegressorSelector([*glider.names, "airspeed"]), StandardScaler(), LinearRegression(),
         )  # fmt: skip
         values = model[:3].fit(log).transform(log).to_numpy()
-        model.fit(log, INTERCEPT + values[:, :8] @ SLOPES.T + 0.001 * values[:, 8:])
+        model.fit(log, glider.level + values[:, :8] @ glider.slopes.T + 0.001 * values[:, 8:])
         surfaces = {"elevon_left": 0.01, "elevon_right": -0.03, "rudder": 0.01, "thrust_x": 14.0}
         with (
             pytest.warns(SimulationWarning, match="left what the model was learned from"),
             pytest.warns(UserWarning, match="is this the aircraft that the model was learned from"),
         ):
-            flown = fly(aircraft, model, controls=surfaces, duration=2.0)
+            flown = fly(model, controls=surfaces, duration=2.0)
         assert {"elevator", "aileron"} <= set(flown)
         assert_allclose(model.predict(flown), flown[COEFFICIENTS], atol=1e-12)
 
-    def test_that_follow_from_the_loads_are_those_of_the_motion(self, aircraft):
+    def test_that_follow_from_the_loads_are_those_of_the_motion(self, aircraft, fly):
         names = ("alpha", "q_hat", "alpha_dot_hat", "beta_dot", "beta", "r_dot", "ay", "elevator")
 
         def coefficients(X):
@@ -205,7 +195,7 @@ class TestRegressors:
         model = Aerodynamics(coefficients, names)
         controls = {"elevator": -0.02, "thrust": 14.0}
         step = 0.005
-        flown = fly(aircraft, model, controls=controls, dt=step, duration=0.5, air=gust)
+        flown = fly(model, controls=controls, dt=step, duration=0.5, air=gust)
         for name in ("alpha", "beta"):
             flown[f"{name}_dot"] = np.gradient(flown[name], step, edge_order=2)
         flown["alpha_dot_hat"] = flown["alpha_dot"] * aircraft.chord / (2 * flown["airspeed"])
@@ -215,12 +205,12 @@ class TestRegressors:
         assert_allclose(again[inner], flown[COEFFICIENTS][inner], atol=2e-4)
         assert np.ptp(flown["alpha_dot"]) > 0.2  # the check is not of nothing
 
-    def test_a_fixed_point_that_is_not_found_marks_the_trajectory(self, aircraft):
+    def test_a_fixed_point_that_is_not_found_marks_the_trajectory(self, fly):
         flipping = Aerodynamics(
             lambda X: np.where(X < -10.0, 0.1, 0.5) * [0, 0, -1.0, 0, 0, 0], ["az"]
         )
         with pytest.warns(SimulationWarning, match="no fixed point"):
-            flown = fly(aircraft, flipping, controls={}, duration=0.5, thrust=None)
+            flown = fly(flipping, controls={}, duration=0.5, thrust=None)
         assert (flown["ended"] == "fixed point").all()
 
     @pytest.mark.parametrize(("names", "match"), [
@@ -228,10 +218,10 @@ class TestRegressors:
         (["alpha_hat"], "only rates have a non-dimensional form"),
         (["alpha", "v_north", "time"], r"regressors \['v_north', 'time'\], which are neither controls nor"),
     ])  # fmt: skip
-    def test_one_that_cannot_be_rebuilt_is_named(self, aircraft, names, match):
+    def test_one_that_cannot_be_rebuilt_is_named(self, names, match, fly):
         model = Aerodynamics(lambda X: np.zeros((len(X), 6)), names)
         with pytest.raises(ValueError, match=match):
-            fly(aircraft, model, controls={"elevator": 0.0}, duration=1.0, thrust=None)
+            fly(model, controls={"elevator": 0.0}, duration=1.0, thrust=None)
 
 
 def followed(commanded, time, **options):
@@ -244,47 +234,47 @@ def followed(commanded, time, **options):
 
 
 class TestControls:
-    def test_a_table_a_function_and_tables_for_each_start_are_the_same_flight(self, aircraft):
-        by_function = fly(aircraft, dt=0.02, duration=1.0)
+    def test_a_table_a_function_and_tables_for_each_start_are_the_same_flight(self, fly):
+        by_function = fly(dt=0.02, duration=1.0)
         table = table_of(1.0)
-        by_table = fly(aircraft, controls=table.assign(time=table["time"] + 7.0), dt=0.02)
+        by_table = fly(controls=table.assign(time=table["time"] + 7.0), dt=0.02)
         assert_allclose(by_table[STATES], by_function[STATES], atol=1e-6)
         assert_allclose(by_table["time"], by_function["time"] + 7.0)
         tables = [table, table.assign(elevator=0.0)]
-        two = fly(aircraft, x0=pd.DataFrame([START, START]), controls=tables, dt=0.02)
+        two = fly(x0=pd.DataFrame([START, START]), controls=tables, dt=0.02)
         first, second = (part.reset_index() for _, part in two.groupby("start"))
         assert_allclose(first[STATES], by_table[STATES], atol=1e-12)
         assert np.abs(second["theta"] - first["theta"]).max() > 0.01
 
-    def test_surfaces_follow_the_commands_with_the_lag_of_the_servos(self, aircraft):
+    def test_surfaces_follow_the_commands_with_the_lag_of_the_servos(self, fly, glider):
         """Against an independent solution of T d(delta)/dt = command - delta, and the flight with these deflections."""
-        late = linear(servo_lag=0.08)
+        late = glider.model(servo_lag=0.08)
         table = table_of(2.0, step=0.02).assign(rudder=lambda t: 0.05 * (t["time"] > 0.5))
-        flown = fly(aircraft, late, controls=table, dt=0.02)
+        flown = fly(late, controls=table, dt=0.02)
         commanded = interp1d(table["time"], table[SURFACES], axis=0)
         solved = followed(commanded, table["time"], max_step=0.005)
         assert_allclose(flown[SURFACES], solved, atol=1e-7)
         assert_array_equal(flown["thrust"], table["thrust"])
         table[SURFACES] = solved
-        expected = fly(aircraft, controls=table, dt=0.02)
+        expected = fly(controls=table, dt=0.02)
         assert_allclose(flown[STATES], expected[STATES], atol=1e-3)
 
     @pytest.mark.parametrize("dt", [0.02, 0.01])
-    def test_surfaces_follow_a_feedback_law_with_the_lag_of_the_servos(self, aircraft, dt):
+    def test_surfaces_follow_a_feedback_law_with_the_lag_of_the_servos(self, dt, fly, glider):
         """Against an independent solution of T d(delta)/dt = law - delta along the flight: second order in dt."""
 
         def law(t, state):
             return commands(t) | {"aileron": -0.4 * state["phi"] - 0.1 * state["p"]}
 
-        flown = fly(aircraft, linear(servo_lag=0.08), controls=law, dt=dt, duration=3.0)
+        flown = fly(glider.model(servo_lag=0.08), controls=law, dt=dt, duration=3.0)
         time = flown["time"].to_numpy()
         aileron = followed(
             CubicSpline(time, -0.4 * flown[["phi"]] - 0.1 * flown[["p"]].to_numpy()), time
         )
         assert_allclose(flown[["aileron"]], aileron, atol=4e-4 * (dt / 0.02) ** 2)
-        expected = fly(aircraft, controls=flown[["time", *commands(0.0)]], dt=dt)
+        expected = fly(controls=flown[["time", *commands(0.0)]], dt=dt)
         assert_allclose(flown[STATES], expected[STATES], atol=4e-3 * (dt / 0.02) ** 2)
-        at_once = fly(aircraft, controls=law, dt=dt, duration=3.0)
+        at_once = fly(controls=law, dt=dt, duration=3.0)
         assert np.abs(at_once["phi"] - flown["phi"]).max() > 0.01
 
     def test_a_model_has_the_servo_lag_of_its_pipeline(self):
@@ -295,23 +285,22 @@ class TestControls:
         model = make_pipeline(*steps, LinearRegression()).fit(table, rng.normal(size=(60, 6)))
         assert as_aerodynamics(model).servo_lag == 0.06
 
-    def test_a_law_that_is_held_sees_the_flight_once_a_step(self, aircraft):
+    def test_a_law_that_is_held_sees_the_flight_once_a_step(self, fly):
         seen = []
 
         def law(t, state):
             seen.append((t, state["phi"]))
             return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
 
-        flown = fly(aircraft, controls=FlightComputer(law), dt=0.05, duration=1.0)
+        flown = fly(controls=FlightComputer(law), dt=0.05, duration=1.0)
         assert_allclose([t for t, _ in seen], flown["time"])
         assert_allclose([phi for _, phi in seen], flown["phi"], atol=1e-12)
 
-    def test_throttle_turns_the_propeller(self, aircraft):
-        engine = {"diameter": 0.5, "thrust_coefficients": (0.1, -0.05, -0.08)}
-        engine["speed_range"] = (200.0, 800.0)
-        powered = Aircraft.from_dict(aircraft.to_dict() | {"propeller": engine})
-        by_throttle = fly(powered, controls=REST | {"throttle": 0.5}, duration=1.0)
-        by_speed = fly(powered, controls=REST | {"propeller_speed": 500.0}, duration=1.0)
+    def test_throttle_turns_the_propeller(self, aircraft, fly):
+        propeller = Propeller(0.5, (0.1, -0.05, -0.08), speed_range=(200.0, 800.0))
+        powered = replace(aircraft, propeller=propeller)
+        by_throttle = fly(aircraft=powered, controls=REST | {"throttle": 0.5}, duration=1.0)
+        by_speed = fly(aircraft=powered, controls=REST | {"propeller_speed": 500.0}, duration=1.0)
         assert_allclose(by_throttle[STATES], by_speed[STATES])
 
     @pytest.mark.parametrize(("controls", "options", "match"), [
@@ -332,51 +321,51 @@ class TestControls:
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
         ({"elevator": [0.0] * 50}, {"duration": 1.0}, r"control elevator of shape \(50,\)"),
     ])  # fmt: skip
-    def test_mistakes_are_told_at_the_door(self, aircraft, controls, options, match):
+    def test_mistakes_are_told_at_the_door(self, controls, options, match, fly):
         with pytest.raises(ValueError, match=match):
-            simulate(linear(), aircraft, controls=controls, **{"x0": START} | options)
+            fly(controls=controls, **options)
 
-    def test_a_simulator_takes_no_table_of_wind(self, aircraft):
+    def test_a_simulator_takes_no_table_of_wind(self, aircraft, glider):
         wind = pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})
         with pytest.raises(ValueError, match=r"a wind over time, .*simulate\(\)"):
-            Simulator(linear(), aircraft, dt=0.02, air=wind)
+            Simulator(glider.model(), aircraft, dt=0.02, air=wind)
 
-    def test_a_whole_log_may_be_given(self, aircraft):
+    def test_a_whole_log_may_be_given(self, fly):
         table = table_of(1.0)
         log = table.assign(flight="monday", v_north=np.nan, phi=99.0, elevator_true=5.0)
-        alone = fly(aircraft, controls=table)
-        assert_frame_equal(fly(aircraft, controls=log), alone)
+        alone = fly(controls=table)
+        assert_frame_equal(fly(controls=log), alone)
 
-    def test_starts_of_other_times_than_the_controls_are_noticed(self, aircraft):
+    def test_starts_of_other_times_than_the_controls_are_noticed(self, fly):
         log = table_of(4.0, step=0.02)
         with pytest.warns(UserWarning, match="begin at time 0 s, but start 0 is of time 2 s"):
-            fly(aircraft, x0=START | {"time": 2.0}, controls=log, duration=0.1)
+            fly(x0=START | {"time": 2.0}, controls=log, duration=0.1)
         late = log[log["time"] >= 2.0]
-        fly(aircraft, x0=START | {"time": 2.0}, controls=late, duration=0.1)
-        fly(aircraft, controls=log.assign(time=log["time"] + 60.0), duration=0.1)
+        fly(x0=START | {"time": 2.0}, controls=late, duration=0.1)
+        fly(controls=log.assign(time=log["time"] + 60.0), duration=0.1)
 
 
 class TestStarts:
-    def test_the_air_is_that_of_the_altitude(self, aircraft):
+    def test_the_air_is_that_of_the_altitude(self, fly):
         above_home = START | {"down": -50.0, "altitude": 1500.0}
-        flown = fly(aircraft, x0=above_home, duration=0.1)
+        flown = fly(x0=above_home, duration=0.1)
         assert_allclose(flown["density"].iloc[0], standard_density(1500.0))
         with pytest.warns(UserWarning, match="altitude of -900 m, below any land"):
-            fly(aircraft, x0={"airspeed": 22.0, "alpha": 0.08, "down": 900.0}, duration=0.1)
+            fly(x0={"airspeed": 22.0, "alpha": 0.08, "down": 900.0}, duration=0.1)
 
-    def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, aircraft, flown):
+    def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, flown, fly):
         row = flown.iloc[100]
         controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
         by_row, by_names = (
-            fly(aircraft, x0=start, controls=controls, duration=0.5, air=[3.0, -2.0, 0.7])
+            fly(x0=start, controls=controls, duration=0.5, air=[3.0, -2.0, 0.7])
             for start in (row, dict(row[[*START]]))
         )
         assert_allclose(by_row[STATES], by_names[STATES], atol=1e-9)
 
-    def test_a_start_of_a_windy_flight_without_its_wind_is_noticed(self, aircraft):
+    def test_a_start_of_a_windy_flight_without_its_wind_is_noticed(self, fly):
         start = {"airspeed": 22.0, "v_north": 30.0, "v_east": 0.0, "v_down": 0.0}
         with pytest.warns(UserWarning, match="give the wind of that flight"):
-            fly(aircraft, x0=start, duration=0.1)
+            fly(x0=start, duration=0.1)
 
     @pytest.mark.parametrize(("start", "match"), [
         ({"phi": 0.1}, "lack 'airspeed'"),
@@ -387,65 +376,65 @@ class TestStarts:
         ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
         (np.zeros(12), r"shape \(12,\)"),
     ])  # fmt: skip
-    def test_impossible_ones_are_told(self, aircraft, start, match):
+    def test_impossible_ones_are_told(self, start, match, fly):
         with pytest.raises(ValueError, match=match):
-            fly(aircraft, x0=start, duration=0.1)
+            fly(x0=start, duration=0.1)
 
 
 class TestMarks:
-    def test_a_flight_that_loses_its_airspeed_ends_and_the_others_go_on(self, aircraft):
+    def test_a_flight_that_loses_its_airspeed_ends_and_the_others_go_on(self, fly, glider):
         vertical = dict.fromkeys(START, 0.0) | {"theta": 1.5, "airspeed": 8.0, "altitude": 300.0}
-        falling = linear(slopes=0.0 * SLOPES, intercept=np.zeros(6))
+        falling = inert(glider)
         starts = pd.DataFrame([vertical, START])
         options = {"controls": REST, "duration": 2.0, "thrust": None}
         told = "1 of 2 trajectories ended early.*airspeed under 1 m/s: 1"
         with pytest.warns(SimulationWarning, match=told):
-            both = fly(aircraft, falling, starts, **options)
+            both = fly(falling, starts, **options)
         lost, kept = (part.reset_index(drop=True) for _, part in both.groupby("start"))
-        alone = fly(aircraft, falling, **options)
+        alone = fly(falling, **options)
         assert_allclose(kept[STATES], alone[STATES], atol=1e-12)
         end = (lost["ended"] != "").idxmax()
         assert_allclose(lost["time"][end], 8.0 * np.sin(1.5) / 9.80665, atol=0.15)
         assert lost.loc[end:, STATES].isna().all(axis=None)
         assert lost.loc[: end - 1, STATES].notna().all(axis=None)
 
-    def test_one_that_diverges_is_marked_and_no_nan_is_silent(self, aircraft):
-        unstable = SLOPES.copy()
+    def test_one_that_diverges_is_marked_and_no_nan_is_silent(self, fly, glider):
+        unstable = glider.slopes.copy()
         unstable[4, 0], unstable[4, 3] = 40.0, 8.0
         with pytest.warns(SimulationWarning, match="diverged"):
-            flown = fly(aircraft, linear(unstable), duration=5.0)
+            flown = fly(glider.model(unstable), duration=5.0)
         assert (flown[STATES].isna().any(axis=1) == (flown["ended"] != "")).all()
         assert set(flown["ended"]) == {"", "diverged"}
 
-    def test_one_that_diverges_within_a_step_ends(self, aircraft):
+    def test_one_that_diverges_within_a_step_ends(self, fly, glider):
         """Coefficients that grow with the rates, evaluated at no more than 1e60, as a fitted model's."""
-        unstable = SLOPES.copy()
+        unstable = glider.slopes.copy()
         unstable[3:, 2:5] = 1e22 * np.eye(3)
 
         def coefficients(X):
             assert np.abs(X).max() < 1e60
             return X[:, :-1] @ unstable.T
 
-        model = Aerodynamics(coefficients, [*NAMES, "airspeed"])
+        model = Aerodynamics(coefficients, [*glider.names, "airspeed"])
         with pytest.warns(SimulationWarning, match="ended early"):
-            flown = fly(aircraft, model, duration=1.0)
+            flown = fly(model, duration=1.0)
         assert flown.loc[1:, STATES].isna().all(axis=None)
 
-    def test_one_that_leaves_the_atmosphere_is_marked(self, aircraft):
+    def test_one_that_leaves_the_atmosphere_is_marked(self, fly):
         high = pd.DataFrame([START | {"altitude": 31_999.0, "theta": 0.5}, START])
         with pytest.warns(SimulationWarning, match="outside of the atmosphere: 1"):
-            flown = fly(aircraft, x0=high, controls=REST, duration=2.0, thrust=None)
+            flown = fly(x0=high, controls=REST, duration=2.0, thrust=None)
         assert flown.groupby("start")["ended"].last().tolist() == ["altitude", ""]
 
-    def test_tells_when_and_where_it_leaves_what_was_flown(self, aircraft):
+    def test_tells_when_and_where_it_leaves_what_was_flown(self, aircraft, fly, glider):
         limits = np.outer([-0.5, 0.5], np.ones(8))
         limits[:, 0] = [0.0, 0.07]
         with pytest.warns(SimulationWarning, match="in alpha .*learned from 0 to 0.07"):
-            flown = fly(aircraft, linear(limits=limits), duration=2.0)
+            flown = fly(glider.model(limits=limits), duration=2.0)
         outside = ~flown["alpha"].between(-0.02 * 0.07, 1.02 * 0.07)
         assert_array_equal(flown["beyond"] == "alpha", outside)
         assert 0 < outside.mean() < 1
-        simulator = Simulator(linear(limits=limits), aircraft, dt=0.02)
+        simulator = Simulator(glider.model(limits=limits), aircraft, dt=0.02)
         simulator.reset(START)
         for _ in range(50):
             seen = simulator.step(commands(0.0))
@@ -453,42 +442,16 @@ class TestMarks:
             assert simulator.beyond == ("alpha" if is_outside else "")
 
 
-def uncertain(size, **options):
-    """A linear model whose slopes are known with a standard deviation in proportion, drawn jointly."""
-
-    def drawn(n, random_state):
-        off = default_rng(random_state).standard_normal((n, 6, 8))
-        slopes = SLOPES * (1.0 + size * off)
-        return (
-            lambda X: INTERCEPT + np.einsum("pcd,pnd->pnc", slopes, X),
-            lambda X: np.broadcast_to(slopes[:, None], (*X.shape[:2], 6, 8)),
-        )
-
-    return linear(sampler=drawn, **options)
-
-
-def still(drift):
-    """A model without any force or moment, known exactly but for its drift."""
-
-    def drawn(n, random_state):
-        return (
-            lambda X: np.zeros((*X.shape[:2], 6)),
-            lambda X: np.zeros((*X.shape[:2], 6, X.shape[2])),
-        )
-
-    return linear(0.0 * SLOPES, np.zeros(6), sampler=drawn, drift=drift)
-
-
 class TestEnsembles:
-    def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, aircraft):
-        paths = fly(aircraft, uncertain(0.1), duration=1.0, n_paths=3, random_state=5)
-        off = default_rng(5).standard_normal((3, 6, 8))
+    def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, fly, glider):
+        paths = fly(duration=1.0, n_paths=3, random_state=5)
+        slopes = glider.slopes * default_rng(5).normal(1.0, 0.1, (3, 6, 8))
         for k, (_, path) in enumerate(paths.groupby("path")):
-            alone = fly(aircraft, linear(SLOPES * (1 + 0.1 * off[k])), duration=1.0)
+            alone = fly(glider.model(slopes[k]), duration=1.0)
             assert_allclose(path[STATES], alone[STATES], atol=1e-10)
 
-    @pytest.mark.parametrize("jump", [0.0, 0.06])
-    def test_paths_that_are_curved_follow_the_equations(self, aircraft, jump):
+    @pytest.mark.parametrize("jump", [0.0, 0.05])
+    def test_paths_that_are_curved_follow_the_equations(self, aircraft, jump, fly, glider):
         """Errors are of second order in the step, whatever bends: stall, damping, an elevator that jumps."""
 
         def inputs(t, state=None):
@@ -497,27 +460,26 @@ class TestEnsembles:
 
         def curved(X):
             alpha, q, elevator = X[..., 0], X[..., 3], X[..., 5]
-            C = INTERCEPT + X @ SLOPES.T
+            C = glider.level + X @ glider.slopes.T
             C[..., 2] += 20.0 * alpha**3
             C[..., 4] += 3.0 * elevator**2 - 2.0 * alpha**2 - 900.0 * q**2
             return C
 
         def curved_slopes(X):
-            slopes = np.tile(SLOPES, (*X.shape[:-1], 1, 1))
+            slopes = np.tile(glider.slopes, (*X.shape[:-1], 1, 1))
             slopes[..., 2, 0] += 60.0 * X[..., 0] ** 2
             slopes[..., 4, 0] -= 4.0 * X[..., 0]
             slopes[..., 4, 3] -= 1800.0 * X[..., 3]
             slopes[..., 4, 5] += 6.0 * X[..., 5]
             return slopes
 
-        model = linear(sampler=lambda n, random_state: (curved, curved_slopes))
+        one = curved, curved_slopes
+        model = Aerodynamics(curved, glider.names, sampler=lambda n_paths, random_state: one)
         errors = []
         truth = solved(aircraft, curved, inputs, 2.0)
         for dt in (0.04, 0.02):
             t = np.arange(0.0, 2.0 + dt / 2, dt)
-            paths = fly(
-                aircraft, model, START, pd.DataFrame({"time": t, **inputs(t)}), dt=dt, n_paths=2
-            )
+            paths = fly(model, START, pd.DataFrame({"time": t, **inputs(t)}), dt=dt, n_paths=2)
             end = paths[paths["path"] == 1].iloc[-1]
             ground = end[["v_north", "v_east", "v_down"]] - truth[3:6]
             turning = end[["p", "q", "r"]] - truth[15:]
@@ -526,14 +488,14 @@ class TestEnsembles:
         assert errors[1] < errors[0] / 3
 
     def test_the_spread_by_a_drift_is_that_of_an_integrated_ornstein_uhlenbeck_process(
-        self, aircraft
+        self, aircraft, fly, glider
     ):
         """With CX alone and no gravity, u_dot = rho V^2 S CX / 2m, and the integral of CX has a known variance."""
         T, tau, V, rho = 0.5, 1e-3, 20.0, 1.2
         drift = Drift(np.array([tau**2, 0, 0, 0, 0, 0]), np.full(6, T))
         options = {"dt": 0.02, "duration": 3.0, "thrust": None, "n_paths": 1000}
         air = Air(density=rho, gravity=0.0)
-        paths = fly(aircraft, still(drift), {"airspeed": V}, REST, air=air, **options)
+        paths = fly(inert(glider, drift=drift), {"airspeed": V}, REST, air=air, **options)
         paths = paths.pivot(index="time", columns="path", values="u")
         t = paths.index.to_numpy()
         power = rho * V**2 * aircraft.wing_area / (2 * aircraft.mass)
@@ -541,10 +503,10 @@ class TestEnsembles:
         assert_allclose(paths.std(axis=1).iloc[10:], expected[10:], rtol=0.1)
         assert_allclose(paths.mean(axis=1), V, atol=4 * expected[-1] / np.sqrt(1000))
 
-    def test_a_drift_is_left_out_on_request_and_repeats_with_its_seed(self, aircraft):
+    def test_a_drift_is_left_out_on_request_and_repeats_with_its_seed(self, fly, glider):
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.5))
-        drifting, steady = uncertain(0.01, drift=drift), uncertain(0.01)
-        flown = partial(fly, aircraft, duration=0.2)
+        drifting, steady = glider.model(drift=drift), glider.model()
+        flown = partial(fly, duration=0.2)
         assert_frame_equal(flown(drifting), flown(steady))  # the mean has none
         paths = partial(flown, n_paths=2)
         assert_frame_equal(paths(drifting, air=Air(drift=False)), paths(steady))
@@ -552,27 +514,25 @@ class TestEnsembles:
         assert not paths(drifting).equals(paths(steady))
         assert not paths(drifting).equals(paths(drifting, random_state=1))
 
-    def test_a_model_without_beliefs_has_no_ensemble(self, aircraft):
+    def test_a_model_without_beliefs_has_no_ensemble(self, fly, glider):
         with pytest.raises(ValueError, match="without posterior samples"):
-            fly(aircraft, duration=1.0, n_paths=3)
+            fly(glider.model(has_paths=False), duration=1.0, n_paths=3)
         start = UncertainStart(START, {"speed": 1.0})
         with pytest.raises(ValueError, match="standard deviations of a start lack 'speed'"):
-            fly(aircraft, uncertain(0.1), start, duration=1.0, n_paths=3)
+            fly(x0=start, duration=1.0, n_paths=3)
 
 
 class TestSimulator:
     @pytest.mark.parametrize("lag", [0.0, 0.1])
     @pytest.mark.parametrize("gain", [0.0, 0.2])
-    def test_steps_are_those_of_a_held_law(self, aircraft, lag, gain):
+    def test_steps_are_those_of_a_held_law(self, aircraft, lag, gain, fly, glider):
         """Accelerometers show the controls before a step, in a table those after it: they agree where these rest."""
 
         def law(t, state):
             return commands(0.0) | {"aileron": -gain * (state["phi"] + 0.25 * state["p"])}
 
-        model, wind = linear(servo_lag=lag), [1.0, 2.0, 0.0]
-        at_once = fly(
-            aircraft, model, controls=FlightComputer(law), dt=0.02, duration=1.0, air=wind
-        )
+        model, wind = glider.model(servo_lag=lag), [1.0, 2.0, 0.0]
+        at_once = fly(model, controls=FlightComputer(law), dt=0.02, duration=1.0, air=wind)
         simulator = Simulator(model, aircraft, dt=0.02, air=wind)
         seen = simulator.reset(START, controls=law(0.0, START))
         names = ["time", *STATES] if gain else ["time", *STATES, *ACCELERATIONS]
@@ -581,25 +541,22 @@ class TestSimulator:
                 assert seen[name] == pytest.approx(row[name], abs=1e-10)
             seen = simulator.step(law(seen["time"], seen))
 
-    def test_accelerometers_show_the_forces_of_the_controls_that_were_held(self, aircraft):
-        simulator = Simulator(linear(), aircraft, dt=0.02)
+    def test_accelerometers_show_the_forces_of_the_controls_that_were_held(
+        self, aircraft, fly, glider
+    ):
+        simulator = Simulator(glider.model(), aircraft, dt=0.02)
         simulator.reset(START)
         seen = simulator.step(commands(0.7))
-        V, alpha, beta, *rates = (seen[name] for name in ("airspeed", "alpha", "beta", *"pqr"))
-        rates = np.array(rates) * [2.6, 0.55, 2.6] / (2 * V)
-        *surfaces, thrust = commands(0.7).values()
-        C = INTERCEPT + SLOPES @ [alpha, beta, *rates, *surfaces]
-        pressure = 0.5 * standard_density(seen["altitude"]) * V**2 * aircraft.wing_area
-        force = pressure * C[:3] + thrust * aircraft.thrust_line.direction
-        assert_allclose([seen[name] for name in ACCELERATIONS], force / aircraft.mass)
+        held = fly(controls=commands(0.7), dt=0.02, duration=0.02).iloc[-1]
+        assert_allclose([seen[name] for name in ACCELERATIONS], held[ACCELERATIONS].astype(float))
 
-    def test_accelerometers_of_a_start_without_controls_are_unknown(self, aircraft):
-        seen = Simulator(linear(), aircraft).reset(START)
+    def test_accelerometers_of_a_start_without_controls_are_unknown(self, aircraft, glider):
+        seen = Simulator(glider.model(), aircraft).reset(START)
         assert np.isnan([seen[name] for name in ACCELERATIONS]).all()
         assert np.isfinite(seen["airspeed"])
 
-    def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft):
-        simulator = Simulator(uncertain(0.1), aircraft)
+    def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft, glider):
+        simulator = Simulator(glider.model(), aircraft)
 
         def end(seed):
             simulator.reset(START, random_state=seed)
@@ -610,8 +567,8 @@ class TestSimulator:
         assert end(1) == end(1)
         assert end(1) != pytest.approx(end(2))
 
-    def test_says_when_it_is_over(self, aircraft):
-        simulator = Simulator(linear(0.0 * SLOPES, np.zeros(6)), aircraft, thrust=None)
+    def test_says_when_it_is_over(self, aircraft, glider):
+        simulator = Simulator(inert(glider), aircraft, thrust=None)
         with pytest.raises(ValueError, match="call reset"):
             simulator.step({})
         with pytest.raises(ValueError, match="2 starts, but expected one"):

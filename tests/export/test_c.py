@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp.dynamics import Aircraft
 from skdgp.export import export_model, write_c
 
 STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic"]
@@ -74,8 +73,8 @@ def test_make_test_passes(portable_of, tmp_path):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     model = portable_of("trend")
-    values = model.aircraft.to_dict() | {"name": 'a::b */ #error "é" \\ ??/ <&> $x --'}
-    write_c(tmp_path, replace(model, aircraft=Aircraft.from_dict(values)))
+    uav = replace(model.aircraft, name='a::b */ #error "é" \\ ??/ <&> $x --')
+    write_c(tmp_path, replace(model, aircraft=uav))
     assert "passed: 40 points" in done(tmp_path, "make", "test")
 
 
@@ -127,7 +126,7 @@ def test_a_size_is_kept(portable_of, tmp_path):
 
 @pytest.mark.parametrize(
     ("max_kb", "message"),
-    [(0, "max_kb=0, but expected a size > 0"), (1, "the smallest form of this model takes")],
+    [(0, "max_kb=0, but expected a number > 0"), (1, "the smallest form of this model takes")],
 )
 def test_a_size_that_cannot_be_is_refused(portable_of, tmp_path, max_kb, message):
     with pytest.raises(ValueError, match=message):

@@ -67,10 +67,11 @@ def ulog_keyed(kind, key, payload):
 
 def typed(field, n):
     """Return the type of a field of a ULog and its values, (n,) or (n, k): truth values, or numbers."""
-    if isinstance(field, tuple):
-        return field
-    values = np.asarray(field)
+    kind, values = field if isinstance(field, tuple) else ("", field)
+    values = np.asarray(values)
     values = np.broadcast_to(values, values.shape or n)
+    if kind:
+        return kind, values
     kind = "bool" if values.dtype == bool else "float"
     return (f"{kind}[{values.shape[1]}]" if values.ndim > 1 else kind), values
 
@@ -282,6 +283,8 @@ def px4(flight):
         for key, value in fields.items():
             if callable(value):
                 made[key] = value(t)
+            elif not isinstance(value, str):
+                made[key] = value
             else:
                 values = factor * flight.at(t, *value.split())
                 made[key] = values if " " in value else values[:, 0]
@@ -291,14 +294,10 @@ def px4(flight):
         """Return (w, x, y, z), by SciPy."""
         return np.roll(flight.attitude(t).as_quat(), 1, axis=1)
 
-    def always(kind, value):
-        """Return a field that is the same at any time."""
-        return lambda t: (kind, np.full(len(t), value))
-
     def pulses(t):
         return 1500 + 1000 * flight.at(t, "aileron", "elevator", "rudder", "rudder")
 
-    valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), always("bool", True))
+    valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), True)
     position = {
         "x": "north",
         "y": "east",
@@ -321,8 +320,8 @@ def px4(flight):
     add("actuator_motors", 50, control="throttle throttle throttle throttle")
     add("rpm", 10, factor=30 / np.pi, indicated_frequency_rpm="propeller_speed")
     add("actuator_outputs", 50, output=pulses)
-    add("vehicle_status", 1, vehicle_type=always("uint8_t", 2))
-    add("vehicle_land_detected", 1, landed=always("bool", False))
+    add("vehicle_status", 1, vehicle_type=("uint8_t", 2))
+    add("vehicle_land_detected", 1, landed=False)
     return bytes(log)
 
 

@@ -95,11 +95,6 @@ class TestChoices:
         """Return a log of gyros."""
         return ulog().topic("vehicle_angular_velocity", self.t, xyz=equal(np.sin(self.t)))
 
-    def test_a_slow_source_gives_way_to_a_fast_one(self, whole, log):
-        log.topic("airspeed_validated", np.arange(1.0, 13.0), true_airspeed_m_s=30.0)
-        log.topic("airspeed", self.t, true_airspeed_m_s=20.0)
-        assert whole(log).airspeed.median() == 20.0
-
     def test_samples_that_are_not_valid_are_missing(self, whole, log):
         t = self.t
         valid = ("bool", (t < 5) | (t > 6))

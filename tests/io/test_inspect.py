@@ -183,11 +183,3 @@ def test_servos_that_were_switched_off(bench):
     commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
     elevator = inspect_log(bench, servos=commands).columns.loc["elevator"]
     assert elevator["rate"] == pytest.approx(25, rel=0.01)
-
-
-def test_a_missing_channel_names_the_others(whole):
-    servos = {
-        "rudder": {"channel": "actuator_outputs.output[9]", "points": [[1000, -0.5], [2000, 0.5]]}
-    }
-    with pytest.raises(FlightReadError, match=r"expected one of \['actuator_outputs.output\[0\]'"):
-        inspect_log(whole, servos=servos)

@@ -10,32 +10,63 @@ from skdgp.preprocessing import FlightDataWarning
 T = 10 + np.arange(1500) / 50.0
 SLOW = T[::5]
 TRUE = 18 + np.sin(SLOW)
+# Left and right aileron of PX4 with flaps
+FLAPERONS = {"CA_SV_CS0_TYPE": 1, "CA_SV_CS1_TYPE": 2, "CA_SV_CS0_FLAP": 0.5}
+FLAPERONS |= {"CA_SV_CS1_FLAP": 0.5, "CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS1_TRQ_R": 0.5}
 
 
-def gyros(log):
-    return log.topic("IMU", T, **{f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"})
+@pytest.fixture
+def plane(dataflash):
+    """Return a function to a log of ArduPilot's gyros, with messages and parameters."""
+    rates = {f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"}
+    return lambda *messages, **values: dataflash(*messages, **values).topic("IMU", T, **rates)
 
 
-def second(log, own_message):
-    """Return the name and the fields of the second airspeed sensor."""
-    return ("ASP2", {}) if own_message else ("ARSP", {"I": ("B", 1)})
+@pytest.fixture
+def px4(ulog):
+    """Return a function to a log of PX4's gyros, with parameters."""
+    rates = np.outer(np.sin(T), [1, 1, 1])
+    return lambda **values: ulog(**values).topic("vehicle_angular_velocity", T, xyz=rates)
+
+
+@pytest.fixture
+def surfaces(read):
+    """Read the surfaces of a log in parts of their full throw, without its ends."""
+    return lambda log, name="log.ulg": read(log, name, servos="full throw", airborne=False)[10:-10]
+
+
+def pulse(part):
+    """Return pulses of parts of the full throw."""
+    return "H", 1500 + 400 * part
+
+
+def assert_is_cut(table):
+    """A flight ends where the heading jumps, and in none it does."""
+    assert table.flight.nunique() == 2
+    steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
+    assert np.abs(steps).max() < 0.01
+
+
+def assert_is_the_true_airspeed(table):
+    assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
 
 
 class TestArduPilot:
     @pytest.mark.parametrize("own_message", [False, True])
-    def test_a_healthy_sensor_stands_in_for_a_failed_one(self, read, dataflash, own_message):
-        log = gyros(dataflash())
-        number = {} if own_message else {"I": ("B", 0)}
-        log.topic("ARSP", SLOW, **number, Airspeed=("f", 0.0), H=("B", 0))
-        name, number = second(log, own_message)
-        log.topic(name, SLOW + 1e-3, **number, Airspeed=("f", TRUE), H=("B", 1))
+    def test_a_healthy_sensor_stands_in_for_a_failed_one(self, read, own_message, plane):
+        log = plane()
+        names = ("ARSP", "ASP2") if own_message else ("ARSP", "ARSP")
+        for number, (name, airspeed) in enumerate(zip(names, (0.0, TRUE), strict=True)):
+            instance = {} if own_message else {"I": ("B", number)}
+            health = ("B", number)
+            log.topic(name, SLOW + 1e-3 * number, **instance, Airspeed=("f", airspeed), H=health)
         with pytest.warns(FlightDataWarning, match="of 2 instances"):
             table = read(log, "log.bin", airborne=False)
-        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
+        assert_is_the_true_airspeed(table)
 
-    def test_the_primary_counts_at_each_time(self, read, dataflash):
+    def test_the_primary_counts_at_each_time(self, read, plane):
         """Both are healthy, and the primary changes at 25 s."""
-        log = gyros(dataflash())
+        log = plane()
         primary = ("B", SLOW > 25)
         for number, airspeed in enumerate((20.0, 30.0)):
             instance = {"I": ("B", number), "Airspeed": ("f", airspeed)}
@@ -45,16 +76,16 @@ class TestArduPilot:
         assert_allclose(table.airspeed[table.time < 24.9], 20.0)
         assert_allclose(table.airspeed[table.time > 25.3].dropna(), 30.0)
 
-    def test_the_primary_of_the_parameters(self, read, dataflash):
-        log = gyros(dataflash(ARSPD_PRIMARY=1.0))
+    def test_the_primary_of_the_parameters(self, read, plane):
+        log = plane(ARSPD_PRIMARY=1.0)
         log.topic("ARSP", SLOW, Airspeed=("f", 12.0), Health=("B", 1))
         log.topic("ASP2", SLOW + 1e-3, Airspeed=("f", TRUE), Health=("B", 1))
         with pytest.warns(FlightDataWarning, match="as ARSPD_PRIMARY says"):
             table = read(log, "log.bin", airborne=False)
-        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
+        assert_is_the_true_airspeed(table)
 
-    def test_the_lane_of_the_estimator(self, read, dataflash):
-        log = gyros(dataflash())
+    def test_the_lane_of_the_estimator(self, read, plane):
+        log = plane()
         for lane, speed in enumerate((1.0, 9.0)):
             velocity = dict.fromkeys(("VN", "VE", "VD"), ("f", speed))
             log.topic("XKF1", SLOW + lane * 1e-3, C=("B", lane), **velocity)
@@ -64,9 +95,9 @@ class TestArduPilot:
         assert_allclose(table.v_north.dropna(), 9.0)
 
     @pytest.mark.parametrize("kind", [0, 2, 3, 11])
-    def test_an_estimator_that_was_not_flown_by_is_no_source(self, read, dataflash, kind):
+    def test_an_estimator_that_was_not_flown_by_is_no_source(self, read, kind, plane):
         """AHRS_EKF_TYPE 0 and 11 are none of those that log a velocity: it is the one of the GPS."""
-        log = gyros(dataflash(AHRS_EKF_TYPE=float(kind)))
+        log = plane(AHRS_EKF_TYPE=float(kind))
         for name, speed in (("NKF1", 2.0), ("XKF1", 3.0)):
             log.topic(name, SLOW, **dict.fromkeys(("VN", "VE", "VD"), ("f", speed)))
         log.topic("GPS", SLOW, Status=("B", 3), Spd=("f", 9.0), GCrs=("f", 0.0), VZ=("f", 0.0))
@@ -89,16 +120,16 @@ class TestArduPilot:
 class TestPX4:
     @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
     @pytest.mark.parametrize("source", [0, -1, 4])
-    def test_what_no_sensor_measured_is_no_airspeed(self, read, ulog, field, source):
-        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
-        kind = {field: ("int32_t", np.full(len(SLOW), source))}
+    def test_what_no_sensor_measured_is_no_airspeed(self, read, field, source, px4):
+        log = px4()
+        kind = {field: ("int32_t", source)}
         log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, **kind)
         log.topic("airspeed", SLOW, true_airspeed_m_s=2.0)
         with pytest.warns(FlightDataWarning, match=rf"{field} \[{source}\]"):
             assert "airspeed" not in read(log, airborne=False)
 
-    def test_a_sensor_that_fails_in_flight(self, read, ulog):
-        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+    def test_a_sensor_that_fails_in_flight(self, read, px4):
+        log = px4()
         source = ("int32_t", np.where(SLOW < 20, 2, 0))
         log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, airspeed_source=source)
         with pytest.warns(FlightDataWarning, match=r"in 67 % of its messages airspeed_source"):
@@ -123,7 +154,7 @@ class TestPX4:
     def test_a_selection_that_is_logged_once(self, read, ulog):
         log = ulog()
         for number in range(2):
-            device = ("int32_t", np.full(len(T), 100 + number))
+            device = ("int32_t", 100 + number)
             rates = {axis: np.sin(T) + number for axis in "xyz"}
             log.topic("sensor_gyro", T, instance=number, device_id=device, **rates)
         log.topic("sensor_selection", SLOW[:1], gyro_device_id=("int32_t", np.array([101])))
@@ -131,8 +162,8 @@ class TestPX4:
             table = read(log, airborne=False)
         assert_allclose(table.p[10:-10], 1 + np.sin(table.time[10:-10]), atol=0.01)
 
-    def test_a_sensor_without_confidence(self, read, ulog):
-        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+    def test_a_sensor_without_confidence(self, read, px4):
+        log = px4()
         fails = SLOW > 25
         first = np.where(fails, 0.0, TRUE)
         log.topic("airspeed", SLOW, true_airspeed_m_s=first, confidence=np.where(fails, 0.0, 1.0))
@@ -140,14 +171,14 @@ class TestPX4:
         log.topic("airspeed", SLOW, instance=1, **fields)
         with pytest.warns(FlightDataWarning, match=r"airspeed#1 \(the healthiest\)"):
             table = read(log, airborne=False)
-        assert_allclose(table.airspeed[10:-10], 18 + np.sin(table.time[10:-10]), atol=0.02)
+        assert_is_the_true_airspeed(table)
 
 
 class TestResets:
     """The velocity jumps by 5 m/s, or the heading by 0.6 rad, at 25 s."""
 
-    def test_a_velocity_is_corrected_by_the_logged_change(self, read, ulog):
-        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.sin(np.outer(T, [1, 2, 3])))
+    def test_a_velocity_is_corrected_by_the_logged_change(self, read, px4):
+        log = px4()
         late = SLOW >= 25
         counter = ("uint8_t", late)
         change = np.tile([5.0, 0.0], (len(SLOW), 1))
@@ -165,12 +196,10 @@ class TestResets:
         log = ulog().topic("vehicle_attitude", T, q=q, quat_reset_counter=("uint8_t", T >= 25))
         with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
             table = read(log, airborne=False)
-        assert table.flight.nunique() == 2
-        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
-        assert np.abs(steps).max() < 0.01
+        assert_is_cut(table)
 
     @pytest.mark.parametrize("suffix", ["ulg", "bin"])
-    def test_a_heading_whose_reset_another_topic_counts_is_cut(self, read, ulog, dataflash, suffix):
+    def test_a_heading_whose_reset_another_topic_counts_is_cut(self, read, ulog, suffix, plane):
         """It jumps by 0.6 rad at 25 s, which a slower message tells a little later."""
         heading = 0.1 * T - 0.6 * (T < 25)
         late = SLOW >= 25.05
@@ -179,28 +208,24 @@ class TestResets:
             log = ulog().topic("vehicle_attitude", T, q=q)
             log.topic("vehicle_local_position", SLOW, heading_reset_counter=("uint8_t", late))
         else:
-            log = gyros(dataflash()).topic("XKF4", SLOW, C=("B", 0), PI=("B", late))
+            log = plane().topic("XKF4", SLOW, C=("B", 0), PI=("B", late))
             angles = {"Roll": ("c", 0), "Pitch": ("c", 0), "Yaw": ("C", np.degrees(heading) % 360)}
             log.topic("ATT", T, **angles)
         with pytest.warns(FlightDataWarning, match=r"a new flight begins, at 25.0 s"):
             table = read(log, f"log.{suffix}", airborne=False)
-        assert table.flight.nunique() == 2
-        steps = np.diff(np.unwrap(table.psi))[np.diff(table.time) < 0.03]
-        assert np.abs(steps).max() < 0.01
+        assert_is_cut(table)
 
 
 class TestVehicles:
     @pytest.mark.parametrize(("kind", "axis", "sign"), [(2, 0, 1), (1, 2, -1), (0, 2, -1)])
-    def test_a_vtol_is_read_in_forward_flight_alone(self, read, ulog, kind, axis, sign):
+    def test_a_vtol_is_read_in_forward_flight_alone(self, read, kind, axis, sign, px4):
         """It is in transition before 20 s; the thrust of tilted rotors is along -z."""
-        log = ulog(VT_TYPE=kind).topic(
-            "vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1])
-        )
+        log = px4(VT_TYPE=kind)
         thrust = np.zeros((len(T), 3))
         thrust[:, axis] = sign * 0.55
         log.topic("vehicle_thrust_setpoint", T, xyz=thrust)
         log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
-        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool))
+        log.topic("vehicle_status", SLOW, is_vtol=True)
         state = ("uint8_t", np.where(SLOW < 20, 1, 4))
         log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=state)
         with pytest.warns(FlightDataWarning, match="rotors lift"):
@@ -226,8 +251,8 @@ class TestVehicles:
         log.topic("vehicle_angular_velocity", T, xyz=to_hover.apply(rates))
         log.topic("vehicle_acceleration", T, xyz=to_hover.apply(force))
         log.topic("vehicle_attitude", T, q=q)
-        status = {"is_vtol_tailsitter": np.ones(len(SLOW), bool)} if by_status else {}
-        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool), **status)
+        status = {"is_vtol_tailsitter": True} if by_status else {}
+        log.topic("vehicle_status", SLOW, is_vtol=True, **status)
         up, right = 0.3 * np.cos(T), 0.2 * np.sin(T)
         log.topic("actuator_servos", T, control=np.column_stack([up - right, up + right]))
         table = read(log, servos="full throw", airborne=False)
@@ -237,8 +262,8 @@ class TestVehicles:
         assert_allclose(table.aileron, right[: len(table)], atol=1e-3)
         assert_allclose(table.elevator, -up[: len(table)], atol=1e-3)
 
-    def test_thrust_goes_with_the_squares_of_all_engines(self, read, dataflash):
-        log = gyros(dataflash())
+    def test_thrust_goes_with_the_squares_of_all_engines(self, read, plane):
+        log = plane()
         for number, speed in enumerate((0.0, 6000.0)):
             rpm = np.where(SLOW > 25, speed, 6000.0)
             log.topic("ESC", SLOW, Instance=("B", number), RPM=("f", rpm))
@@ -247,21 +272,20 @@ class TestVehicles:
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
 
-    def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, dataflash):
-        log = gyros(dataflash())
+    def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, plane):
+        log = plane()
         for number, speed in enumerate((9000.0, 6000.0)):
             message = {"I": ("B", number), "RPM": ("f", speed), "H": ("B", number)}
             log.topic("RPM", SLOW + number * 1e-3, **message)
         table = read(log, "log.bin", airborne=False)
         assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
 
-    def test_an_engine_that_is_switched_off(self, read, ulog):
+    def test_an_engine_that_is_switched_off(self, read, px4):
         """The right one of two gets no number from 25 s on; the thrust that was asked for stays."""
-        log = ulog(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
-        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log = px4(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
         log.topic("vehicle_thrust_setpoint", SLOW, xyz=np.outer(np.ones(len(SLOW)), [0.6, 0, 0]))
         right = np.where(SLOW < 25, 0.6, np.nan)
-        motors = np.column_stack([np.full(len(SLOW), 0.6), right])
+        motors = np.column_stack([0.6 + 0 * SLOW, right])
         log.topic("actuator_motors", SLOW, control=motors)
         table = read(log, airborne=False)
         early, late = table[table.time < 24.8], table[table.time > 25.2]
@@ -269,11 +293,11 @@ class TestVehicles:
         late = late[["throttle", "differential_throttle"]].dropna()
         assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
 
-    def test_engines_that_lift_a_vtol_do_not_drive_it(self, read, dataflash):
+    def test_engines_that_lift_a_vtol_do_not_drive_it(self, read, plane):
         """Four lift until 20 s, then the fifth pushes."""
         lifts = SLOW < 20
         motors = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
-        log = gyros(dataflash("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors))
+        log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors)
         pulse = ("H", np.where(lifts, 1600, 1000))
         log.topic("RCOU", SLOW, **dict.fromkeys(("C5", "C6", "C7", "C8"), pulse))
         for k in range(5):
@@ -284,11 +308,11 @@ class TestVehicles:
             table = read(log, "log.bin")
         assert_allclose(table.propeller_speed[table.time > 20.5], 200 * np.pi, rtol=1e-6)
 
-    def test_the_motor_that_drives_a_vtol_of_px4(self, read, ulog):
+    def test_the_motor_that_drives_a_vtol_of_px4(self, read, px4):
         lifts = SLOW < 20
-        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log = px4()
         log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
-        log.topic("vehicle_status", SLOW, is_vtol=np.ones(len(SLOW), bool))
+        log.topic("vehicle_status", SLOW, is_vtol=True)
         state = ("uint8_t", np.where(lifts, 3, 4))
         log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=state)
         commands = np.where(lifts[:, None], [0.5, 0.5, np.nan], [np.nan, np.nan, 0.7])
@@ -298,8 +322,8 @@ class TestVehicles:
         assert_allclose(table.throttle[table.time > 20.5], 0.7, rtol=1e-6)
 
     @pytest.mark.parametrize("name", ["RPM", "ESC2"])
-    def test_the_engine_that_runs(self, read, dataflash, name):
-        log = gyros(dataflash())
+    def test_the_engine_that_runs(self, read, name, plane):
+        log = plane()
         if name == "RPM":
             log.topic("RPM", SLOW, rpm1=("f", 0.0), rpm2=("f", 6000.0))
         else:
@@ -307,138 +331,121 @@ class TestVehicles:
         table = read(log, "log.bin", airborne=False)
         assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
 
-    def test_a_v_tail_on_outputs_of_two_messages(self, read, dataflash):
+    def test_a_v_tail_on_outputs_of_two_messages(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
-        functions = {"SERVO5_FUNCTION": 79.0, "SERVO15_FUNCTION": 80.0, "SERVO15_REVERSED": 1.0}
-        log = gyros(dataflash(**functions))
+        log = plane(SERVO5_FUNCTION=79.0, SERVO15_FUNCTION=80.0, SERVO15_REVERSED=1.0)
         up, right = 0.3 * np.sin(SLOW), 0.2 * np.cos(SLOW)
-        log.topic("RCOU", SLOW, C5=("H", 1500 + 400 * (up + right)))
-        log.topic("RCO2", SLOW + 1e-4, C15=("H", 1500 - 400 * (up - right)))
-        table = read(log, "log.bin", servos="full throw", airborne=False).iloc[10:-10]
+        log.topic("RCOU", SLOW, C5=pulse(up + right))
+        log.topic("RCO2", SLOW + 1e-4, C15=pulse(right - up))
+        table = surfaces(log, "log.bin")
         assert_allclose(table.elevator, -0.3 * np.sin(table.time), atol=0.01)
         assert_allclose(table.rudder, -0.2 * np.cos(table.time), atol=0.01)
 
-    def test_surfaces_beyond_the_number_of_surfaces_are_none(self, read, ulog):
+    def test_surfaces_beyond_the_number_of_surfaces_are_none(self, read, px4):
         """Their types are left from an earlier configuration, and their outputs are not used."""
-        log = ulog(CA_SV_CS_COUNT=1, CA_SV_CS0_TYPE=3, CA_SV_CS1_TYPE=9)
-        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
-        outputs = np.column_stack([0.1 * np.sin(SLOW), np.full(len(SLOW), np.nan)])
+        log = px4(CA_SV_CS_COUNT=1, CA_SV_CS0_TYPE=3, CA_SV_CS1_TYPE=9)
+        outputs = np.column_stack([0.1 * np.sin(SLOW), np.nan * SLOW])
         log.topic("actuator_servos", SLOW, control=outputs)
         table = read(log, servos="full throw", airborne=False)
         assert {"elevator", "flap"} & {*table} == {"elevator"}
 
     @pytest.mark.parametrize(("reverse", "turn"), [(0.0, 1.0), (1.0, -1.0)])
-    def test_flaperons(self, read, dataflash, reverse, turn):
+    def test_flaperons(self, reverse, turn, plane, surfaces):
         """left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
-        functions = {"SERVO1_FUNCTION": 24.0, "SERVO5_FUNCTION": 25.0, "SERVO5_REVERSED": reverse}
-        log = gyros(dataflash(**functions))
+        log = plane(SERVO1_FUNCTION=24.0, SERVO5_FUNCTION=25.0, SERVO5_REVERSED=reverse)
         aileron, flap = 0.3 * np.sin(SLOW), 0.2 * (SLOW > 30)
-        left, right = 1500 + 400 * (aileron + flap), 1500 + turn * 400 * (aileron - flap)
-        log.topic("RCOU", SLOW, C1=("H", left), C5=("H", right))
-        table = read(log, "log.bin", servos="full throw", airborne=False)
-        inside = table.iloc[10:-10]
+        log.topic("RCOU", SLOW, C1=pulse(aileron + flap), C5=pulse(turn * (aileron - flap)))
+        inside = surfaces(log, "log.bin")
         assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)
         assert_allclose(inside.flap[inside.time > 30.5], 0.2, atol=0.01)
 
-    def test_flaperons_against_their_parameters_are_told(self, read, dataflash):
-        functions = {"SERVO1_FUNCTION": 24.0, "SERVO5_FUNCTION": 25.0}
-        log = gyros(dataflash(**functions))
+    def test_flaperons_against_their_parameters_are_told(self, plane, surfaces):
+        log = plane(SERVO1_FUNCTION=24.0, SERVO5_FUNCTION=25.0)
         aileron, flap = 0.3 * np.sin(SLOW), 0.9 * (SLOW > 30)
-        left, right = 1500 + 400 * (aileron + flap), 1500 + 400 * (flap - aileron)
-        log.topic("RCOU", SLOW, C1=("H", left), C5=("H", right))
+        log.topic("RCOU", SLOW, C1=pulse(aileron + flap), C5=pulse(flap - aileron))
         with pytest.warns(FlightDataWarning, match="move against each other"):
-            table = read(log, "log.bin", servos="full throw", airborne=False)
-        inside = table.iloc[10:-10]
+            inside = surfaces(log, "log.bin")
         assert_allclose(inside.aileron, 0.3 * np.sin(inside.time), atol=0.01)
 
     @pytest.mark.parametrize("reverse", [0.0, 1.0])
-    def test_flaps_and_a_twin_of_ardupilot(self, read, dataflash, reverse):
+    def test_flaps_and_a_twin_of_ardupilot(self, reverse, plane, surfaces):
         """Ranges from MIN to MAX; throttle +- half the rudder's part (ArduPlane/servos.cpp)."""
         functions = {"SERVO3_FUNCTION": 73.0, "SERVO4_FUNCTION": 74.0, "SERVO6_FUNCTION": 3.0}
         ends = {
             f"SERVO{n}_{end}": us for n in (3, 4, 6) for end, us in (("MIN", 1e3), ("MAX", 2e3))
         }
-        log = gyros(dataflash(**functions, **ends, SERVO6_REVERSED=reverse))
+        log = plane(**functions, **ends, SERVO6_REVERSED=reverse)
         yaw, flap = 0.1 * np.sin(SLOW), 0.4
         pulse = 1000 + 1000 * (1 - flap if reverse else flap)
         engines = {"C3": ("H", 1600 + 500 * yaw), "C4": ("H", 1600 - 500 * yaw)}
         log.topic("RCOU", SLOW, **engines, C6=("H", pulse))
-        table = read(log, "log.bin", servos="full throw", airborne=False).iloc[10:-10]
+        table = surfaces(log, "log.bin")
         assert_allclose(table.flap, flap)
         assert_allclose(table.differential_throttle, 0.1 * np.sin(table.time), atol=0.002)
 
     @pytest.mark.parametrize("second", [0.5, 0.3])
-    def test_flaperons_of_px4(self, read, ulog, second):
+    def test_flaperons_of_px4(self, read, second, px4, surfaces):
         """The flap is read where rolling leaves the mean of the ailerons over their CA_SV_CSn_FLAP alone."""
-        flaps = {"CA_SV_CS0_FLAP": 0.5, "CA_SV_CS1_FLAP": second}
-        torques = {"CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS1_TRQ_R": 0.5}
-        log = ulog(CA_SV_CS0_TYPE=1, CA_SV_CS1_TYPE=2, **flaps, **torques)
-        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log = px4(**FLAPERONS | {"CA_SV_CS1_FLAP": second})
         roll, flap = 0.2 * np.sin(SLOW), 0.3
         outputs = [0.5 * (2 * flap - 1) - roll, second * (2 * flap - 1) + roll]
         log.topic("actuator_servos", SLOW, control=np.column_stack(outputs))
-        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        table = surfaces(log)
         assert ("flap" in table) == (second == 0.5)
         if second == 0.5:
             assert_allclose(table.flap, flap, atol=1e-6)
             assert_allclose(table.aileron, 0.2 * np.sin(table.time), atol=0.002)
 
     @pytest.mark.parametrize("scales", [{}, {"CA_SV_CS0_FLAP": 0.8, "CA_SV_CS1_FLAP": -0.8}])
-    def test_flaps_and_a_twin_of_px4(self, read, ulog, scales):
+    def test_flaps_and_a_twin_of_px4(self, scales, px4, surfaces):
         """(2 f - 1) CA_SV_CSn_FLAP, without it f on the left, -f on the right."""
         sides = {"CA_ROTOR0_PY": -0.5, "CA_ROTOR1_PY": 0.5}
-        log = ulog(CA_SV_CS0_TYPE=9, CA_SV_CS1_TYPE=10, **sides, **scales)
-        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log = px4(CA_SV_CS0_TYPE=9, CA_SV_CS1_TYPE=10, **sides, **scales)
         servos = [-0.16, 0.16] if scales else [0.4, -0.4]
         log.topic("actuator_servos", SLOW, control=np.tile(servos, (len(SLOW), 1)))
         log.topic("actuator_motors", SLOW, control=np.tile([0.6, 0.5], (len(SLOW), 1)))
-        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        table = surfaces(log)
         assert_allclose(table.flap, 0.4, atol=1e-6)
         assert_allclose(table.differential_throttle, 0.1, atol=1e-6)
 
     @pytest.mark.parametrize("share", [-1.0, 0.0])
     @pytest.mark.parametrize("kinds", [(17, 18), (11,)])
-    def test_spoilers_of_px4(self, read, ulog, kinds, share):
+    def test_spoilers_of_px4(self, kinds, share, px4, surfaces):
         """s CA_SV_CSn_SPOIL, of spoilers since version 1.16 (2 s - 1) CA_SV_CSn_SPOIL."""
         parameters = {}
         for n, kind in enumerate(kinds):
             parameters |= {f"CA_SV_CS{n}_TYPE": kind, f"CA_SV_CS{n}_SPOIL": 0.8}
-        log = ulog(**parameters)
-        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log = px4(**parameters)
         opening = 0.5 + 0.5 * np.sin(SLOW)
         output = 0.8 * (share + (1 - share) * opening)
         log.topic("actuator_servos", SLOW, control=np.column_stack([output] * len(kinds)))
-        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        table = surfaces(log)
         assert_allclose(table.spoiler, 0.5 + 0.5 * np.sin(table.time), atol=0.003)
 
-    def test_flaperons_of_px4_that_only_open(self, read, ulog):
+    def test_flaperons_of_px4_that_only_open(self, px4, surfaces):
         """Since version 1.16 they are closed at zero, and open by f CA_SV_CSn_FLAP."""
-        parameters = {"CA_SV_CS0_TYPE": 1, "CA_SV_CS1_TYPE": 2}
-        for n, torque in enumerate((-0.5, 0.5)):
-            parameters |= {f"CA_SV_CS{n}_FLAP": 0.5, f"CA_SV_CS{n}_TRQ_R": torque}
-        log = ulog(**parameters)
-        log.topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+        log = px4(**FLAPERONS)
         roll, flap = 0.2 * np.sin(SLOW), np.clip((SLOW - 20) / 10, 0.0, 1.0)
         outputs = np.column_stack([0.5 * flap - roll, 0.5 * flap + roll])
         log.topic("actuator_servos", SLOW, control=outputs)
-        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        table = surfaces(log)
         assert_allclose(table.flap, np.clip((table.time - 20) / 10, 0.0, 1.0), atol=0.005)
 
     @pytest.mark.parametrize(("field", "column"), [(4, "flap"), (5, "spoiler"), (6, "spoiler")])
-    def test_flaps_and_spoilers_before_a_fixed_mixer(self, read, ulog, field, column):
-        log = ulog().topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+    def test_flaps_and_spoilers_before_a_fixed_mixer(self, field, column, px4, surfaces):
+        log = px4()
         controls = np.zeros((len(SLOW), 8))
         controls[:, field] = 0.5 + 0.5 * np.sin(SLOW)
         log.topic("actuator_controls_0", SLOW, control=controls)
-        table = read(log, servos="full throw", airborne=False).iloc[10:-10]
+        table = surfaces(log)
         assert {"flap", "spoiler"} & {*table} == {column}
         assert_allclose(table[column], 0.5 + 0.5 * np.sin(table.time), atol=0.003)
 
-    def test_an_output_that_is_off_gives_way_to_one_that_moves(self, read, dataflash):
+    def test_an_output_that_is_off_gives_way_to_one_that_moves(self, plane, surfaces):
         """Two outputs have the function of the aileron, and the first gets no pulse."""
-        log = gyros(dataflash(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=4.0))
-        log.topic("RCOU", SLOW, C1=("H", 0), C5=("H", 1500 + 120 * np.sin(SLOW)))
-        table = read(log, "log.bin", servos="full throw", airborne=False).iloc[10:-10]
+        log = plane(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=4.0)
+        log.topic("RCOU", SLOW, C1=("H", 0), C5=pulse(0.3 * np.sin(SLOW)))
+        table = surfaces(log, "log.bin")
         assert_allclose(table.aileron, 0.3 * np.sin(table.time), atol=0.005)
 
 
@@ -468,24 +475,24 @@ class TestInertialSensors:
         """By its identifier, also of integrals over 20 ms."""
         log = ulog()
         for number in range(2):
-            device = ("uint32_t", np.full(len(T), 100 + number))
+            device = ("uint32_t", 100 + number)
             rates = np.full((len(T), 3), 1.0 + number)
             if is_integral:
-                period = ("uint32_t", np.full(len(T), 20_000))
+                period = ("uint32_t", 20_000)
                 fields = {"delta_angle": 0.02 * rates, "delta_angle_dt": period}
                 log.topic("vehicle_imu", T, instance=number, gyro_device_id=device, **fields)
             else:
                 axes = dict(zip("xyz", rates.T, strict=True))
                 log.topic("sensor_gyro", T, instance=number, device_id=device, **axes)
-        log.topic(topic, SLOW, **{field: ("uint32_t", np.full(len(SLOW), 101))})
+        log.topic(topic, SLOW, **{field: ("uint32_t", 101)})
         with pytest.warns(FlightDataWarning, match=f"as {topic}.{field} says"):
             table = read(log, airborne=False)
         assert_allclose(table.p, 2.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])
-def test_a_gps_without_a_fix_measures_nothing(read, ulog, name):
-    log = ulog().topic("vehicle_angular_velocity", T, xyz=np.outer(np.sin(T), [1, 1, 1]))
+def test_a_gps_without_a_fix_measures_nothing(read, name, px4):
+    log = px4()
     has_fix = SLOW > 20
     velocity = dict.fromkeys(("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), np.where(has_fix, 9.0, 0.0))
     fix = {"fix_type": ("uint8_t", np.where(has_fix, 3, 1))}

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.design import Wavetrain, ardupilot_script, doublet
 from skdgp.io import FlightReadError, read_servos
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
@@ -124,17 +123,6 @@ class TestFullThrow:
         table = read(log, servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
-    def test_a_v_tail_of_ardupilot(self, read, dataflash):
-        """left = elevator + rudder, right = elevator - rudder, of commands that pitch up and yaw right."""
-        functions = {"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 79.0, "SERVO4_FUNCTION": 80.0}
-        log = dataflash(**functions, SERVO4_REVERSED=1.0)
-        t = np.arange(0, 10, 0.05)
-        aileron, left, right = 1500 + 400 * np.array([ROLL, PITCH + YAW, YAW - PITCH])
-        log.topic("RCOU", t, C1=("H", aileron), C2=("H", left), C4=("H", right))
-        log.topic("ARSP", t, Airspeed=("f", 20.0), H=("B", 1))
-        table = read(log, "log.bin", servos="full throw", airborne=False)
-        assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
-
     def test_full_throws_are_no_large_angles(self, read, dataflash):
         t = np.arange(0, 10, 0.05)
         log = dataflash(SERVO1_FUNCTION=4.0).topic("RCOU", t, C1=("H", np.where(t < 5, 1900, 1500)))
@@ -170,15 +158,6 @@ def test_servos_of_px4(parse, ulog, topic, parameters):
     log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))
     _, servo = parse(log).controls["elevator"][0]
     assert servo.channel == f"{topic}.control[1]"
-
-
-def test_a_plan_for_a_v_tail():
-    """The script moves both halves: elevator alike, rudder against each other, against ArduPilot's outputs, up."""
-    train = Wavetrain({"elevator": {0.0: doublet(0.5, 0.1)}, "rudder": {2.0: doublet(0.5, 0.1)}})
-    text = ardupilot_script(train, 50.0, {"vtail_left": 0.4, "vtail_right": 0.4})
-    assert "servo = 79, full = -0.4" in text
-    assert "parts = {1.0, 1.0}" in text
-    assert "parts = {1.0, -1.0}" in text
 
 
 PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")

@@ -11,6 +11,35 @@ from pandas.testing import assert_frame_equal
 from skdgp.io import FlightReadError
 from skdgp.preprocessing import FlightDataWarning
 
+
+@pytest.fixture
+def mavlink():
+    return pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+
+
+@pytest.fixture
+def plane(mavlink):
+    """Return the vehicle that sends the messages."""
+    return mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+
+@pytest.fixture
+def at(plane):
+    """Return a function to a message of the vehicle that arrives with another."""
+    return lambda stamped, message: stamped[:8] + message.pack(plane)
+
+
+@pytest.fixture
+def is_of(mavlink):
+    """Return a function that tells whether a stamped message is of a type, by its name."""
+
+    def is_of(message, name):
+        number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+        return int.from_bytes(message[15:18], "little") == number
+
+    return is_of
+
+
 # Largest errors of what has a clock of its own
 ERRORS = {"p": 2e-3, "az": 2e-2, "phi": 2e-3, "v_east": 2e-2, "altitude": 0.1, "density": 2e-3}
 
@@ -46,20 +75,16 @@ def test_damage_costs_only_itself(tlog, read):
     assert len(table) > 0.95 * len(read(b"".join(tlog), "log.tlog"))
 
 
-def test_a_vehicle_that_was_never_armed(tlog, read):
+def test_a_vehicle_that_was_never_armed(tlog, read, mavlink, at, is_of):
     """Its heartbeats are left out, and one without the flag (128) follows each attitude."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     beat = mavlink.MAVLink_heartbeat_message(1, 3, 1, 0, 0, 3)
-    disarmed = beat.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))
-    messages = [message for message in tlog if not is_of(message, mavlink.MAVLINK_MSG_ID_HEARTBEAT)]
-    attitudes = [m for m in messages if is_of(m, mavlink.MAVLINK_MSG_ID_ATTITUDE)]
-    log = messages + [message[:8] + disarmed for message in attitudes]
+    messages = [message for message in tlog if not is_of(message, "HEARTBEAT")]
+    log = messages + [at(message, beat) for message in messages if is_of(message, "ATTITUDE")]
     with pytest.warns(FlightDataWarning, match="never armed: HEARTBEAT.armed is never 1, but"):
         read(b"".join(log), "log.tlog")
 
 
-def test_of_two_vehicles_one_is_read(tlog, read):
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+def test_of_two_vehicles_one_is_read(tlog, read, mavlink):
     attitude = mavlink.MAVLink_attitude_message(15000, 0, 0, 0, 0, 0, 0)
     second = attitude.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1))
     log = [*tlog, tlog[-1][:8] + second]
@@ -69,83 +94,60 @@ def test_of_two_vehicles_one_is_read(tlog, read):
 
 
 @pytest.mark.parametrize("told_by", ["state", "motors", "mode"])
-def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, told_by):
+def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, mavlink, plane, at, is_of, told_by):
     """It hovers until 20 s, by MAV_VTOL_STATE, the pulse of a motor that lifts, or QHOVER, number 18."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    log = []
     parameters = {} if told_by == "state" else {b"Q_ENABLE": 1.0}
     if told_by == "motors":
         parameters[b"SERVO5_FUNCTION"] = 33.0
-    hovers = True
+    log = []
     for name, value in parameters.items():
-        message = mavlink.MAVLink_param_value_message(name, value, 9, 2, 0)
-        log.append(tlog[0][:8] + message.pack(plane))
+        log.append(at(tlog[0], mavlink.MAVLink_param_value_message(name, value, 9, 2, 0)))
+    replaced = {"mode": "HEARTBEAT", "motors": "SERVO_OUTPUT_RAW"}.get(told_by)
     for message in tlog:
-        is_output = is_of(message, mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW)
-        if is_output:
+        if replaced is None or not is_of(message, replaced):
+            log.append(message)
+        if is_of(message, "SERVO_OUTPUT_RAW"):
             sent = plane.decode(bytearray(message[8:]))
             hovers = sent.time_usec < 20e6
-            state = mavlink.MAVLink_extended_sys_state_message(3 if hovers else 4, 2)
-            pulse = 1600 if hovers else 1000
-            pulses = [sent.servo1_raw, sent.servo2_raw, sent.servo3_raw, sent.servo4_raw, pulse]
-            output = (sent.time_usec, 0, *pulses, 1500, 1500, 1500)
-            if told_by == "motors":
-                message = message[:8] + mavlink.MAVLink_servo_output_raw_message(*output).pack(
-                    plane
-                )
-            elif told_by == "state":
-                log.append(message[:8] + state.pack(plane))
-            else:
-                mode = 18 if hovers else 5
-                beat = mavlink.MAVLink_heartbeat_message(1, 3, 128, mode, 4, 3)
-                log.append(message[:8] + beat.pack(plane))
-        is_beat = is_of(message, mavlink.MAVLINK_MSG_ID_HEARTBEAT)
-        if not (is_beat and told_by == "mode"):
-            log.append(message)
+            pulses = [sent.servo1_raw, sent.servo2_raw, sent.servo3_raw, sent.servo4_raw]
+            pulses += [1600 if hovers else 1000, 1500, 1500, 1500]
+            telling = {
+                "state": mavlink.MAVLink_extended_sys_state_message(3 if hovers else 4, 2),
+                "motors": mavlink.MAVLink_servo_output_raw_message(sent.time_usec, 0, *pulses),
+                "mode": mavlink.MAVLink_heartbeat_message(1, 3, 128, 18 if hovers else 5, 4, 3),
+            }
+            log.append(at(message, telling[told_by]))
     with pytest.warns(FlightDataWarning, match="rotors lift"):
         table = read(b"".join(log), "log.tlog")
     assert 19.8 < table.time.min() < 20.5
 
 
-def test_a_dead_inertial_sensor_gives_way_to_the_second(tlog, read):
+def test_a_dead_inertial_sensor_gives_way_to_the_second(tlog, read, mavlink, plane, at, is_of):
     """Of SCALED_IMU nothing moves; RAW_IMU is left out."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     log = []
     for message in tlog:
-        if is_of(message, mavlink.MAVLINK_MSG_ID_ATTITUDE):
+        if is_of(message, "ATTITUDE"):
             time = plane.decode(bytearray(message[8:])).time_boot_ms
             for kind, rate in (("scaled_imu", 0), ("scaled_imu2", 100 + time % 7)):
-                sent = getattr(mavlink, f"MAVLink_{kind}_message")
                 values = [0, 0, -1000, rate, rate, rate, 0, 0, 0]
-                log.append(message[:8] + sent(time, *values).pack(plane))
-        if not is_of(message, mavlink.MAVLINK_MSG_ID_RAW_IMU):
+                log.append(at(message, getattr(mavlink, f"MAVLink_{kind}_message")(time, *values)))
+        if not is_of(message, "RAW_IMU"):
             log.append(message)
     with pytest.warns(FlightDataWarning, match="SCALED_IMU2"):
         table = read(b"".join(log), "log.tlog")
     assert table.p.dropna().between(0.1, 0.106).all()
 
 
-def test_engines_by_their_controllers(tlog, read):
+def test_engines_by_their_controllers(tlog, read, mavlink, at, is_of):
     """Arrays of four; the second two are none."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    rpm = [6000, 6000, 0, 0]
     four = [1] * 4
+    rpm = [6000, 6000, 0, 0]
+    sent = mavlink.MAVLink_esc_telemetry_1_to_4_message(four, four, four, four, rpm, four)
     log = []
     for message in tlog:
-        if is_of(message, mavlink.MAVLINK_MSG_ID_ATTITUDE):
-            sent = mavlink.MAVLink_esc_telemetry_1_to_4_message(four, four, four, four, rpm, four)
-            log.append(message[:8] + sent.pack(plane))
-        log.append(message)
+        log += [message, at(message, sent)] if is_of(message, "ATTITUDE") else [message]
     table = read(b"".join(log), "log.tlog")
     assert_allclose(table.propeller_speed.dropna(), 200 * math.pi, rtol=1e-6)
-
-
-def is_of(message, number):
-    """Return whether a stamped message of MAVLink 2 is of a type."""
-    return int.from_bytes(message[15:18], "little") == number
 
 
 @pytest.mark.parametrize("content", [b"", b"text", bytes(1000)])

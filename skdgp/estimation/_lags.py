@@ -78,14 +78,17 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` of local linear models (Jategaonkar 2006, chapter
     10); that of servos is the time constant of a first-order lag, of surfaces that are early, and
     that of surfaces is then what else they are early by. Lags of attitude and GPS are constants of
-    the path over the ground. A lag of std NaN is unknown: surfaces without vanes, whose lag is a
-    parameter of `estimate_air_motion`.
+    the path over the ground. A lag of std NaN is unknown. So is that of servos without vanes, which
+    is a parameter of `estimate_air_motion`; only a delay is that of surfaces then.
     """
     segments = _segments_of(at_centre_of_gravity(table), settings)
     servos = UNKNOWN
     surfaces = _most_likely_lag(segments, ALL_SURFACES, _turning_by_surfaces, settings)
+    commands = None
     if removable(surfaces, settings) < 0:
-        servos, surfaces = _most_likely_servos(segments, surfaces, settings)
+        commands = _most_likely_servos(segments, surfaces, settings)
+    if commands is not None:
+        servos, surfaces = commands
         segments = [segment.behind_servos(servos.value) for segment in segments]
     surface_lag = removable(surfaces, settings)
     vanes = _most_likely_lag(
@@ -98,7 +101,8 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     if segments and not missing_channels(table):
         of_path = _lags_of_path(table, settings)
         if not has_values(table, *VANES):
-            surfaces = servos = UNKNOWN
+            servos = UNKNOWN
+            surfaces = UNKNOWN if commands is None else surfaces
     return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
 
 
@@ -289,13 +293,13 @@ def _most_likely_lag(
 
 def _most_likely_servos(
     segments: list[_Segment], surfaces: Lag, settings: LagSettings
-) -> tuple[Lag, Lag]:
-    """Return the lags of servos and of surfaces, by which commands are early besides.
+) -> tuple[Lag, Lag] | None:
+    """Return the lag of servos, and that of surfaces by a delay besides; None if no such lag explains the motion.
 
-    Both maximise the likelihood of the part of the responses that earlier commands explain, by
-    instrumental variables: noise of the rates would make the lag of servos smaller. ``surfaces`` is
-    the lag without servos, and gives both its standard deviation: that commands are early is sure,
-    and these say how.
+    They maximise the likelihood of the part of the responses that earlier commands explain, by
+    instrumental variables: noise of the rates would make the lag of servos smaller. A delay needs
+    evidence, and is part of the lag else. ``surfaces`` is the lag without servos, and gives its
+    standard deviation: that commands are early is sure, and these say how.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
@@ -308,24 +312,25 @@ def _most_likely_servos(
             total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
         return total
 
+    within = (0.0, settings.largest)
+    alone = optimize.minimize_scalar(
+        lambda lag: loss(np.array([lag, 0.0])), bounds=within, options={"xatol": settings.precision}
+    )
     early = -surfaces.value
     corners = [(early, 0.0), (0.0, early), (early, early)]
-    search = optimize.minimize(
+    both = optimize.minimize(
         loss,
         corners[0],
         method="Nelder-Mead",
-        bounds=[(0.0, settings.largest)] * 2,
+        bounds=[within, within],
         options={"initial_simplex": corners, "xatol": settings.precision, "fatol": np.inf},
     )
-    lag, delay = search.x.tolist()
-    servos = Lag(lag, surfaces.std)
-    if lag >= settings.largest or not removable(servos, settings):
-        return UNKNOWN, surfaces
-    delayed = Lag(-delay, surfaces.std)
-    if removable(delayed, settings):
-        return servos, delayed
-    # too short to be told from the lag, but late all the same
-    return Lag(lag + delay, surfaces.std), Lag(0.0, surfaces.std)
+    lag, delay = both.x.tolist()
+    if delay < settings.least_lag or alone.fun - both.fun < settings.delay_evidence:
+        lag, delay = float(alone.x), 0.0
+    if lag + settings.precision >= settings.largest or lag + delay < settings.least_lag:
+        return None
+    return Lag(lag, surfaces.std), Lag(0.0 - delay, surfaces.std)
 
 
 def _profile(

@@ -55,7 +55,8 @@ class LagCorrector(TableTransformer):
     full-rate flights, before smoothing.
 
     Surfaces that are early are commands. They become the deflections :math:`\delta` of servos with
-    a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay.
+    a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay. Without vanes
+    only the delay is removed, and :class:`FlightPathReconstruction` estimates T.
 
     Attitude and GPS follow from gyros and accelerometers by kinematics, as in
     :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear

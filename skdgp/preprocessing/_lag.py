@@ -169,6 +169,7 @@ class LagCorrector(TableTransformer):
             surfaces = present(ALL_SURFACES, table)
             commands = numeric(with_columns(table, new), surfaces)
             late = delayed_surfaces(time, commands, lags["servos"], table.get("flight"))
+            late[np.isnan(commands)] = np.nan
             new |= dict(zip(surfaces, late.T, strict=True))
         for name in present(WRAPPED, new):
             new[name] = wrapped_near(new[name], table[name])

@@ -228,6 +228,9 @@ class TestTransform:
         table.loc[100:200, "alpha"] = np.nan
         out = LagCorrector({"alpha": 0.1}).fit_transform(table)
         assert out.alpha.isna().equals(table.alpha.isna())
+        commands = table.rename(columns={"alpha": "elevator"})
+        out_of_servos = LagCorrector({"servos": 0.1}).fit_transform(commands)
+        assert out_of_servos.elevator.isna().equals(table.alpha.isna())
         known = out.alpha.notna() & ~table.index.isin([*range(92, 100), *range(390, 400)])
         assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)
 

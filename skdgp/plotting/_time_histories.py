@@ -132,6 +132,8 @@ class TimeHistoryDisplay(Display):
             _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
             _mark_beyond(ax, self.time, self.beyond)
+        # short labels of small residuals, which would stand over the name
+        ax.ticklabel_format(axis="y", scilimits=(-3, 6))
         ax.set(xlabel="time [s]", ylabel=axis_label(key) + self.suffix)
 
     @classmethod

@@ -81,19 +81,23 @@ class TestTumblingBrickWithoutDamping:
         assert_allclose(r, 1.5, rtol=1e-12)
 
 
-def drag_of(aircraft, coefficient=0.1, density=1.1):
-    """Loads of a sphere: drag against the velocity."""
+def drag_of(aircraft, wind=0.0, coefficient=0.1, density=1.1):
+    """Loads of a sphere: drag against the air-relative velocity."""
 
     def loads(t, state):
-        airspeed = np.linalg.norm(state[3:6])
-        drag = -coefficient * state[3:6] / max(airspeed, 1e-12)
+        air = state[3:6] - ned_to_body(state[6:10], NOTHING + wind)
+        airspeed = np.linalg.norm(air)
+        drag = -coefficient * air / max(airspeed, 1e-12)
         return aerodynamic_loads(np.append(drag, NOTHING), airspeed, density, aircraft)
 
     return loads
 
 
 class TestFallingSphere:
-    """NASA's case 6. Verifies: gravity; drag and dynamic pressure."""
+    """NASA's cases 6 and 7.
+
+    Verifies: gravity; drag and dynamic pressure; wind, and
+    that only the motion relative to the air has drag, only that relative to the ground inertia."""
 
     SPHERE = Aircraft(
         name="sphere", mass=14.6, inertia=4.9 * np.eye(3), wing_area=0.0182, span=0.152, chord=0.152
@@ -113,6 +117,19 @@ class TestFallingSphere:
         assert_allclose(falling[:, :2], 0.0, atol=1e-5)
         fallen = terminal**2 / G * np.log(np.cosh(G * times / terminal))
         assert_allclose(states[:, 2], fallen - 9000.0, atol=1e-5)
+
+    def test_a_steady_wind_is_a_moving_frame(self):
+        """Galileo: in wind W it flies as without wind from a velocity less W, and drifts with W t besides."""
+        wind, times = np.array([12.0, -7.0, 1.5]), np.linspace(0, 30, 751)
+        at = {"position": [0.0, 0.0, -9000.0], "angles": self.ANGLES, "rates": self.SPIN}
+        positions, velocities = [], []
+        for moving in (0.0, wind):
+            start = state_of(velocity=[40.0, 10.0, -30.0] - wind + moving, **at)
+            states = flown(start, self.SPHERE, times, drag_of(self.SPHERE, moving))
+            positions.append(states[:, :3])
+            velocities.append(body_to_ned(states[:, 6:10], states[:, 3:6]))
+        assert_allclose(positions[1], positions[0] + np.outer(times, wind), atol=1e-6)
+        assert_allclose(velocities[1], velocities[0] + wind, atol=1e-7)
 
 
 class TestLoop:

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.testing import assert_allclose
 from scipy.signal import butter, lfilter, lsim
 
 from skdgp.datasets import load_example_flights
@@ -96,6 +97,28 @@ def test_bands_of_the_model_hold_its_mean(linear):
             found[f"model_{what}_lower"], found[f"model_{what}_upper"]
         )
         assert inside.mean() > 0.9
+
+
+def test_beyond_the_excitation_nothing_counts(linear):
+    """A feedback of the noisy rate moves the aileron there: coherence is high, the response that of -1 / K."""
+    rng = np.random.default_rng(0)
+    n = round(DURATION / STEP)
+    excitation = 0.05 * band_limited(rng, n, 0.1, 1.0)
+    noise = rng.normal(0, 0.05, n)
+    decay = np.exp(-10.0 * STEP)
+    p, aileron = np.zeros(n), np.zeros(n)
+    state = 0.0
+    for k in range(n):
+        p[k] = state + noise[k]
+        aileron[k] = excitation[k] - 0.05 * p[k]
+        state = decay * state + (1 - decay) * 6.0 * aileron[k]
+    flight = pd.DataFrame({"time": STEP * np.arange(n), "aileron": aileron, "p": p})
+    found = frequency_response(flight, ["aileron"], ["p"]).loc[("p", "aileron")]
+    above = found.loc[15.0:]
+    assert above["coherence"].min() > 0.8
+    assert_allclose(above["gain"], 20 * np.log10(1 / 0.05), atol=2.0)
+    assert not above["excited"].any()
+    assert found.loc[1.5:5.0, "excited"].all()
 
 
 def test_gusts_that_an_autopilot_feeds_back_are_no_excitation():

@@ -22,7 +22,8 @@ from skdgp.dynamics import (
     trim,
 )
 
-ALPHA, Q, ELEVATOR, Z, M = 0, 3, 5, 2, 4  # among regressors and coefficients
+ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)
+X, Y, Z, L, M, N = range(6)
 AIR = Air(density=1.1, gravity=9.79)
 ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
 EXAMPLE = load_example_flights(duration=1.0)
@@ -44,26 +45,36 @@ def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider
     V, g, theta = 20.0, AIR.gravity, level.theta
     u, w = level.state[[3, 5]]
     aircraft, slopes = glider.aircraft, glider.slopes
-    A, B = linear.A, linear.B
-    pressure = 0.5 * AIR.density * V**2 * aircraft.wing_area
-    lever = aircraft.chord / (2 * V)
-    force = pressure / aircraft.mass * slopes[Z, [Q, ELEVATOR]]
-    pitching = pressure * aircraft.chord / aircraft.inertia[1, 1] * slopes[M, [ALPHA, Q, ELEVATOR]]
+    A, B, I = linear.A, linear.B, aircraft.inertia
+    per_mass = 0.5 * AIR.density * V**2 * aircraft.wing_area / aircraft.mass
+    C = level.coefficients[[X, Z]]
+    by_alpha = np.outer(slopes[[X, Z], ALPHA], [-w / V**2, u / V**2])
+    by_pressure = np.outer(C, [2 * u / V**2, 2 * w / V**2])
+    force = per_mass * (by_alpha + by_pressure)
+    assert A.loc[["u", "w"], ["u", "w"]].to_numpy() == pytest.approx(force, rel=1e-8, abs=1e-9)
+    half = np.array([aircraft.span, aircraft.chord, aircraft.span]) / (2 * V)
+    moment = per_mass * aircraft.mass * 2 * V * half  # of a coefficient of 1
+    pitching = moment[1] / I[1, 1] * slopes[M, [ALPHA, Q, ELEVATOR]]
     expected = {
         ("u", "q"): -w,
-        ("w", "q"): u + force[0] * lever,
+        ("w", "q"): u + per_mass * slopes[Z, Q] * half[1],
         ("u", "theta"): -g * np.cos(theta),
         ("w", "theta"): -g * np.sin(theta),
         ("q", "w"): pitching[0] * u / V**2,
-        ("q", "q"): pitching[1] * lever,
+        ("q", "q"): pitching[1] * half[1],
         ("theta", "q"): 1.0,
         ("v", "phi"): g * np.cos(theta),
         ("phi", "r"): np.tan(theta),
     }
     for entry, value in expected.items():
         assert A.loc[entry] == pytest.approx(value, rel=1e-8, abs=1e-9), entry
+    across = slopes[:, [BETA, P, R]] * [1 / V, half[0], half[2]]
+    turning = np.linalg.solve(I[::2, ::2], moment[0] * across[[L, N]])
+    expected = np.vstack([per_mass * across[Y] + [0.0, w, -u], turning])
+    found = A.loc[["v", "p", "r"], ["v", "p", "r"]].to_numpy()
+    assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
     assert_allclose(B.loc["q", "elevator"], pitching[2])
-    assert_allclose(B.loc["w", "elevator"], force[1])
+    assert_allclose(B.loc["w", "elevator"], per_mass * slopes[Z, ELEVATOR])
     assert_allclose(B.loc["u", "thrust"], 1 / aircraft.mass)
     for apart in (A.loc[ALONG, ACROSS], A.loc[ACROSS, ALONG]):
         assert np.abs(apart).max(axis=None) < 1e-9
@@ -173,11 +184,21 @@ class TestServos:
         assert [*late.A.index] == [*late.B.index] == [*late.C] == states
         assert [*late.B] == [*late.D] == [*SURFACES, "thrust"]
         assert [*late.C.index] == [*late.D.index] == [*states, *OUTPUTS]
+        servo = late.A.loc[POSITIONS]
+        assert_allclose(servo[POSITIONS], -np.eye(3) / LAG)
+        assert not servo.drop(columns=POSITIONS).any(axis=None)
+        assert_allclose(late.B.loc[POSITIONS, SURFACES], np.eye(3) / LAG)
 
     def test_deflections_act_as_inputs_without_a_lag_do(self, late, linear):
-        """And so its modes are those of the model without a lag."""
-        for matrix, at_once in ((late.B, linear.B), (late.D, linear.D)):
-            assert_frame_equal(matrix.loc[at_once.index, ["thrust"]], at_once[["thrust"]])
+        """The rest is the model without a lag, and so are its modes."""
+        body = [*linear.A]
+        assert_frame_equal(late.A.loc[body, body], linear.A)
+        assert_frame_equal(late.C.loc[linear.C.index, body], linear.C)
+        assert_allclose(late.A.loc[body, POSITIONS], linear.B[SURFACES])
+        assert_allclose(late.C.loc[OUTPUTS, POSITIONS], linear.D.loc[OUTPUTS, SURFACES])
+        for matrix, at_once in ((late.B.loc[body], linear.B), (late.D.loc[OUTPUTS], linear.D)):
+            assert not matrix[SURFACES].any(axis=None)
+            assert_allclose(matrix["thrust"], at_once.loc[matrix.index, "thrust"])
         columns = ["eigenvalue", "frequency", "damping", "time_constant"]
         assert_frame_equal(late.modes()[columns], linear.modes()[columns])
 

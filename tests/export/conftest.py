@@ -1,6 +1,7 @@
 """Small models of every kind of posterior that can be exported, and the model that identify makes."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -44,23 +45,24 @@ AIRCRAFT = Aircraft(
 )  # fmt: skip
 
 
-def make_flight(glider, n, seed, noise=1e-3):
-    """Return a flight of random states, and the coefficients of the glider with curves."""
+def make_flight(n, seed, noise=1e-3):
+    """Return a flight of random states, and the coefficients of a textbook aircraft with curves."""
     rng = default_rng(seed)
-    x = pd.DataFrame(rng.normal(0.0, 0.1, (n, 6)), columns=REGRESSORS)
+    x = {name: rng.normal(0.0, 0.1, n) for name in REGRESSORS}
     x["q_hat"] /= 20
     speed = rng.uniform(20.0, 30.0, n)
-    Y = glider.level + x.to_numpy() @ glider.slopes[:, [0, 1, 3, 5, 6, 7]].T
-    Y[:, 0] += 4 * x["alpha"] ** 2
-    Y[:, 2] += 0.1 * np.sin(20 * x["alpha"])
-    Y[:, 4] += x["alpha"] * x["elevator"]
-    flight = x[["alpha", "beta", "rudder"]].assign(
-        airspeed=speed,
-        q=x["q_hat"] * 2 * speed / AIRCRAFT.chord,
-        elevon_left=x["elevator"] + x["aileron"],
-        elevon_right=x["elevator"] - x["aileron"],
-        time=0.1 * np.arange(n),
-    )
+    Y = np.stack([
+        -0.03 + 0.3 * x["alpha"] + 4 * x["alpha"] ** 2, -0.5 * x["beta"] + 0.1 * x["rudder"],
+        -0.2 - 4.5 * x["alpha"] - 5 * x["q_hat"] - 0.4 * x["elevator"] + 0.1 * np.sin(20 * x["alpha"]),
+        -0.05 * x["beta"] + 0.15 * x["aileron"],
+        0.02 - 0.5 * x["alpha"] - 9 * x["q_hat"] - 0.9 * x["elevator"] + x["alpha"] * x["elevator"],
+        0.08 * x["beta"] - 0.08 * x["rudder"],
+    ], axis=-1)  # fmt: skip
+    flight = {"alpha": x["alpha"], "beta": x["beta"], "rudder": x["rudder"], "airspeed": speed}
+    flight["q"] = x["q_hat"] * 2 * speed / AIRCRAFT.chord
+    flight["elevon_left"] = x["elevator"] + x["aileron"]
+    flight["elevon_right"] = x["elevator"] - x["aileron"]
+    flight = pd.DataFrame(flight).assign(time=0.1 * np.arange(n))
     return flight, pd.DataFrame(Y + rng.normal(0.0, noise, Y.shape), columns=COEFFICIENTS)
 
 
@@ -109,7 +111,7 @@ def identified(once, first_minute, cut_short):
 
 
 @pytest.fixture(scope="session")
-def fitted(cut_short, glider):
+def fitted(cut_short):
     """Return a function of a kind: what its model file holds; each kind is fitted once."""
 
     @cache
@@ -117,7 +119,7 @@ def fitted(cut_short, glider):
         options = {"max_iter": 2, "random_state": 0} | KINDS[kind]
         if "kernel" not in options:
             options["n_latent"] = 1
-        flight, Y = make_flight(glider, 28, 0, 1e-6 if kind == "precise" else 1e-3)
+        flight, Y = make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
             model = pipeline_of(DependentGPRegressor(**options)).fit(flight, Y)
@@ -158,12 +160,14 @@ class Case(NamedTuple):
     mean: np.ndarray
     std: np.ndarray  # at exact regressors
     slopes: np.ndarray
+    added: Any = None  # function of X: variance of further columns of the prior
 
     def predict(self, noise):
         """Return mean and standard deviation of the pipeline with a factor of the regressors' noise."""
         table = pd.DataFrame(self.X, columns=self.model.regressor_names)
         tail = self.pipeline[-2:]  # the scaler and the regressor
-        return tail.predict(table, return_std=True, include_input_noise=noise)
+        mean, std = tail.predict(table, return_std=True, include_input_noise=noise)
+        return mean, std if self.added is None else np.sqrt(std**2 + self.added(self.X))
 
     def with_noise(self, noise):
         """Return the case whose moments are those with a factor of the regressors' noise."""
@@ -192,7 +196,7 @@ class Case(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def case_of(request, fitted, portable_of, glider):
+def case_of(request, fitted, portable_of):
     """Return a function of a kind: its `Case`."""
 
     def get(kind):
@@ -200,10 +204,7 @@ def case_of(request, fitted, portable_of, glider):
             model = request.getfixturevalue("identified")
             portable = portable_model(model.pipeline, model.aircraft)
         else:
-            model, portable = (
-                fitted(kind) | {"flight": make_flight(glider, 30, 3)[0]},
-                portable_of(kind),
-            )
+            model, portable = fitted(kind) | {"flight": make_flight(30, 3)[0]}, portable_of(kind)
             model = Bunch(**model)
         rng = default_rng(5)
         flown = np.asarray(model.pipeline[:-2].transform(model.flight))
@@ -212,17 +213,37 @@ def case_of(request, fitted, portable_of, glider):
         slopes = as_aerodynamics(model.pipeline).gradient(X)
         return Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes).with_noise(0.0)
 
-    return cache(get)
+    def widened():
+        """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
+        case = get("average")
+        model = case.model
+        further = default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
+
+        def added(X):
+            z = (X - model.shift) / model.scale
+            p = np.column_stack([np.ones(len(z)), z - model.trend_center])
+            return model.output_scale**2 * np.square(np.einsum("nk,pkr->npr", p, further)).sum(2)
+
+        parts = [
+            replace(part, trend_prior=np.hstack([part.trend_prior, further[j % 6]]))
+            for j, part in enumerate(model.parts)
+        ]
+        known = model.reference
+        std = np.sqrt(known.std**2 + added(known.regressors))
+        model = replace(model, parts=tuple(parts), reference=replace(known, std=std))
+        return case._replace(kind="widened", model=model, added=added).with_noise(0.0)
+
+    return cache(lambda kind: widened() if kind == "widened" else get(kind))
 
 
-@pytest.fixture(params=[IDENTIFIED, *KINDS])
+@pytest.fixture(params=[IDENTIFIED, "widened", *KINDS])
 def case(request, case_of):
     """Return the `Case` of each kind, in turn."""
     return case_of(request.param)
 
 
 # Mixtures, terms that share entries, no functions, no slopes, and little noise: what a writer can meet
-WRITTEN = [IDENTIFIED, "additive", "trend", "sparse-constant", "precise"]
+WRITTEN = [IDENTIFIED, "widened", "additive", "trend", "sparse-constant", "precise"]
 
 
 @pytest.fixture(params=WRITTEN)
@@ -243,6 +264,6 @@ def portable(portable_of, kind):
 
 
 @pytest.fixture(scope="session")
-def flight(glider):
+def flight():
     """Return a flight that no model has seen."""
-    return make_flight(glider, 30, 3)[0]
+    return make_flight(30, 3)[0]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from skdgp.dynamics import Aircraft
 from skdgp.export import export_model, write_c
 
 STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic"]
@@ -73,8 +74,8 @@ def test_make_test_passes(portable_of, tmp_path):
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     model = portable_of("trend")
-    uav = replace(model.aircraft, name='a::b */ #error "é" \\ ??/ <&> $x --')
-    write_c(tmp_path, replace(model, aircraft=uav))
+    values = model.aircraft.to_dict() | {"name": 'a::b */ #error "é" \\ ??/ <&> $x --'}
+    write_c(tmp_path, replace(model, aircraft=Aircraft.from_dict(values)))
     assert "passed: 40 points" in done(tmp_path, "make", "test")
 
 

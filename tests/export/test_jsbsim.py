@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.dynamics import Aerodynamics, Air, Propeller, ThrustLine, trim
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
@@ -68,7 +68,7 @@ def trimmed(fdm, model, **options):
 
 
 def of_aircraft(model, **changes):
-    return replace(model, aircraft=replace(model.aircraft, **changes))
+    return replace(model, aircraft=Aircraft.from_dict(model.aircraft.to_dict() | changes))
 
 
 def test_coefficients_are_those_of_the_pipeline(written, load):

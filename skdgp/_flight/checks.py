@@ -166,13 +166,14 @@ def check_number(
     raise ValueError(f"Got {name}={value!r}, but expected {bound}.")
 
 
-def check_numbers(name: str, values: object, *sizes: int) -> Array:
+def check_numbers(name: str, values: object, *sizes: int, unit: str = "") -> Array:
     """Return finite numbers (n,), n one of the ``sizes``; raise ValueError at anything else."""
     array = as_floats(values)
     is_vector = array.ndim == 1 and len(array) in sizes
     if not is_vector or not np.isfinite(array).all():
         count = " to ".join(map(str, sorted({sizes[0], sizes[-1]})))
-        raise ValueError(f"Got {name}={values!r}, but expected {count} finite numbers.")
+        suffix = f" [{unit}]" if unit else ""
+        raise ValueError(f"Got {name}={values!r}, but expected {count} finite numbers{suffix}.")
     return array
 
 

@@ -543,7 +543,7 @@ def fly(
     check_number("height", height, is_open=False, unit="m")
     check_number("wait", wait, unit="s")
     if wind is not None:
-        check_numbers("wind", wind, 3)
+        check_numbers("wind", wind, 3, unit="m/s north, east, down")
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)

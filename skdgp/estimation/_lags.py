@@ -89,7 +89,8 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
         commands = _most_likely_servos(segments, surfaces, settings)
     if commands is not None:
         servos, surfaces = commands
-        segments = [segment.behind_servos(servos.value) for segment in segments]
+        lag = removable(servos, settings)
+        segments = [segment.behind_servos(lag) for segment in segments]
     surface_lag = removable(surfaces, settings)
     vanes = _most_likely_lag(
         segments,
@@ -294,43 +295,50 @@ def _most_likely_lag(
 def _most_likely_servos(
     segments: list[_Segment], surfaces: Lag, settings: LagSettings
 ) -> tuple[Lag, Lag] | None:
-    """Return the lag of servos, and that of surfaces by a delay besides; None if no such lag explains the motion.
+    """Return the lags of servos and of their commands, the latter by a delay; None if neither is significant.
 
-    They maximise the likelihood of the part of the responses that earlier commands explain, by
-    instrumental variables: noise of the rates would make the lag of servos smaller. A delay needs
-    evidence, and is part of the lag else. ``surfaces`` is the lag without servos, and gives its
-    standard deviation: that commands are early is sure, and these say how.
+    They maximise the likelihood of the part of the responses that earlier commands explain
+    (instrumental variables: Söderström & Stoica 1989, section 8.1), as noise of the rates would make
+    the lag of servos smaller. Without evidence of a delay the lag of servos stands alone. Both get
+    the standard deviation of ``surfaces``, the lag without servos.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
 
-    def loss(lag_and_delay: Vector) -> float:
-        lag, delay = lag_and_delay
+    def loss(lags: Vector) -> float:
+        servo_lag, command_lag = lags
         total = 0.0
         for segment, Q in zip(segments, instruments, strict=True):
-            response, predictors = _turning_by_surfaces(segment.behind_servos(lag), -delay)
+            late = segment.behind_servos(servo_lag)
+            response, predictors = _turning_by_surfaces(late, command_lag)
             total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
         return total
 
-    within = (0.0, settings.largest)
+    largest = settings.largest
     alone = optimize.minimize_scalar(
-        lambda lag: loss(np.array([lag, 0.0])), bounds=within, options={"xatol": settings.precision}
+        lambda servo_lag: loss(np.array([servo_lag, 0.0])),
+        bounds=(0.0, largest),
+        options={"xatol": settings.precision},
     )
-    early = -surfaces.value
-    corners = [(early, 0.0), (0.0, early), (early, early)]
+    early = surfaces.value
+    corners = [(-early, 0.0), (0.0, early), (-early, early)]
     both = optimize.minimize(
         loss,
         corners[0],
         method="Nelder-Mead",
-        bounds=[within, within],
+        bounds=[(0.0, largest), (-largest, 0.0)],
         options={"initial_simplex": corners, "xatol": settings.precision, "fatol": np.inf},
     )
-    lag, delay = both.x.tolist()
-    if delay < settings.least_lag or alone.fun - both.fun < settings.delay_evidence:
-        lag, delay = float(alone.x), 0.0
-    if lag + settings.precision >= settings.largest or lag + delay < settings.least_lag:
-        return None
-    return Lag(lag, surfaces.std), Lag(0.0 - delay, surfaces.std)
+    servo_lag, command_lag = both.x.tolist()
+    is_delayed = -command_lag >= settings.least_lag
+    if not is_delayed or alone.fun - both.fun < settings.delay_evidence:
+        servo_lag = float(alone.x)
+        command_lag = 0.0
+    servos = Lag(servo_lag, surfaces.std)
+    commands = Lag(command_lag, surfaces.std)
+    is_significant = removable(servos, settings) or removable(commands, settings)
+    is_at_bound = servo_lag + settings.precision >= largest
+    return (servos, commands) if is_significant and not is_at_bound else None
 
 
 def _profile(

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import Clock
+from skdgp._flight.clock import Clock, median_step, n_rows
 from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._settings import SERVOS
 
@@ -62,6 +62,7 @@ def delayed_surfaces(time: Vector, commands: Matrix, lag: float, flight: Any = N
     out = np.empty_like(commands)
     commands = interpolate_missing(time, commands)
     for run in Clock.of(time, flight).segments:
-        step = np.median(np.diff(time[run])) if run.stop - run.start > 1 else 1.0
+        # a single sample is at rest, whatever the step
+        step = median_step(time, [run]) if n_rows(run) > 1 else 1.0
         out[run] = servo_output(commands[run], lag, step)
     return out

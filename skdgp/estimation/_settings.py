@@ -76,11 +76,11 @@ class LagSettings:
     precision: float = 1e-3
     # time within which surfaces explain a response [s], of the lag of servos; at most ``edge``
     memory: float = 1.5
-    # least gain in log likelihood by a delay of servos: delays of 30 to 60 ms gain 260 to 440, vibration 18 at
-    # most; four aircraft
-    delay_evidence: float = 40.0
     # step of the surfaces within it [s]; half a period of the upper end of the band
     memory_step: float = 0.125
+    # least gain in log likelihood by a delay of servos: delays of 30 to 60 ms gain 260 to 440, vibration 18 at
+    # most; trials on four aircraft
+    delay_evidence: float = 40.0
     # predictors nearer than this to a combination of others are left out, relative
     rank_tolerance: float = 1e-6
     # samples in a period of the upper end of the band

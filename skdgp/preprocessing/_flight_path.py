@@ -25,7 +25,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.sensor_position import at_centre_of_gravity
-from skdgp._flight.tables import FlightTable, has_values, numeric
+from skdgp._flight.tables import FlightTable, by_name, has_values, numeric
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, with_sensor_position
 from skdgp.estimation import (
@@ -369,7 +369,7 @@ class FlightPathReconstruction(TableTransformer):
             columns: dict[str, Any] = air_columns(motion.air.iloc[rows], sensors)
             columns["gust"] = np.nan_to_num(motion.gust_change(number), nan=self.gust_std_)
             late = delayed_surfaces(sensors.time, deflections[rows], self.servo_lag_)
-            columns |= dict(zip(surfaces, late.T, strict=True))
+            columns |= by_name(surfaces, late)
             flights.append(pd.DataFrame(columns, index=rows))
         return _in_rows(flights)
 

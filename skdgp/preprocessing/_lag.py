@@ -20,7 +20,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.holds import without_repeats
-from skdgp._flight.tables import numeric, unwrapped
+from skdgp._flight.tables import by_name, numeric, unwrapped
 from skdgp.dynamics import Aircraft, with_sensor_position
 from skdgp.estimation import (
     Lag,
@@ -78,8 +78,8 @@ class LagCorrector(TableTransformer):
     ----------
     lags : {"auto"}, dict or None, default="auto"
         Estimated in ``fit``; or given [s], positive where late, by group (air: airspeed, alpha,
-        beta; surfaces; servos: T of the commands in the surfaces' columns; attitude; gps) or
-        column; or None for no change.
+        beta; surfaces; servos: T, where surfaces are commands; attitude; gps) or column; or None
+        for no change.
     aircraft : Aircraft, optional
         Its position of the inertial sensors, where flights do not state theirs.
 
@@ -145,7 +145,7 @@ class LagCorrector(TableTransformer):
                 )
             if name == "servos" and lag < 0:
                 raise ValueError(
-                    f"Got the lag {lag!r} of servos, but expected seconds by which they follow their commands."
+                    f"Got the lag {lag!r} of servos, but expected a time constant >= 0 s."
                 )
             rows[name] = (float(lag), np.nan, float(lag), "given")
         if rows:
@@ -170,7 +170,7 @@ class LagCorrector(TableTransformer):
             commands = numeric(with_columns(table, new), surfaces)
             late = delayed_surfaces(time, commands, lags["servos"], table.get("flight"))
             late[np.isnan(commands)] = np.nan
-            new |= dict(zip(surfaces, late.T, strict=True))
+            new |= by_name(surfaces, late)
         for name in present(WRAPPED, new):
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)

@@ -239,7 +239,7 @@ class TestTransform:
         [
             ({"vane": 0.1}, "a lag of 'vane', but"),
             ({"air": np.nan}, "expected a finite number"),
-            ({"servos": -0.1}, "seconds by which they follow"),
+            ({"servos": -0.1}, "expected a time constant >= 0"),
         ],
     )
     def test_lags_that_cannot_be(self, lags, words):

@@ -330,12 +330,11 @@ def _most_likely_servos(
         options={"initial_simplex": corners, "xatol": settings.precision, "fatol": np.inf},
     )
     servo_lag, command_lag = both.x.tolist()
-    is_delayed = -command_lag >= settings.least_lag
-    if not is_delayed or alone.fun - both.fun < settings.delay_evidence:
-        servo_lag = float(alone.x)
-        command_lag = 0.0
-    servos = Lag(servo_lag, surfaces.std)
     commands = Lag(command_lag, surfaces.std)
+    if not removable(commands, settings) or alone.fun - both.fun < settings.delay_evidence:
+        servo_lag = float(alone.x)
+        commands = Lag(0.0, surfaces.std)
+    servos = Lag(servo_lag, surfaces.std)
     is_significant = removable(servos, settings) or removable(commands, settings)
     is_at_bound = servo_lag + settings.precision >= largest
     return (servos, commands) if is_significant and not is_at_bound else None

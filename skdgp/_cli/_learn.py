@@ -16,7 +16,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.design import PlanCheck
 from skdgp.dynamics import KINDS, Aircraft, Propeller
-from skdgp.identification import Identification, changes_of
+from skdgp.identification import Identification, changes_of, residuals_without_smoothing
 from skdgp.identification import identify as identify_flights
 from skdgp.identification import validate as validate_flights
 from skdgp.io import inspect_log
@@ -239,7 +239,10 @@ def validate(run: Run) -> None:
         )
         samples = {}
         for flight in result.evaluations:
-            samples[flight.name] = flight.regressors, flight.measured - flight.mean
+            residuals = residuals_without_smoothing(
+                flight.table, flight.mean, result.aircraft, result.options
+            )
+            samples[flight.name] = flight.regressors, residuals
         supplements: list[Any] = [changes_of(model.pipeline, samples)]
         if options.plan is not None:
             thrust = result.options["thrust"]

@@ -40,6 +40,8 @@ class SmoothingSettings:
     shortest_window: int = 64
     # least samples of a segment that shows a spectrum
     least_samples: int = 128
+    # fewer periodograms are also averaged over neighbouring frequencies
+    averages: float = 20.0
     # least gain in log likelihood by white noise in a spectrum
     evidence: float = 2.0
 
@@ -259,6 +261,8 @@ def _flight_spectrum(
     energy = len(pieces) * np.sum(taper**2)
     unit = 2 * step / energy
     power = waves @ waves.conj().swapaxes(1, 2) * unit
+    # there is no wave of negative frequency beside these
+    power[[0, -1]] /= 2
     largest = np.abs(pieces).max(axis=(0, 2))
     return Spectrum(
         frequency=np.fft.rfftfreq(size, step),
@@ -318,10 +322,13 @@ def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
     return weights, misfit
 
 
-def _single_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
+def _single_gain(
+    spectrum: Spectrum, floor: Vector, settings: SmoothingSettings = SMOOTHING
+) -> Matrix:
     """Return the smoother of each channel alone, (m, k)."""
     log_power = np.log(spectrum.channel_power + TINY)
-    smoothed = ndimage.gaussian_filter1d(log_power, 1.0, axis=0, mode="nearest")
+    width = max(1.0, settings.averages / spectrum.averages)
+    smoothed = ndimage.gaussian_filter1d(log_power, width, axis=0, mode="nearest")
     steady = np.exp(smoothed)
     # h = max(0, 1 - N / P)
     gain = np.clip(1 - floor / steady, 0, 1)

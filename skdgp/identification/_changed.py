@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Any, ClassVar
@@ -19,7 +19,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._display.page import section
 from skdgp._flight.channels import COEFFICIENTS, HAT
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
@@ -163,16 +163,26 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     Changes
     """
     options = options_of(model)
-    loads = {name: options[name] for name in ("thrust", "external_forces")}
     named = named_flights(flights, servos=options.get("servos"))
     tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
     samples = {}
     for name, table in tables.items():
-        # a smoother that depends on the flight takes more signal from a gentle one
-        measured = aerodynamic_coefficients(table, model.aircraft, cutoff=None, **loads)
         X, noise_ratio = flight_regressors(model.pipeline, table)
-        samples[name] = X, measured.to_numpy() - model.pipeline.mean_of_rows(X, noise_ratio)
+        mean = model.pipeline.mean_of_rows(X, noise_ratio)
+        samples[name] = X, residuals_without_smoothing(table, mean, model.aircraft, options)
     return changes_of(model.pipeline, samples, settings)
+
+
+def residuals_without_smoothing(
+    table: pd.DataFrame, mean: Matrix, aircraft: Aircraft, options: Mapping[str, Any]
+) -> Matrix:
+    """Return measured less predicted coefficients (n, 6) of a flight, with all noise.
+
+    A smoother that depends on the flight takes more signal from a gentle one.
+    """
+    loads = {name: options[name] for name in ("thrust", "external_forces")}
+    measured = aerodynamic_coefficients(table, aircraft, cutoff=None, **loads)
+    return measured.to_numpy() - mean
 
 
 def changes_of(
@@ -180,7 +190,10 @@ def changes_of(
     samples: dict[str, tuple[Matrix, Matrix]],
     settings: ChangeSettings = SETTINGS,
 ) -> Changes:
-    """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight."""
+    """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
+
+    Measured coefficients in the residuals are not smoothed.
+    """
     p_values = {}
     tables = {}
     scale = np.append(1.0, pipeline["standardscaler"].scale_)

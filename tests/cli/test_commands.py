@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from skdgp import DependentGPRegressor
 from skdgp.control import autopilot_loops, margins
 from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
-from skdgp.identification import load_model, save_model
+from skdgp.identification import changed, load_model, save_model
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
@@ -134,8 +134,14 @@ class TestModel:
 
 
 class TestValidate:
-    def test_says_what_identify_said(self, run, identified, tmp_path, no_pictures):
+    def test_says_what_identify_and_changed_say(
+        self, run, identified, model, tmp_path, no_pictures
+    ):
         said = run("validate", "test.csv", "--horizons", "1")
+        found = changed(model, "test.csv").derivatives.droplevel("flight")
+        (of_flight,) = said["changed"]["derivatives"].values()
+        for name, change in of_flight.items():
+            assert change["change"] == pytest.approx(found.loc[name, "change"])
         assert files(tmp_path / "out") == {"report.html", "metrics.json"}
         for key in ("test", "test_together", "fit", "options"):
             assert said[key] == identified[2][key]

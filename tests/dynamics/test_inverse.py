@@ -98,27 +98,37 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
 
 
+GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+FORCE = 0.5 * 1.2 * 12.0**2 * 0.5  # dynamic pressure and wing area of `surge` [N]
+
+
+def surge(rng, size, n):
+    """Return a glide whose forward acceleration of some size [m/s^2] has noise of 0.1 m/s^2, and its true CX."""
+    below_1_hz = signal.butter(4, 1.0, fs=50, output="sos")
+    wave = signal.sosfiltfilt(below_1_hz, rng.normal(size=n))
+    wave *= size / wave.std()
+    still = dict.fromkeys(["ay", "p", "q", "r"], 0.0)
+    flight = pd.DataFrame({"time": 0.02 * np.arange(n), "airspeed": 12.0, "az": -9.8} | still)
+    return flight.assign(density=1.2, ax=wave + rng.normal(0, 0.1, n)), 2.0 * wave / FORCE
+
+
 def test_smoothing_does_not_shrink_a_signal_that_hardly_exceeds_its_noise():
     """Slopes of targets on what they depend on keep their size. A Wiener smoother has 0.8 here."""
-    glider = Aircraft(
-        mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25
-    )
-    below_1_hz = signal.butter(4, 1.0, fs=50, output="sos")
     slopes = []
     for seed in range(6):
-        rng = default_rng(seed)
-        wave = signal.sosfiltfilt(below_1_hz, rng.normal(size=6000))
-        wave *= 0.04 / wave.std()
-        still = dict.fromkeys(["ay", "p", "q", "r"], 0.0)
-        flight = pd.DataFrame(
-            {"time": 0.02 * np.arange(6000), "airspeed": 12.0, "az": -9.8} | still
-        )
-        flight = flight.assign(density=1.2, ax=wave + rng.normal(0, 0.1, 6000))
-        CX = aerodynamic_coefficients(flight, glider, thrust=None)["CX"]
-        dynamic_pressure = 0.5 * 1.2 * 12.0**2
-        true = 2.0 * wave / (dynamic_pressure * 0.5)
+        flight, true = surge(default_rng(seed), 0.04, 6000)
+        CX = aerodynamic_coefficients(flight, GLIDER, thrust=None)["CX"]
         slopes.append(np.polyfit(true, CX, 1)[0])
     assert np.mean(slopes) == pytest.approx(1.0, abs=0.05)
+
+
+def test_no_draw_of_the_noise_hides_that_it_is_noise():
+    """Of 30 s: white noise beyond the motion, which ends at 1 of 25 Hz, is removed."""
+    noise = 2.0 * 0.1 / FORCE
+    for seed in range(24):
+        flight, true = surge(default_rng(seed), 0.3, 1500)
+        CX = aerodynamic_coefficients(flight, GLIDER, thrust=None)["CX"]
+        assert np.std(CX - true) < 0.4 * noise
 
 
 def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coefficients):

@@ -214,6 +214,7 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
         log = read_log(path)
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
         controls = {**log.commands, **controls}
+        _check_channels(log, controls)
         speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
@@ -301,36 +302,50 @@ def _problem(source: Source, log: Log, rule: Rule) -> str:
 
 
 def _surface(log: Log, name: str, control: Control) -> Source:
-    """Return a control by the channels of its servos, which are fields of one topic."""
-    values: Any = 0.0
-    largest = 0.0
+    """Return a control by the channels of its servos, which are fields of one topic.
+
+    It is empty where a part of the log lacks the topic.
+    """
     is_command = name in log.commands
-    for weight, servo in control:
-        deflection = servo.deflection(_pulses(log, name, servo))
+    servos = [servo for _, servo in control]
+    topic = log.topics.get(servos[0].topic, NOTHING)
+    values = np.zeros(len(topic))
+    for weight, servo in control if len(topic) else ():
+        deflection = servo.deflection(topic[servo.field])
         if is_command:  # an engine that is switched off gets no number
             deflection = np.nan_to_num(deflection)
         values = values + weight * deflection
-        largest += abs(weight) * max(np.abs(servo.angles))
-    note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
+    note = (
+        "in parts of the full throw" if _is_full_throw(log, name, control) else "by the servo file"
+    )
     if is_command:
         note = "as commanded"
-    servos = [servo for _, servo in control]
     channels = " ".join(servo.channel for servo in servos)
     valid = np.isfinite(values)
-    time = log.topics[servos[0].topic].time[valid]
-    return Source((name,), channels, time, values[valid][:, None], note)
+    return Source((name,), channels, topic.time[valid], values[valid][:, None], note)
 
 
-def _pulses(log: Log, name: str, servo: Servo) -> Vector:
-    """Return the values of a servo's channel; raise FlightReadError if the log has none such."""
-    topic = log.topics.get(servo.topic, NOTHING)
-    if servo.field in topic:
-        return topic[servo.field]
+def _is_full_throw(log: Log, name: str, control: Control) -> bool:
+    """Return whether a control is that of the parameters, of either sign, in place of angles."""
+    named = log.controls.get(name, ())
+    return [abs(weight) for weight, _ in control] == [abs(weight) for weight, _ in named]
+
+
+def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
+    """Raise FlightReadError if the log lacks the channel of a servo."""
+    for name, control in controls.items():
+        for _, servo in control:
+            if servo.field not in log.topics.get(servo.topic, NOTHING):
+                raise FlightReadError(_lacking_channel(log, name, servo))
+
+
+def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
+    """Return the message that the log lacks the channel of a servo, with those that it has."""
     fields = []
     for output in log.topics.keys() & set(log.outputs):
         numbers = log.topics[output].fields.keys() - {"timestamp", "timestamp_sample", "TimeUS"}
         fields += [f"{output}.{number}" for number in numbers]
-    raise FlightReadError(
+    return (
         f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one "
         f"of {sorted(fields)[:24]}."
     )

@@ -78,7 +78,8 @@ class Readings(NamedTuple):
     time: Vector
     values: Matrix
     valid: Mask
-    preferred: Mask
+    # 0 to 1: flags, or a confidence
+    preferred: Vector
     # 0 where resets are not logged
     counter: Vector
     # changes by the last reset, NaN where they are not logged
@@ -204,9 +205,11 @@ def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     apart = max(speeds, default=0.0) - min(speeds, default=0.0)
     remark = ""
     if apart > LARGEST_APART * sum(speeds) / len(running):
+        commanded = "the part that was not commanded (differential_throttle)"
+        lost = commanded if "differential_throttle" in log.commands else "their yawing moment"
         remark = (
-            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: their "
-            "yawing moment is in no column"
+            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: {lost} "
+            "is in no column"
         )
     return _source(rule, names, time, mean, note, remark)
 
@@ -216,10 +219,10 @@ def _readings(instance: Instance, rule: Rule) -> Readings:
     n = len(topic)
     values = rule.convert(topic.columns(rule.fields))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
-    preferred = np.zeros(n, bool)
+    preferred = np.zeros(n)
     for field in rule.preferred:
         if field in topic:
-            preferred |= topic[field] > 0
+            preferred = np.clip(np.nan_to_num(topic[field]), 0.0, 1.0)
     counter = np.zeros(n)
     deltas = np.full((n, max(len(rule.resets[1:]), 1)), np.nan)
     if rule.resets and rule.resets[0] in topic:
@@ -290,7 +293,7 @@ def _chosen(
         age = times - each.time[last]
         step = usual_step(np.diff(each.time)) if len(each.time) > 1 else np.inf
         is_fresh = np.abs(age) <= CLOCK.gap * step
-        scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + each.preferred[last]
+        scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + (each.preferred[last] > 0)
         if used is not None:
             scores[place] += USED_WEIGHT * (used == place)
     chosen = scores.argmax(axis=0)

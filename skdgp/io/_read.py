@@ -25,7 +25,7 @@ from skdgp._flight.checks import (
     unknown_columns_message,
 )
 from skdgp._flight.clock import flight_codes
-from skdgp._flight.faults import FlightDataWarning, find_faults
+from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
@@ -439,11 +439,15 @@ def _flights(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _faults(table: pd.DataFrame) -> list[str]:
-    """Return faults and contradictions of flights; no contradiction if their clocks are too irregular to filter."""
-    flights = FlightTable.of(table)
-    faults = grouped_faults(fault.finding for fault in find_faults(flights))
+    """Return faults of flights, and contradictions of what was measured.
+
+    There is no contradiction if the clocks are too irregular to filter.
+    """
+    found = find_faults(FlightTable.of(table))
+    faults = grouped_faults(fault.finding for fault in found)
+    measured = FlightTable.of(without_faults(table, found))
     try:
-        contradictions = find_contradictions(flights)
+        contradictions = find_contradictions(measured)
     except ValueError:
         return faults
     return faults + [reason_of(contradiction.finding) for contradiction in contradictions]

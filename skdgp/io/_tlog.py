@@ -20,7 +20,7 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import IMU_POSITIONS, lifting_modes, outputs_of, vehicle_of
+from skdgp.io._dataflash import IMU_POSITIONS, NAMING, lifting_modes, outputs_of, vehicle_of
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -174,6 +174,7 @@ def read_tlog(path: Path) -> Log:
         remarks=(*damage(skipped), *others, *outputs.remarks),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
+        naming=f"{NAMING} (fetch them by the ground station while it records)",
         controls=outputs.controls,
         aliases=ALIASES,
         lifting=lifting,

@@ -112,6 +112,19 @@ class TestSummary:
         assert remark[:30] in str(summary)
 
 
+def test_what_was_not_measured_contradicts_nothing(tabled, flight):
+    """Of a sound flight: the IMU ends at 27 s, and its columns are zero from there."""
+    time = flight.time(50)
+    names = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
+    names += ["v_north", "v_east", "v_down"]
+    table = pd.DataFrame(flight.at(time, *names), columns=names)
+    table += default_rng(0).normal(0, 0.003, table.shape)
+    table.loc[time > 27, names[:6]] = 0.0
+    remarks = inspect_log(tabled(table.assign(time=time))).remarks
+    assert [remark.split()[2] for remark in remarks] == names[:6]
+    assert all("is stuck at 0 " in remark for remark in remarks)
+
+
 class TestCommand:
     def test_json(self, command, whole, capsys):
         assert command(["inspect", str(whole), "--json"]) == 0
@@ -139,7 +152,7 @@ class TestCommand:
         (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
         files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
         assert command(["identify", str(whole), *files]) == 1
-        assert "SERVOn_FUNCTION" in capsys.readouterr().err
+        assert "CA_SV_CSn_TYPE" in capsys.readouterr().err
         assert command(["identify", str(whole), *files, "--airborne", "300", *SLOPES]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()

@@ -185,14 +185,21 @@ def is_log(path: object) -> bool:
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is, read by how the file begins, else by its suffix."""
+    # damaged messages may hold any number
+    with np.errstate(all="ignore"):
+        return _reader(path)(path)
+
+
+def _reader(path: Path) -> Callable[[Path], Log]:
+    """Return the reader of a log of an autopilot."""
     if is_ulog_csv(path):
-        return read_ulog_csv(path)
+        return read_ulog_csv
     with path.open("rb") as file:
         first = file.read(max(map(len, BEGINNINGS)))
     for beginning, read in BEGINNINGS.items():
         if first.startswith(beginning):
-            return read(path)
-    return AUTOPILOTS[path.suffix.lower()](path)
+            return read
+    return AUTOPILOTS[path.suffix.lower()]
 
 
 def name_of(path: Path) -> str:
@@ -200,7 +207,7 @@ def name_of(path: Path) -> str:
     return name_of_log(path) if is_ulog_csv(path) else path.stem
 
 
-def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> FlightLog:
+def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     is_speed = isinstance(airborne, Real) and float(airborne) > 0
     if not (isinstance(airborne, bool) or is_speed):
@@ -211,7 +218,6 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
     entries = read_servos(servos) if turned is None else {}
     # damaged messages may hold any number
     with np.errstate(all="ignore"):
-        log = read_log(path)
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
         controls = {**log.commands, **controls}
         _check_channels(log, controls)

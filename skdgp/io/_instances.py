@@ -12,6 +12,7 @@ from skdgp._flight.clock import CLOCK
 from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
+    EQUIVALENT,
     LEAST_SPEED,
     QUATERNION,
     Instance,
@@ -29,6 +30,9 @@ VALID_WEIGHT = 4
 USED_WEIGHT = 2
 # engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
 LARGEST_APART = 0.05
+# means of redundant airspeed sensors differ by more than this fraction: one is wrong; a guess
+LARGEST_DISAGREEMENT = 0.1
+AIRSPEEDS = (("airspeed",), (EQUIVALENT,))
 # columns whose instances are engines, and allocators, in place of redundant sensors
 ENGINES = ("propeller_speed",)
 COMMANDS = ("throttle",)
@@ -133,7 +137,7 @@ def choose(log: Log, rule: Rule) -> Source | None:
     times = np.unique(np.concatenate([each.time for each in readings]))
     used, use = _used(log, rule, readings, times)
     chosen = _chosen(readings, used, times, any(each.is_measurement for each in rule.used))
-    remarks = [_remark(readings, chosen, times, rule, use)]
+    remarks = [_remark(readings, chosen, times, rule, use), _disagreement(readings, times, rule)]
     remarks += [_unmeasured(each, rule) for each in readings]
     time, values, counter, deltas = _merged(readings, chosen, times)
     cuts: list[float] = []
@@ -334,6 +338,27 @@ def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule
         text += f" and {len(parts) - 4} more changes"
     reason = f"as {use} says, where it is healthy" if use else "the healthiest"
     return f"{rule.words} of {len(readings)} instances: {text} ({reason})"
+
+
+def _disagreement(readings: list[Readings], times: Vector, rule: Rule) -> str:
+    """Return a remark on airspeed sensors that differ on average where the log calls all of them valid."""
+    readings = [each for each in readings if each.valid.any()]
+    if rule.columns not in AIRSPEEDS or len(readings) < 2:
+        return ""
+    rows = [last_before(each.time, times) for each in readings]
+    valid = [each.valid[last] for each, last in zip(readings, rows, strict=True)]
+    together = np.all(valid, axis=0)
+    if not together.any():
+        return ""
+    means = []
+    parts = []
+    for each, last in zip(readings, rows, strict=True):
+        mean = float(each.values[last[together]].mean())
+        means.append(mean)
+        parts.append(f"{each.instance.name} {mean:.3g} m/s")
+    if max(means) - min(means) <= LARGEST_DISAGREEMENT * max(means):
+        return ""
+    return f"airspeeds differ on average ({', '.join(parts)}): not all of them are right"
 
 
 def _unmeasured(readings: Readings, rule: Rule) -> str:

@@ -140,6 +140,7 @@ def test_a_table_without_thrust():
     assert "wing area 0.432 m^2 ± 35 %" in found.assumed[0]
     assert "Iyy 0.208 kg m^2 ± 39 %" in found.assumed[0]
     assert "mass" not in found.assumed[0]
+    assert {*found.verdict.warnings}.isdisjoint(found.assumed)
 
 
 @pytest.mark.usefixtures("no_mechanics")

@@ -490,8 +490,8 @@ def flight_table(
     if not flights or flown.log.vehicle in NOT_FLYING_ON_WINGS:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
-            f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
-            f"(--airborne all) reads all of it{_lower_speed(flown, settings)}."
+            f"({no_flight_because(flown)}), but expected a fixed wing in the air"
+            f"{_remedies(flown, settings)}."
         )
     return pd.concat(flights, ignore_index=True)
 
@@ -569,13 +569,19 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
     return flight[(time >= begin) & (time <= end)]
 
 
-def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
-    """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
+def _remedies(flown: FlightLog, settings: FlightSettings) -> str:
+    """Return what reads more of a log: all of it, or a speed that finds a flight, which overrides "landed".
+
+    It is empty for a vehicle without wings, and has no speed where nothing moves.
+    """
+    if flown.log.vehicle in NOT_FLYING_ON_WINGS:
+        return ""
+    remedy = ": airborne=False (--airborne all) reads all of it"
     highest = settings.airborne_fraction * flown.highest_speed_on_wings
     if not highest >= 1.0:
-        return ""
+        return remedy
     speed = f"{min(flown.speed, highest):.2g}"
-    return f", airborne={speed} (--airborne {speed}) all above {speed} m/s"
+    return f"{remedy}, airborne={speed} (--airborne {speed}) all above {speed} m/s"
 
 
 def no_flight_because(flown: FlightLog) -> str:
@@ -584,18 +590,15 @@ def no_flight_because(flown: FlightLog) -> str:
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
     log = flown.longest.log
-    reasons = [
-        *_unarmed(log),
-        *_landed_throughout(flown.longest),
-        *_lifted_throughout(flown.longest),
-        *_unmoved(log),
-    ]
+    excluded = [*_landed_throughout(flown.longest), *_lifted_throughout(flown.longest)]
+    reasons = [*_unarmed(log), *excluded, *_unmoved(log)]
     channel = "airspeed"
     if "airspeed" not in flown.longest.table:
         channel = "ground speed"
         reasons.append("there is no valid airspeed")
     highest = flown.highest_speed
-    if np.isfinite(highest):
+    is_fast = highest > flown.speed
+    if np.isfinite(highest) and not (excluded and is_fast):
         reasons.append(
             f"{channel} never stays above {flown.speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
         )

@@ -61,7 +61,9 @@ class TestSummary:
         t = np.arange(0, 20, 0.02)
         log = ulog(MAV_TYPE=2)
         quad = write(log.topic("vehicle_angular_velocity", t, xyz=np.sin(np.outer(t, [1, 1, 1]))))
-        assert "multicopter: not for this program" in inspect_log(quad).remarks[-1]
+        refusal = inspect_log(quad).remarks[-1]
+        assert "multicopter: not for this program" in refusal
+        assert "airborne" not in refusal
         for airborne in (True, False):
             with pytest.raises(FlightReadError, match="a multicopter: not for this program"):
                 read_flight(quad, airborne=airborne)

@@ -73,6 +73,7 @@ def test_a_flight_in_which_rotors_lift_throughout(read, vtol):
     with pytest.raises(FlightReadError, match=r"rotors lift the VTOL.* in 100 %") as refusal:
         read(log, "log.bin")
     assert "all above" not in str(refusal.value)
+    assert "never stays above" not in str(refusal.value)
 
 
 def test_a_mode_that_flies_on_wings_at_first(read, vtol):

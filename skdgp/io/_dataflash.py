@@ -92,7 +92,6 @@ def _attitude(degrees: Matrix) -> Matrix:
     return euler_to_quaternion(*np.deg2rad(degrees).T)
 
 
-MODELLED = "estimated on board, not measured by a vane"
 STANDARD = "standard atmosphere at the measured pressure"
 # the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
 LANE_3 = (Use("XKF4", "PI"),)
@@ -131,8 +130,6 @@ RULES = (
     Rule(
         (EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health"), used=PRIMARY, preferred=("U",)
     ),
-    Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
-    Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
     *_estimator("XKF", LANE_3),
     *_estimator("NKF", LANE_2),
     Rule(

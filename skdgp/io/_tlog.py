@@ -67,6 +67,7 @@ CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 LARGEST_DIFFERENCE = 60.0
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
+PX4_NAMING = "the log on board (.ulg), as no message of PX4 names them"
 # MAV_VTOL_STATE 1 to 3 are transitions and rotary wing
 HOVER = ("EXTENDED_SYS_STATE", "vtol_state", 1.0, 3.0)
 
@@ -174,7 +175,7 @@ def read_tlog(path: Path) -> Log:
         remarks=(*damage(skipped), *others, *outputs.remarks),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
-        naming=f"{NAMING} (fetch them by the ground station while it records)",
+        naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",
         controls=outputs.controls,
         aliases=ALIASES,
         lifting=lifting,

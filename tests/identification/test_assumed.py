@@ -144,6 +144,14 @@ def test_a_table_without_thrust():
 
 
 @pytest.mark.usefixtures("no_mechanics")
+def test_of_an_engine_that_never_ran_no_thrust_is_assumed():
+    found = quietly(table().assign(throttle=0.0), UNKNOWN, samples=60, horizons=[1.0])
+    assert found.options["thrust"] is None
+    assert Code.THRUST_IN_COEFFICIENTS not in {finding.code for finding in found.findings}
+    assert "throttle" not in found.fit.regressors
+
+
+@pytest.mark.usefixtures("no_mechanics")
 def test_nothing_was_assumed_of_what_was_told():
     inertia = np.diag([0.1, 0.15, 0.2])
     told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=inertia)

@@ -332,7 +332,7 @@ def _surface(log: Log, name: str, control: Control) -> Source:
 
 
 def _is_full_throw(log: Log, name: str, control: Control) -> bool:
-    """Return whether a control is that of the parameters, of either sign, in place of angles."""
+    """Return whether a control has the weights of the parameters, of either sign, which know no angles."""
     named = log.controls.get(name, ())
     return [abs(weight) for weight, _ in control] == [abs(weight) for weight, _ in named]
 

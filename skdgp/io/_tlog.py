@@ -61,7 +61,7 @@ PX4 = 12
 TAILSITTERS = (19, 20, 23)
 # MAV_MODE_FLAG_SAFETY_ARMED of base_mode
 ARMED = 128
-# MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, and the sets of sensors in which it then is
+# MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, and the fields that have its bit
 PRESSURE_SENSOR = 16
 SENSOR_SETS = ("onboard_control_sensors_present", "onboard_control_sensors_health")
 # a field of VFR_HUD that says whether there was a healthy sensor of the airspeed

@@ -64,13 +64,20 @@ def read_model(options) -> Bunch:
 
 
 def read_model_to_fly(options) -> tuple[Bunch, str | None]:
-    """Return the model and its thrust in motion, "auto" or None; warn of loads and gusts of its flights."""
+    """Return the model and its thrust in motion, "auto" or None; warn of loads, thrust and gusts of its flights."""
     model = read_model(options)
     learned = model.get("options", {})
     if learned.get("external_forces"):
         warn(
             f"Motion is computed without the external forces {learned['external_forces']} of the "
             "flights that the model was learned from.",
+            stacklevel=2,
+        )
+    thrust = learned.get("thrust", "auto")
+    if thrust is None:
+        warn(
+            "No thrust was subtracted in this model: where an engine ran, CX holds its thrust, and CD "
+            "is drag less thrust.",
             stacklevel=2,
         )
     turbulence = model.pipeline.turbulence_
@@ -82,7 +89,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             f"small: learn from flights in calmer air.",
             stacklevel=2,
         )
-    return model, learned.get("thrust", "auto")
+    return model, thrust
 
 
 def predict(run: Run) -> None:

@@ -95,6 +95,12 @@ class FaultSettings:
     widest_spike: int = 3
     # Steps that change by less than this fraction of themselves show no noise (with noise: 1.7).
     smooth: float = 0.5
+    # One value is a mark of missing samples if it comes again this often at least, and so many times
+    # as often as any other.
+    fewest_marks: int = 5
+    marks_ratio: float = 5.0
+    # A leap to it is so many times the change from before it to after it, or the edge of a dead band.
+    mark_leap: float = 3.0
     # A sample is missing where the next comes later than so many usual spacings.
     missing: float = 1.5
 
@@ -192,7 +198,10 @@ def _faults_of_channel(
         value = float(values[rows[0]])
         yield _Rows(name, Code.STUCK, rows, {"value": value})
         values[rows] = np.nan
+    marks = mark_rows(values, settings)
+    values[marks] = np.nan
     rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
+    rows = np.union1d(marks, rows)
     if rows.size:
         yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
 
@@ -223,6 +232,11 @@ def _impossible(name: str, values: Vector, settings: FaultSettings) -> Iterator[
         numbers = {"value": float(values[rows[0]])}
         values[rows] = np.nan
         yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
+
+
+def dead_channels(flights: FlightTable, settings: FaultSettings = SETTINGS) -> list[str]:
+    """Return the sensors that have one value in all flights while others of their kind move."""
+    return [dead.channel for dead in _dead(flights.numeric_channels(POSSIBLE), settings)]
 
 
 def _dead(channels: dict[str, Vector], settings: FaultSettings) -> Iterator[_Rows]:
@@ -337,6 +351,38 @@ def _resolution(held: Vector, settings: FaultSettings) -> float:
     distance = np.abs(multiples - np.rint(multiples))
     on_step = distance < settings.off_step
     return float(step) if on_step.mean() > settings.most_on_step else 0.0
+
+
+def mark_rows(values: Vector, settings: FaultSettings = SETTINGS) -> Indices:
+    """Return the rows of one value that stands for missing samples, such as zero.
+
+    A sensor leaps to it and back, which changes what it reads far less, and repeats no other value
+    as often. The edges of a dead band are no farther from it than the leaps.
+    """
+    runs = _Runs.of(values)
+    nothing = np.empty(0, int)
+    if len(runs.rows) < settings.enough:
+        return nothing
+    levels, level, counts = np.unique(runs.value, return_inverse=True, return_counts=True)
+    place = counts.argmax()
+    most_other = np.delete(counts, place).max(initial=1)
+    if counts[place] < max(settings.fewest_marks, settings.marks_ratio * most_other):
+        return nothing
+
+    mark = levels[place]
+    is_mark = level == place
+    inner = 1 + np.flatnonzero(is_mark[1:-1])
+    before = runs.value[inner - 1]
+    after = runs.value[inner + 1]
+    usual = np.median(np.abs(after - before))
+    others = np.delete(levels, place)
+    if others.min() < mark < others.max():
+        usual = max(usual, np.abs(others - mark).min())
+    leap = np.median(np.abs(mark - (before + after) / 2))
+    if leap <= settings.mark_leap * usual:
+        return nothing
+    is_row = np.repeat(is_mark, runs.length)
+    return runs.rows[is_row]
 
 
 def spike_rows(values: Vector, *, angle: bool, settings: FaultSettings = SETTINGS) -> Indices:

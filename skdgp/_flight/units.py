@@ -196,7 +196,7 @@ def check_units(flights: FlightTable, settings: UnitSettings = UNITS) -> None:
         raise ValueError(
             f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near "
             f"9.8 m/s^2: this looks like g. Multiply by 9.80665, or say the unit in the header, as "
-            f"in 'az [g]'."
+            f"in 'az [g]'; if gravity was removed, add it (az is -9.8 in level flight)."
         )
     step = _quantile(np.diff(flights.time), 0.5)
     if step > settings.longest_step:

@@ -6,11 +6,15 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import pandas as pd
+
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
 from skdgp._flight.checks import check_table
 from skdgp._flight.tables import FlightTable
-from skdgp.io import FlightReadError, is_log, read_flight
+from skdgp.io import FlightReadError, is_log, read_flight, reversed_of
 
 Flights = dict[str, FlightTable]
+SURFACES = (*ALL_SURFACES, *HIGH_LIFT)
 
 
 def named_flights(
@@ -54,6 +58,7 @@ def named_flights(
         elif isinstance(item, str | os.PathLike):
             place = item
             table = read_flight(item, rename=rename)
+            _check_surfaces(item, table, reading.get("servos"))
         parts = split_flights(table, f"{default} {number}", needed, what=what)
         if key and len(parts) != 1:
             raise ValueError(
@@ -70,6 +75,16 @@ def named_flights(
             by_name[name] = flight.named(name)
             origin[name] = place
     return by_name
+
+
+def _check_surfaces(path: str | os.PathLike, table: pd.DataFrame, servos: Any) -> None:
+    """Raise ValueError if a table has surfaces in radians and those of logs are in parts of their full throw."""
+    surfaces = [name for name in SURFACES if name in table]
+    if surfaces and reversed_of(servos) is not None:
+        raise ValueError(
+            f"Got the table {path} with {' '.join(surfaces)} in rad for surfaces in parts of their full "
+            "throw, but expected one unit: give the log itself, or learn the model with a servo file."
+        )
 
 
 def items_of(flights: Any) -> list:

@@ -126,7 +126,9 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Training data, and uses that the model is good enough for."""
-        return judge(self.train.values(), self.evaluations, self.fit, self.mechanics, self.findings)
+        # assumptions are told in their own list
+        findings = [finding for finding in self.findings if finding not in self.assumptions]
+        return judge(self.train.values(), self.evaluations, self.fit, self.mechanics, findings)
 
     @cached_property
     def metrics(self) -> dict:

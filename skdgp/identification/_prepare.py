@@ -137,8 +137,9 @@ def prepare(
     usable_test = usable_flights(test_flights, aircraft, regressors, columns)
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
-        report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
         thrust = None
+        if any((table["throttle"] > 0).any() for table in usable_train.values()):
+            report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
     if thrust is None:
         warn_of_engine(usable_train, regressors)
     prepared = PreparedFlights(

@@ -185,14 +185,21 @@ def is_log(path: object) -> bool:
 
 def read_log(path: Path) -> Log:
     """Return a log of an autopilot as it is, read by how the file begins, else by its suffix."""
+    # damaged messages may hold any number
+    with np.errstate(all="ignore"):
+        return _reader(path)(path)
+
+
+def _reader(path: Path) -> Callable[[Path], Log]:
+    """Return the reader of a log of an autopilot."""
     if is_ulog_csv(path):
-        return read_ulog_csv(path)
+        return read_ulog_csv
     with path.open("rb") as file:
         first = file.read(max(map(len, BEGINNINGS)))
     for beginning, read in BEGINNINGS.items():
         if first.startswith(beginning):
-            return read(path)
-    return AUTOPILOTS[path.suffix.lower()](path)
+            return read
+    return AUTOPILOTS[path.suffix.lower()]
 
 
 def name_of(path: Path) -> str:
@@ -200,7 +207,7 @@ def name_of(path: Path) -> str:
     return name_of_log(path) if is_ulog_csv(path) else path.stem
 
 
-def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> FlightLog:
+def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     is_speed = isinstance(airborne, Real) and float(airborne) > 0
     if not (isinstance(airborne, bool) or is_speed):
@@ -211,9 +218,9 @@ def on_one_clock(path: Path, *, servos: Any = None, airborne: Any = True) -> Fli
     entries = read_servos(servos) if turned is None else {}
     # damaged messages may hold any number
     with np.errstate(all="ignore"):
-        log = read_log(path)
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
         controls = {**log.commands, **controls}
+        _check_channels(log, controls)
         speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
@@ -301,36 +308,50 @@ def _problem(source: Source, log: Log, rule: Rule) -> str:
 
 
 def _surface(log: Log, name: str, control: Control) -> Source:
-    """Return a control by the channels of its servos, which are fields of one topic."""
-    values: Any = 0.0
-    largest = 0.0
+    """Return a control by the channels of its servos, which are fields of one topic.
+
+    It is empty where a part of the log lacks the topic.
+    """
     is_command = name in log.commands
-    for weight, servo in control:
-        deflection = servo.deflection(_pulses(log, name, servo))
+    servos = [servo for _, servo in control]
+    topic = log.topics.get(servos[0].topic, NOTHING)
+    values = np.zeros(len(topic))
+    for weight, servo in control if len(topic) else ():
+        deflection = servo.deflection(topic[servo.field])
         if is_command:  # an engine that is switched off gets no number
             deflection = np.nan_to_num(deflection)
         values = values + weight * deflection
-        largest += abs(weight) * max(np.abs(servo.angles))
-    note = "in parts of the full throw" if np.isclose(largest, 1.0) else "by the servo file"
+    note = (
+        "in parts of the full throw" if _is_full_throw(log, name, control) else "by the servo file"
+    )
     if is_command:
         note = "as commanded"
-    servos = [servo for _, servo in control]
     channels = " ".join(servo.channel for servo in servos)
     valid = np.isfinite(values)
-    time = log.topics[servos[0].topic].time[valid]
-    return Source((name,), channels, time, values[valid][:, None], note)
+    return Source((name,), channels, topic.time[valid], values[valid][:, None], note)
 
 
-def _pulses(log: Log, name: str, servo: Servo) -> Vector:
-    """Return the values of a servo's channel; raise FlightReadError if the log has none such."""
-    topic = log.topics.get(servo.topic, NOTHING)
-    if servo.field in topic:
-        return topic[servo.field]
+def _is_full_throw(log: Log, name: str, control: Control) -> bool:
+    """Return whether a control has the weights of the parameters, of either sign, which know no angles."""
+    named = log.controls.get(name, ())
+    return [abs(weight) for weight, _ in control] == [abs(weight) for weight, _ in named]
+
+
+def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
+    """Raise FlightReadError if the log lacks the channel of a servo."""
+    for name, control in controls.items():
+        for _, servo in control:
+            if servo.field not in log.topics.get(servo.topic, NOTHING):
+                raise FlightReadError(_lacking_channel(log, name, servo))
+
+
+def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
+    """Return the message that the log lacks the channel of a servo, with those that it has."""
     fields = []
     for output in log.topics.keys() & set(log.outputs):
         numbers = log.topics[output].fields.keys() - {"timestamp", "timestamp_sample", "TimeUS"}
         fields += [f"{output}.{number}" for number in numbers]
-    raise FlightReadError(
+    return (
         f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one "
         f"of {sorted(fields)[:24]}."
     )
@@ -469,8 +490,8 @@ def flight_table(
     if not flights or flown.log.vehicle in NOT_FLYING_ON_WINGS:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
-            f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
-            f"(--airborne all) reads all of it{_lower_speed(flown, settings)}."
+            f"({no_flight_because(flown)}), but expected a fixed wing in the air"
+            f"{_remedies(flown, settings)}."
         )
     return pd.concat(flights, ignore_index=True)
 
@@ -548,13 +569,19 @@ def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
     return flight[(time >= begin) & (time <= end)]
 
 
-def _lower_speed(flown: FlightLog, settings: FlightSettings) -> str:
-    """Return the remedy of a speed limit that finds a flight, empty where nothing moves; it overrides "landed"."""
+def _remedies(flown: FlightLog, settings: FlightSettings) -> str:
+    """Return what reads more of a log: all of it, or a speed that finds a flight, which overrides "landed".
+
+    It is empty for a vehicle without wings, and has no speed where nothing moves.
+    """
+    if flown.log.vehicle in NOT_FLYING_ON_WINGS:
+        return ""
+    remedy = ": airborne=False (--airborne all) reads all of it"
     highest = settings.airborne_fraction * flown.highest_speed_on_wings
     if not highest >= 1.0:
-        return ""
+        return remedy
     speed = f"{min(flown.speed, highest):.2g}"
-    return f", airborne={speed} (--airborne {speed}) all above {speed} m/s"
+    return f"{remedy}, airborne={speed} (--airborne {speed}) all above {speed} m/s"
 
 
 def no_flight_because(flown: FlightLog) -> str:
@@ -563,18 +590,15 @@ def no_flight_because(flown: FlightLog) -> str:
     if vehicle in NOT_FLYING_ON_WINGS:
         return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
     log = flown.longest.log
-    reasons = [
-        *_unarmed(log),
-        *_landed_throughout(flown.longest),
-        *_lifted_throughout(flown.longest),
-        *_unmoved(log),
-    ]
+    excluded = [*_landed_throughout(flown.longest), *_lifted_throughout(flown.longest)]
+    reasons = [*_unarmed(log), *excluded, *_unmoved(log)]
     channel = "airspeed"
     if "airspeed" not in flown.longest.table:
         channel = "ground speed"
         reasons.append("there is no valid airspeed")
     highest = flown.highest_speed
-    if np.isfinite(highest):
+    is_fast = highest > flown.speed
+    if np.isfinite(highest) and not (excluded and is_fast):
         reasons.append(
             f"{channel} never stays above {flown.speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
         )

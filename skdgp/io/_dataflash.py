@@ -92,7 +92,6 @@ def _attitude(degrees: Matrix) -> Matrix:
     return euler_to_quaternion(*np.deg2rad(degrees).T)
 
 
-MODELLED = "estimated on board, not measured by a vane"
 STANDARD = "standard atmosphere at the measured pressure"
 # the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
 LANE_3 = (Use("XKF4", "PI"),)
@@ -131,8 +130,6 @@ RULES = (
     Rule(
         (EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health"), used=PRIMARY, preferred=("U",)
     ),
-    Rule(("alpha",), "AOA", ("AOA",), np.deg2rad, note=MODELLED),
-    Rule(("beta",), "AOA", ("SSA",), np.deg2rad, note=MODELLED),
     *_estimator("XKF", LANE_3),
     *_estimator("NKF", LANE_2),
     Rule(
@@ -166,6 +163,7 @@ TURNED = (
     ServoFunction.ELEVON_LEFT,
     ServoFunction.ELEVON_RIGHT,
 )
+NAMING = "the parameters SERVOn_FUNCTION"
 MOST_SERVOS = 32
 # messages of outputs 15 to 18 and 19 to 32, which follow RCOU
 FURTHER_OUTPUTS = ("RCO2", "RCO3")
@@ -173,7 +171,8 @@ FURTHER_OUTPUTS = ("RCO2", "RCO3")
 ENGINES = ("rpm1", "rpm2")
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
-# motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK drive forward too
+# motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
+# Q_TAILSIT_MOTMX, drive forward too
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
 # servos that tilt motors, forward at the end of their range (ArduPlane/tiltrotor.cpp)
 TILT_SERVOS = (
@@ -287,7 +286,8 @@ def _read_texts(path: Path) -> dict[str, Texts]:
         elif name in texts:
             width = len(texts[name].columns)
             # a text at the end may hold commas
-            cells[width - 1 :] = [",".join(cells[width - 1 :])]
+            if len(cells) > width:
+                cells[width - 1 :] = [",".join(cells[width - 1 :])]
             if len(cells) == width:
                 texts[name].rows.append(cells)
                 texts[name].places.append(place)
@@ -351,6 +351,7 @@ def _log(
         remarks=(*remarks, *outputs.remarks),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
+        naming=NAMING,
         controls=outputs.controls,
         aliases=ALIASES,
         lifting=lifting,
@@ -406,13 +407,14 @@ def _lifting(
     ``name`` is the channel of output n; none where no such output is logged.
     """
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
+    forward = tilted | whole(parameters.get("Q_TAILSIT_MOTMX", 0.0))
     low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
     high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
     motors = []
     tilts = []
     for n, function in _functions(outputs, parameters, name).items():
         topic, field = name.format(n).split(".")
-        if function in LIFT_MOTORS and not tilted >> LIFT_MOTORS.index(function) & 1:
+        if function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(function) & 1:
             motors.append((topic, field, low + settings.running * (high - low), np.inf))
         if function in TILT_SERVOS and tilted:
             limits = _pulses_short_of(settings.forward, parameters, n)

@@ -12,6 +12,7 @@ from skdgp._flight.clock import CLOCK
 from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
+    EQUIVALENT,
     LEAST_SPEED,
     QUATERNION,
     Instance,
@@ -27,8 +28,10 @@ from skdgp.io._resets import correct_resets, place_of_jump
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
 USED_WEIGHT = 2
-# engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
-LARGEST_APART = 0.05
+# engines differ by more than this fraction of their speed: one stands still, or they steer; airspeed
+# sensors do: one is wrong; a guess
+LARGEST_APART = 0.1
+AIRSPEEDS = (("airspeed",), (EQUIVALENT,))
 # columns whose instances are engines, and allocators, in place of redundant sensors
 ENGINES = ("propeller_speed",)
 COMMANDS = ("throttle",)
@@ -78,7 +81,8 @@ class Readings(NamedTuple):
     time: Vector
     values: Matrix
     valid: Mask
-    preferred: Mask
+    # 0 to 1: flags, or a confidence
+    preferred: Vector
     # 0 where resets are not logged
     counter: Vector
     # changes by the last reset, NaN where they are not logged
@@ -132,7 +136,7 @@ def choose(log: Log, rule: Rule) -> Source | None:
     times = np.unique(np.concatenate([each.time for each in readings]))
     used, use = _used(log, rule, readings, times)
     chosen = _chosen(readings, used, times, any(each.is_measurement for each in rule.used))
-    remarks = [_remark(readings, chosen, times, rule, use)]
+    remarks = [_remark(readings, chosen, times, rule, use), _disagreement(readings, times, rule)]
     remarks += [_unmeasured(each, rule) for each in readings]
     time, values, counter, deltas = _merged(readings, chosen, times)
     cuts: list[float] = []
@@ -204,9 +208,11 @@ def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     apart = max(speeds, default=0.0) - min(speeds, default=0.0)
     remark = ""
     if apart > LARGEST_APART * sum(speeds) / len(running):
+        commanded = "the part that was not commanded (differential_throttle)"
+        lost = commanded if "differential_throttle" in log.commands else "their yawing moment"
         remark = (
-            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: their "
-            "yawing moment is in no column"
+            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: {lost} "
+            "is in no column"
         )
     return _source(rule, names, time, mean, note, remark)
 
@@ -216,10 +222,10 @@ def _readings(instance: Instance, rule: Rule) -> Readings:
     n = len(topic)
     values = rule.convert(topic.columns(rule.fields))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
-    preferred = np.zeros(n, bool)
+    preferred = np.zeros(n)
     for field in rule.preferred:
         if field in topic:
-            preferred |= topic[field] > 0
+            preferred = np.clip(np.nan_to_num(topic[field]), 0.0, 1.0)
     counter = np.zeros(n)
     deltas = np.full((n, max(len(rule.resets[1:]), 1)), np.nan)
     if rule.resets and rule.resets[0] in topic:
@@ -290,7 +296,7 @@ def _chosen(
         age = times - each.time[last]
         step = usual_step(np.diff(each.time)) if len(each.time) > 1 else np.inf
         is_fresh = np.abs(age) <= CLOCK.gap * step
-        scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + each.preferred[last]
+        scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + (each.preferred[last] > 0)
         if used is not None:
             scores[place] += USED_WEIGHT * (used == place)
     chosen = scores.argmax(axis=0)
@@ -331,6 +337,27 @@ def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule
         text += f" and {len(parts) - 4} more changes"
     reason = f"as {use} says, where it is healthy" if use else "the healthiest"
     return f"{rule.words} of {len(readings)} instances: {text} ({reason})"
+
+
+def _disagreement(readings: list[Readings], times: Vector, rule: Rule) -> str:
+    """Return a remark on airspeed sensors that differ on average where the log calls all of them valid."""
+    readings = [each for each in readings if each.valid.any()]
+    if rule.columns not in AIRSPEEDS or len(readings) < 2:
+        return ""
+    rows = [last_before(each.time, times) for each in readings]
+    valid = [each.valid[last] for each, last in zip(readings, rows, strict=True)]
+    together = np.all(valid, axis=0)
+    if not together.any():
+        return ""
+    means = []
+    parts = []
+    for each, last in zip(readings, rows, strict=True):
+        mean = float(each.values[last[together]].mean())
+        means.append(mean)
+        parts.append(f"{each.instance.name} {mean:.3g} m/s")
+    if max(means) - min(means) <= LARGEST_APART * max(means):
+        return ""
+    return f"airspeeds differ on average ({', '.join(parts)}): not all of them are right"
 
 
 def _unmeasured(readings: Readings, rule: Rule) -> str:

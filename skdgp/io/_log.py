@@ -157,7 +157,8 @@ class Rule(NamedTuple):
     used : tuple of Use
         Where the log says which instance the autopilot used; the first that is logged counts.
     preferred : tuple of str
-        Fields that are positive of an instance that is preferred among healthy ones.
+        Fields that are positive of an instance that is preferred among healthy ones: flags, or a
+        confidence from 0 to 1.
     resets : tuple of str
         Counter of an estimator's resets, and the fields of the changes of the columns by the last.
     is_estimate : bool
@@ -257,6 +258,8 @@ class Log:
         Topic, field and its limits while the autopilot is on the ground; none where it does not say.
     outputs : tuple of str
         Topics with the outputs to servos.
+    naming : str
+        What names the surfaces that the outputs move.
     controls : dict of str to Control
         Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim, with
         weights of servos that make a control together, as of a V-tail.
@@ -279,6 +282,7 @@ class Log:
     remarks: tuple[str, ...] = ()
     landed: States = ()
     outputs: tuple[str, ...] = ()
+    naming: str = ""
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     lifting: States = ()
@@ -553,10 +557,10 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
 def lacking_servos(log: Log) -> str:
     """Return the message that nothing in a log tells which outputs move surfaces."""
     logged = [name for name in log.outputs if name in log.topics]
+    outputs = "" if logged else f"some of {list(log.outputs)} and "
     return (
-        f"Got outputs {logged} without parameters that name their surfaces, but expected some of "
-        f"{list(log.outputs)}, and SERVOn_FUNCTION of ArduPilot or CA_SV_CSn_TYPE of PX4, or controls "
-        "before a fixed mixer (actuator_controls_0): log them, or write the servo file by hand."
+        f"Got outputs {logged} without parameters that name their surfaces, but expected {outputs}"
+        f"{log.naming}: log them, or write the servo file by hand."
     )
 
 

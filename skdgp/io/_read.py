@@ -25,12 +25,12 @@ from skdgp._flight.checks import (
     unknown_columns_message,
 )
 from skdgp._flight.clock import flight_codes
-from skdgp._flight.faults import FlightDataWarning, find_faults
+from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, name_of, on_one_clock, read_log
-from skdgp.io._log import Topic, lacking_servos, reversed_of
+from skdgp.io._log import FULL_THROW, Topic, full_throws, reversed_of
 from skdgp.io._tables import (
     FlightReadError,
     base_name,
@@ -142,7 +142,7 @@ def read_flight(
 
 
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
-    flown = on_one_clock(path, servos=servos, airborne=airborne)
+    flown = on_one_clock(read_log(path), servos=servos, airborne=airborne)
     name = name_of(path) if flight is None else flight
     with recorded_warnings() as record:
         if reversed_of(servos) is not None:  # parts of the full throw are no angles
@@ -345,7 +345,8 @@ def inspect_log(
     Parameters
     ----------
     path, servos, airborne, rename : as of :func:`read_flight`
-        A table takes ``rename`` alone.
+        A table takes ``rename`` alone. Without servos, surfaces are in parts of their full throw
+        where the parameters of a log name them.
 
     Returns
     -------
@@ -372,9 +373,16 @@ def inspect_log(
     if not is_log(path):
         table = read_flight(path, servos=servos, airborne=airborne, rename=rename)
         return _of_table(path, table)
+    lacking = []
     with reading(path):
-        flown = on_one_clock(path, servos=servos, airborne=airborne)
-    lacking = [] if servos is not None or flown.log.controls else [lacking_servos(flown.log)]
+        log = read_log(path)
+        if servos is None:
+            try:
+                full_throws(log)
+                servos = FULL_THROW
+            except FlightReadError as error:
+                lacking = [str(error)]
+        flown = on_one_clock(log, servos=servos, airborne=airborne)
     try:
         table = flight_table(flown, name_of(path), airborne=airborne)
         faults = _faults(table)
@@ -439,11 +447,15 @@ def _flights(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _faults(table: pd.DataFrame) -> list[str]:
-    """Return faults and contradictions of flights; no contradiction if their clocks are too irregular to filter."""
-    flights = FlightTable.of(table)
-    faults = grouped_faults(fault.finding for fault in find_faults(flights))
+    """Return faults of flights, and contradictions of what was measured.
+
+    There is no contradiction if the clocks are too irregular to filter.
+    """
+    found = find_faults(FlightTable.of(table))
+    faults = grouped_faults(fault.finding for fault in found)
+    measured = FlightTable.of(without_faults(table, found))
     try:
-        contradictions = find_contradictions(flights)
+        contradictions = find_contradictions(measured)
     except ValueError:
         return faults
     return faults + [reason_of(contradiction.finding) for contradiction in contradictions]

@@ -128,6 +128,8 @@ def to_floats(column: pd.Series) -> np.ndarray:
         remedy = (
             "leave missing values empty, write no separators of thousands, and one decimal mark"
         )
+        if column.name == "time":
+            remedy = "write seconds, dates as 2024-05-03T12:00:00.25 (ISO 8601), times of day as 12:00:00.25"
         if isinstance(cell, str) and _usual_spelling(cell).lower() in UNITS:
             remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
         raise FlightReadError(
@@ -218,7 +220,7 @@ def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataF
             "Got a file that is empty, but expected a header line, and a row for each sample under it."
         )
     lines = lines[n_above:]
-    separator = max(",;\t", key=lambda mark: _n_names(lines, mark))
+    separator = max(",;\t|", key=lambda mark: _n_names(lines, mark))
     records = _records(lines, separator)
     names, units = _split_headings(next(records), rename)
     check_width(len(names))

@@ -20,7 +20,7 @@ from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import IMU_POSITIONS, lifting_modes, outputs_of, vehicle_of
+from skdgp.io._dataflash import IMU_POSITIONS, NAMING, lifting_modes, outputs_of, vehicle_of
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -36,6 +36,7 @@ from skdgp.io._log import (
     engines_rule,
     in_flight_axes,
     instance_name,
+    last_before,
     milli,
     numeric_fields,
     rows_in,
@@ -60,6 +61,11 @@ PX4 = 12
 TAILSITTERS = (19, 20, 23)
 # MAV_MODE_FLAG_SAFETY_ARMED of base_mode
 ARMED = 128
+# MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, and the fields that have its bit
+PRESSURE_SENSOR = 16
+SENSOR_SETS = ("onboard_control_sensors_present", "onboard_control_sensors_health")
+# a field of VFR_HUD that says whether there was a healthy sensor of the airspeed
+PITOT = "has_sensor"
 # MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
 INT32 = 6
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
@@ -67,6 +73,7 @@ CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 LARGEST_DIFFERENCE = 60.0
 NUMBERED = {"SERVO_OUTPUT_RAW": "port", "RAW_IMU": "id", "HIGHRES_IMU": "id"}
 OUTPUTS = "SERVO_OUTPUT_RAW"
+PX4_NAMING = "the log on board (.ulg), as no message of PX4 names them"
 # MAV_VTOL_STATE 1 to 3 are transitions and rotary wing
 HOVER = ("EXTENDED_SYS_STATE", "vtol_state", 1.0, 3.0)
 
@@ -99,7 +106,7 @@ RULES = (
     Rule(SPECIFIC_FORCE, "RAW_IMU", ACCELEROMETERS, milli_g),
     Rule(SPECIFIC_FORCE, "SCALED_IMU", ACCELEROMETERS, milli_g),
     Rule(QUATERNION, "ATTITUDE", ("roll", "pitch", "yaw"), _attitude),
-    Rule((EQUIVALENT,), "VFR_HUD", ("airspeed",), valid=("airspeed",), note=AIRSPEED),
+    Rule((EQUIVALENT,), "VFR_HUD", ("airspeed",), valid=("airspeed", PITOT), note=AIRSPEED),
     Rule(EARTH_VELOCITY, "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
     Rule(EARTH_VELOCITY, "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), centi),
     Rule(POSITION, "LOCAL_POSITION_NED", ("x", "y", "z")),
@@ -125,6 +132,7 @@ READ = {rule.topic for rule in RULES}.union(*ALIASES.values()) | {
     "EXTENDED_SYS_STATE",
     "HEARTBEAT",
     "PARAM_VALUE",
+    "SYS_STATUS",
 }
 
 
@@ -156,6 +164,8 @@ def read_tlog(path: Path) -> Log:
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     if "HEARTBEAT" in topics:
         topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
+    if {"VFR_HUD", "SYS_STATUS"} <= topics.keys():
+        topics["VFR_HUD"] = _with_pitot(topics["VFR_HUD"], topics["SYS_STATUS"])
     outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
     vehicle = _vehicle(topics, vehicles, parameters)
     lifting: States = ()
@@ -174,6 +184,7 @@ def read_tlog(path: Path) -> Log:
         remarks=(*damage(skipped), *others, *outputs.remarks),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
+        naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",
         controls=outputs.controls,
         aliases=ALIASES,
         lifting=lifting,
@@ -209,6 +220,16 @@ def _with_armed(beats: Topic) -> Topic:
     modes = beats.fields["base_mode"].astype(int)
     is_armed = (modes & ARMED) > 0
     return Topic(beats.time, beats.order, beats.fields | {"armed": is_armed})
+
+
+def _with_pitot(hud: Topic, status: Topic) -> Topic:
+    """Return the messages with a field that says whether a sensor measured the airspeed, else it is estimated."""
+    order = np.argsort(status.time)
+    rows = order[last_before(status.time[order], hud.time)]
+    has_sensor = np.ones(len(hud), dtype=bool)
+    for name in SENSOR_SETS:
+        has_sensor &= (status.fields[name][rows].astype(int) & PRESSURE_SENSOR) > 0
+    return Topic(hud.time, hud.order, hud.fields | {PITOT: has_sensor})
 
 
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:

@@ -241,7 +241,8 @@ TAILSITTER = 0
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
-MOST_ENGINES = 8
+NAMING = "the parameters CA_SV_CSn_TYPE, or the controls before a fixed mixer (actuator_controls_0)"
+MOST_ENGINES = 12
 MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
 ENGINE_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
 MOST_SURFACES = 8  # of control allocation
@@ -337,6 +338,7 @@ def px4_log(
         remarks=remarks,
         landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
+        naming=NAMING,
         controls=_controls(topics, parameters, sits_on_tail),
         lifting=lifting,
         commands={} if is_vtol else _commands(topics, parameters),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import glob
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 
 from skdgp.io._log import Log, Topic, instance_name, numeric_fields
 from skdgp.io._tables import FlightReadError
-from skdgp.io._ulog import px4_log, sampled
+from skdgp.io._ulog import NAMING, px4_log, sampled
 
 # one of these topics is in every log of a flight, and no other topic's name ends so: what stands
 # before it is the log's name
@@ -60,7 +61,8 @@ def read_ulog_csv(path: Path) -> Log:
             topic = _topic(found[1], file)
             if topic is not None:
                 topics[instance_name(found[1], int(found[2]))] = topic
-    return px4_log(topics, {}, kind="PX4 ULog as CSV", firmware="PX4")
+    converted = px4_log(topics, {}, kind="PX4 ULog as CSV", firmware="PX4")
+    return replace(converted, naming=f"{NAMING} (ulog2csv writes no parameters: read the .ulg)")
 
 
 def name_of_log(path: Path) -> str:

@@ -45,7 +45,7 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     ``missing``    no value where the channel usually has one
     ``stuck``      a sensor repeats its last value for 0.3 s or longer
     ``impossible`` a value that no aircraft has, in at most 5 % of the samples: more are of another unit
-    ``spike``      up to three samples that jump away from their neighbours
+    ``spike``      up to three samples that jump away from their neighbours, or to zero again and again
     ``constant``   a sensor that never changes while similar ones do
     ============== ===========================================================================================
 

@@ -257,6 +257,7 @@ class TestDerivatives:
         assert command(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
         said = capsys.readouterr()
         assert "without the external forces ['tether']" in said.err
+        assert "CD is drag less thrust" in said.err
         assert "learn from flights in calmer air" in said.err
         assert (
             json.loads(said.out)["points"][0]["trim"]["climb"] < 0

@@ -304,7 +304,7 @@ def test_a_slower_flight_beside_a_fast_one_has_none():
     for step, size in ((0.01, 0.01), (0.04, 1.0)):
         time = step * np.arange(round(60 / step))
         motion = {"phi": size * np.sin(time), "p": size * np.cos(time)}
-        still = dict.fromkeys(("q", "r", "theta"), 0.0)
+        still = dict.fromkeys(("q", "r", "theta"), 1e-6 * np.sin(time))
         flights.append(pd.DataFrame({"time": time, "flight": f"{step} s", **motion, **still}))
     assert contradictions(pd.concat(flights, ignore_index=True)) == []
 
@@ -315,6 +315,11 @@ def test_noise_has_none(flight):
     noise[:] = 0.1 * rng.normal(size=noise.shape)
     noise[["airspeed", "az"]] += [20.0, -9.8]
     assert contradictions(noise.assign(time=flight["time"])) == []
+
+
+@pytest.mark.parametrize("name", ["r", "airspeed"])
+def test_a_dead_sensor_makes_no_other_wrong(flight, name):
+    assert contradictions(flight.assign(**{name: 0.0})) == []
 
 
 def test_missing_samples_change_nothing(flight):

@@ -140,6 +140,15 @@ def test_a_table_without_thrust():
     assert "wing area 0.432 m^2 ± 35 %" in found.assumed[0]
     assert "Iyy 0.208 kg m^2 ± 39 %" in found.assumed[0]
     assert "mass" not in found.assumed[0]
+    assert {*found.verdict.warnings}.isdisjoint(found.assumed)
+
+
+@pytest.mark.usefixtures("no_mechanics")
+def test_of_an_engine_that_never_ran_no_thrust_is_assumed():
+    found = quietly(table().assign(throttle=0.0), UNKNOWN, samples=60, horizons=[1.0])
+    assert found.options["thrust"] is None
+    assert Code.THRUST_IN_COEFFICIENTS not in {finding.code for finding in found.findings}
+    assert "throttle" not in found.fit.regressors
 
 
 @pytest.mark.usefixtures("no_mechanics")

@@ -64,13 +64,18 @@ def glider(elevator=-1.0):
     return Aerodynamics(coefficients, NAMES)
 
 
-def glide(seconds=24.0, **air):
+def slow(time):
+    """Return a slow motion of the aileron [rad]."""
+    return 0.02 * np.sin(time)
+
+
+def glide(seconds=24.0, aileron=slow, **air):
     """Return a glide of the true glider with doublets of the elevator, its measured states without noise."""
     steady = trim(glider(), AIRCRAFT, 20.0, climb=None, thrust=None)
     time = np.arange(0, seconds, 0.05)
     controls = pd.DataFrame({"time": time, **steady.controls})
     controls["elevator"] += 0.03 * np.sign(np.sin(1.5 * time))
-    controls["aileron"] += 0.02 * np.sin(time)
+    controls["aileron"] += aileron(time)
     flown = simulate(glider(), AIRCRAFT, steady, controls, dt=0.05, thrust=None, **air)
     return flown.drop(columns=["ended", "beyond", "flight"], errors="ignore").assign(density=1.225)
 
@@ -280,6 +285,16 @@ class TestSimulation:
         wrong = errors_of(flight, elevator=-0.2)
         assert wrong.loc["q", "lasts"] < 2
         assert (wrong["error"] >= true["error"]).all()
+
+    def test_the_true_aircraft_follows_from_starts_within_fast_rolls(self):
+        """Doublets of 0.4 s, in whose middle the simulations start."""
+
+        def doublet(time):
+            phase = (time + 0.1) % 4
+            return np.where(phase < 0.4, 0.2 * np.sign(0.2 - phase), 0.0)
+
+        found = errors_of(glide(aileron=doublet)).loc[["phi", "p"]]
+        assert (found["lasts"] == found["horizon"]).all()
 
     def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
         wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)

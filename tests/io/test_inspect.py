@@ -61,7 +61,9 @@ class TestSummary:
         t = np.arange(0, 20, 0.02)
         log = ulog(MAV_TYPE=2)
         quad = write(log.topic("vehicle_angular_velocity", t, xyz=np.sin(np.outer(t, [1, 1, 1]))))
-        assert "multicopter: not for this program" in inspect_log(quad).remarks[-1]
+        refusal = inspect_log(quad).remarks[-1]
+        assert "multicopter: not for this program" in refusal
+        assert "airborne" not in refusal
         for airborne in (True, False):
             with pytest.raises(FlightReadError, match="a multicopter: not for this program"):
                 read_flight(quad, airborne=airborne)
@@ -112,6 +114,19 @@ class TestSummary:
         assert remark[:30] in str(summary)
 
 
+def test_what_was_not_measured_contradicts_nothing(tabled, flight):
+    """Of a sound flight: the IMU ends at 27 s, and its columns are zero from there."""
+    time = flight.time(50)
+    names = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
+    names += ["v_north", "v_east", "v_down"]
+    table = pd.DataFrame(flight.at(time, *names), columns=names)
+    table += default_rng(0).normal(0, 0.003, table.shape)
+    table.loc[time > 27, names[:6]] = 0.0
+    remarks = inspect_log(tabled(table.assign(time=time))).remarks
+    assert [remark.split()[2] for remark in remarks] == names[:6]
+    assert all("is stuck at 0 " in remark for remark in remarks)
+
+
 class TestCommand:
     def test_json(self, command, whole, capsys):
         assert command(["inspect", str(whole), "--json"]) == 0
@@ -126,6 +141,9 @@ class TestCommand:
         words = "Got logs of autopilots without servos beside tables"
         with pytest.raises(ValueError, match=words):
             identify([whole, table], Aircraft.estimate(3.0, 1.8))
+        table.write_text("time,rudder\n0,0\n0.1,0\n")
+        with pytest.raises(ValueError, match="rudder in rad for surfaces in parts of their full"):
+            named_flights(table, servos="full throw")
 
     def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
         (tmp_path / "log.bin").write_bytes(ardupilot)
@@ -139,7 +157,7 @@ class TestCommand:
         (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
         files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
         assert command(["identify", str(whole), *files]) == 1
-        assert "SERVOn_FUNCTION" in capsys.readouterr().err
+        assert "CA_SV_CSn_TYPE" in capsys.readouterr().err
         assert command(["identify", str(whole), *files, "--airborne", "300", *SLOPES]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()

@@ -50,16 +50,17 @@ def test_motors_that_all_tilt(read, vtol, function, is_reversed):
 
 
 @pytest.mark.parametrize(
-    "parameters",
+    ("parameters", "outputs"),
     [
-        {"SERVO3_FUNCTION": 73.0, "SERVO4_FUNCTION": 74.0, "Q_TAILSIT_ENABLE": 1.0},
-        MOTORS,
+        ({"SERVO3_FUNCTION": 73.0, "SERVO4_FUNCTION": 74.0, "Q_TAILSIT_ENABLE": 1.0}, "C3 C4"),
+        (MOTORS | {"Q_TAILSIT_MOTMX": 15.0}, "C5 C6 C7 C8"),
+        (MOTORS, "C3 C4"),
     ],
-    ids=["tailsitter", "motors on other outputs"],
+    ids=["tailsitter", "tailsitter with motors of a copter", "motors on other outputs"],
 )
-def test_the_mode_counts_where_no_output_tells(read, vtol, parameters):
+def test_the_mode_counts_where_no_output_tells(read, vtol, parameters, outputs):
     log = vtol(**parameters)
-    log.topic("RCOU", SLOW, C3=("H", 1500), C4=("H", 1500))
+    log.topic("RCOU", SLOW, **dict.fromkeys(outputs.split(), ("H", 1500)))
     with pytest.warns(FlightDataWarning, match="rotors lift"):
         table = read(log, "log.bin")
     assert is_in_forward_flight_alone(table)
@@ -72,6 +73,7 @@ def test_a_flight_in_which_rotors_lift_throughout(read, vtol):
     with pytest.raises(FlightReadError, match=r"rotors lift the VTOL.* in 100 %") as refusal:
         read(log, "log.bin")
     assert "all above" not in str(refusal.value)
+    assert "never stays above" not in str(refusal.value)
 
 
 def test_a_mode_that_flies_on_wings_at_first(read, vtol):

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError, read_servos
+from skdgp.preprocessing import FlightDataWarning
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
 
@@ -151,6 +152,22 @@ class TestFullThrow:
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=[1, 2])
         with pytest.raises(FlightReadError, match="without parameters that name"):
             read(log, servos="full throw")
+
+
+def test_a_part_of_a_log_without_outputs(read, dataflash):
+    """The clock restarts, and the log ends before the first output."""
+    log = dataflash(SERVO1_FUNCTION=4.0)
+    times = np.arange(50, 80, 0.05), np.arange(0, 8, 0.05)
+    log.topic("RCOU", times[0], C1=("H", 1700))
+    log.topic("ARSP", times[0], Airspeed=("f", 20.0), H=("B", 1))
+    messages = sorted(log.data, key=lambda timed: timed[0])
+    log.topic("ARSP", times[1], Airspeed=("f", 20.0), H=("B", 1))
+    later = log.data[len(messages) :]
+    log.data = [(k, message) for k, (_, message) in enumerate(messages + later)]
+    with pytest.warns(FlightDataWarning, match="the clock was set back"):
+        table = read(log, "log.bin", servos="full throw")
+    assert_allclose(table.aileron[table.flight == "log"], 0.5)
+    assert table.aileron[table.flight == "log#2"].isna().all()
 
 
 def test_reversed_outputs(parse, dataflash):

@@ -93,6 +93,20 @@ def test_of_two_vehicles_one_is_read(tlog, read, mavlink):
     assert_frame_equal(table, read(b"".join(tlog), "log.tlog"))
 
 
+def test_an_airspeed_without_a_sensor_is_no_measurement(tlog, read, mavlink, at, is_of):
+    """From the middle on the sensor, number 16 of those that are present, is not healthy."""
+    log = []
+    for k, message in enumerate(tlog):
+        if is_of(message, "HEARTBEAT"):
+            health = 16 if k < len(tlog) / 2 else 0
+            status = mavlink.MAVLink_sys_status_message(48, 48, health, *[0] * 10)
+            log.append(at(message, status))
+        log.append(message)
+    table = read(b"".join(log), "log.tlog")
+    assert table.airspeed[table.time < 25].notna().all()
+    assert table.airspeed[table.time > 29].isna().all()
+
+
 @pytest.mark.parametrize("told_by", ["state", "motors", "mode"])
 def test_a_vtol_is_read_in_forward_flight_alone(tlog, read, mavlink, plane, at, is_of, told_by):
     """It hovers until 20 s, by MAV_VTOL_STATE, the pulse of a motor that lifts, or QHOVER, number 18."""

@@ -179,6 +179,23 @@ def test_dead_sensors_by_what_cannot_move_without_them():
     assert sorted(faults(dead.assign(**turns))) == sorted(constant)
 
 
+@pytest.mark.parametrize(("channel", "length"), [("airspeed", 8), ("p", 1), ("alpha", 4)])
+def test_zeros_in_place_of_missing_samples(channel, length):
+    rows = np.concatenate([np.arange(k, k + length) for k in range(50, 2300, 70)])
+    found = inspect_flight(spoilt(channel, rows, 0.0))
+    assert found[["channel", "kind", "n_samples"]].values.tolist() == [
+        [channel, "spike", len(rows)]
+    ]
+
+
+@pytest.mark.parametrize("channel", ["p", "ax", "beta"])
+def test_a_dead_band_and_a_limit_are_no_missing_samples(channel):
+    values = log()[channel]
+    band = 0.3 * values.std()
+    for limited in (values.where(values.abs() > band, 0.0), values.clip(upper=band)):
+        assert [channel, "spike"] not in faults(log().assign(**{channel: limited}))
+
+
 def test_dropouts_to_the_same_value_are_found_each_time():
     table = log()
     for start in (400, 900, 1500):

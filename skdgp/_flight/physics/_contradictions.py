@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from skdgp._flight.channels import ELEVONS, MIXED
+from skdgp._flight.faults import dead_channels
 from skdgp._flight.physics._checks import Confirmation, Contradiction, Exchange, Sign
 from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, SIGNS
 from skdgp._flight.physics._settings import PHYSICS_SETTINGS, PhysicsSettings
@@ -24,8 +25,10 @@ def find_contradictions(
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
     The specific force is that at the centre of gravity, where the position of the sensors is known.
+    Dead sensors count as not there.
     """
-    flights = replace(flights, table=at_centre_of_gravity(flights.table))
+    measured = flights.table.drop(columns=dead_channels(flights))
+    flights = replace(flights, table=at_centre_of_gravity(measured))
     contradictions = _contradictions_of(flights, settings)
     if contradictions or len(flights.clock.names) < 2:
         return contradictions

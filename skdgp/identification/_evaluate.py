@@ -26,7 +26,8 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
     notify(f"evaluating {name}")
     loads = {key: model.options[key] for key in ("thrust", "external_forces")}
-    measured = aerodynamic_coefficients(table, model.aircraft, **loads)
+    band = model.pipeline["flightsmoother"].band_
+    measured = aerodynamic_coefficients(table, model.aircraft, band=band, **loads)
     regressors, noise_ratio = flight_regressors(model.pipeline, table)
     regressor = model.pipeline[-1]
     mean = model.pipeline.mean_of_rows(regressors, noise_ratio)

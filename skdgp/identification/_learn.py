@@ -23,6 +23,7 @@ from skdgp._flight.channels import (
     MIXED,
     THRUST_COLUMNS,
 )
+from skdgp._flight.motion import motion_band_of
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
@@ -110,12 +111,15 @@ def learn(
     """Return the model of the training flights; parameters: see `identify`."""
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
-    Y = aerodynamic_coefficients(table, flights.aircraft, **flights.loads)
+    pipeline = _pipeline_for(flights, regressors, regressor, steps)
+    # both sides of the regression lose the same frequencies
+    band = motion_band_of(table) if pipeline["flightsmoother"].cutoff == "auto" else np.inf
+    pipeline.set_params(flightsmoother__band=band)
+    Y = aerodynamic_coefficients(table, flights.aircraft, band=band, **flights.loads)
     flown = Extent.of(list(flights.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
-    pipeline = _pipeline_for(flights, regressors, regressor, steps)
     began = time.monotonic()
     # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)

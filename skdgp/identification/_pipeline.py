@@ -123,7 +123,7 @@ def make_identification_pipeline(
         FlightCheck(),
         LagCorrector(lags, aircraft=aircraft),
         FlightPathReconstruction(),
-        FlightSmoother(cutoff=cutoff, derivatives=derivatives),
+        FlightSmoother(cutoff=cutoff, derivatives=derivatives, band="auto"),
         ElevonSplitter(),
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors),

@@ -109,9 +109,7 @@ def smooth(
         smoothed = np.empty_like(sampled)
         part = clock.part(rows)
         for runs in part.segments_by_flight:
-            low_pass = _low_pass(
-                sampled, part.time, runs, cutoff, joint, shrinks[channels], band
-            )
+            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint, shrinks[channels], band)
             for run in runs:
                 smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
             lengths.append(sorted(map(n_rows, runs)))

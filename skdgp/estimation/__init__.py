@@ -7,6 +7,7 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations
+from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._contradictions import Contradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
@@ -18,7 +19,9 @@ from skdgp.estimation._path import (
 from skdgp.estimation._path_equations import FlightPath
 from skdgp.estimation._reconstruction import RECONSTRUCTED, air_columns, path_columns
 from skdgp.estimation._sensors import (
+    AIR_SENSOR_ERRORS,
     GUSTS,
+    KNOWN_ARM,
     PATH_CHANNELS,
     PATH_NOISE,
     FlightSensors,
@@ -31,13 +34,16 @@ from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
 from skdgp.estimation._shift import without_lag
 
 __all__ = [
+    "AIR_SENSOR_ERRORS",
     "CALIBRATED",
     "GUSTS",
+    "KNOWN_ARM",
     "PATH_CHANNELS",
     "PATH_NOISE",
     "RECONSTRUCTED",
     "AirMotion",
     "AirSettings",
+    "AirspeedScale",
     "Contradiction",
     "FlightPath",
     "FlightSensors",
@@ -47,6 +53,7 @@ __all__ = [
     "PathEstimate",
     "PathSettings",
     "air_columns",
+    "airspeed_scale",
     "contradictions",
     "delayed_surfaces",
     "estimate_air_motion",

@@ -15,11 +15,11 @@ from skdgp.identification._flights import Flights
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
 from skdgp.identification._pipeline import FlightPipeline, flight_regressors
-from skdgp.identification._prepare import Tables, regressor_columns, usable_flights
+from skdgp.identification._prepare import Tables, regressor_columns, usable_flights, with_airspeed
 from skdgp.report import Evaluation
 
 # steps that an evaluation reads
-STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
+STEPS = {"flightpathreconstruction", "flightsmoother", "regressorselector", "standardscaler"}
 
 
 def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
@@ -88,7 +88,8 @@ def usable_flights_of_model(
 ) -> Tables:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
-    Flights that do not state the position of their inertial sensors get the aircraft's. Raises
+    Flights that do not state the position of their inertial sensors get the aircraft's, and lose the
+    error of their airspeed as the training flights did. Raises
     ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training
     flights had.
     """
@@ -96,7 +97,8 @@ def usable_flights_of_model(
     regressors = pipeline["regressorselector"].regressors
     of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
     columns = regressor_columns([of_fit], regressors)
-    return usable_flights(flights, aircraft, regressors, columns)
+    usable = usable_flights(flights, aircraft, regressors, columns)
+    return with_airspeed(usable, pipeline.airspeed_scale_)
 
 
 def check_identified(pipeline: Pipeline) -> None:

@@ -22,17 +22,20 @@ from skdgp._flight.channels import (
     HIGH_LIFT,
     MIXED,
     THRUST_COLUMNS,
+    VANES,
 )
 from skdgp._flight.motion import motion_band_of
+from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
+from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
     regressor_names,
 )
-from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
+from skdgp.identification._prepare import PreparedFlights
 from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
@@ -143,6 +146,16 @@ def learn(
     aircraft = flights.aircraft
     if "propeller" in training.thrust:
         aircraft = with_thrust_errors(aircraft, table, named_regressors(pipeline, X))
+    if has_values(table, *VANES):  # without them these errors are parameters of the filter
+        lags = getattr(pipeline["lagcorrector"], "lags_", None)
+        aircraft = with_log_errors(
+            aircraft,
+            table,
+            named_regressors(pipeline, X),
+            training.least_squares,
+            lags,
+            flights.airspeed.left(),
+        )
     return LearnedModel(
         pipeline=pipeline,
         aircraft=aircraft,
@@ -186,6 +199,7 @@ def _pipeline_for(
         pipeline.set_params(flightpathreconstruction__thrust=flights.loads["thrust"])
         if flights.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
+    pipeline.airspeed_scale_ = flights.airspeed.removable()
     if flights.has_full_throws:
         pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline

@@ -192,6 +192,9 @@ class FlightPipeline(Pipeline):
         :func:`identify`.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
+    airspeed_scale_ : float
+        Relative error of the airspeed that was removed from the flights before the fit; set by
+        :func:`identify`.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -200,6 +203,7 @@ class FlightPipeline(Pipeline):
 
     steps: list[tuple[str, Any]]
     control_units_: Mapping[str, str] = MappingProxyType({})
+    airspeed_scale_: float = 0.0
     calibration_: RegressionCalibration | None = None
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:

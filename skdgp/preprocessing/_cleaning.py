@@ -264,6 +264,10 @@ class FlightSmoother(TableTransformer):
         "joint": ["boolean"],
     }
 
+    # of models that were saved before there was a band
+    band: Any = None
+    band_: float = np.inf
+
     def __init__(
         self,
         *,

@@ -160,11 +160,13 @@ class TestLeastSquares:
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
         )
-        targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 120)
+        band = result.pipeline["flightsmoother"].band_
+        targets = aerodynamic_coefficients(train, flights.aircraft, band=band)
+        targets = thin_targets(targets, 120)
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])
-        measured = aerodynamic_coefficients(test, flights.aircraft)
+        measured = aerodynamic_coefficients(test, flights.aircraft, band=band)
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T

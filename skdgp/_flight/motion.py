@@ -15,9 +15,10 @@ def motion_band_of(table: pd.DataFrame) -> float:
     Surfaces cause the motion and the rates follow it, so the band of either is enough: that of the
     rates is too wide where they vibrate, that of the surfaces where these carry noise.
     """
-    clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
+    time = numeric(table, ["time"])[:, 0]
+    flight = table.get("flight")
     bands = []
     for group in (RATES, ALL_SURFACES):
         names = [name for name in group if name in table]
-        bands.append(motion_band(numeric(table, names), **clock))
+        bands.append(motion_band(numeric(table, names), time, flight=flight))
     return min(bands)

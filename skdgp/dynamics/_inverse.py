@@ -78,7 +78,7 @@ def aerodynamic_coefficients(
         these as they are, as a Wiener smoother would make derivatives too small.
     band : float, default=inf
         For ``cutoff="auto"``: frequency [Hz] beyond which all is removed, and below which nothing
-        is, ``band_`` of the :class:`skdgp.preprocessing.FlightSmoother` that the regressors passed.
+        is. Regressors must lose the same frequencies, as the equation of both is then still true.
     thrust : {"auto", None}, default="auto"
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain

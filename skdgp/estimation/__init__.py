@@ -18,10 +18,9 @@ from skdgp.estimation._path import (
 )
 from skdgp.estimation._path_equations import FlightPath
 from skdgp.estimation._reconstruction import RECONSTRUCTED, air_columns, path_columns
+from skdgp.estimation._sensors import AIR_SENSOR_ERRORS as AIR_SENSOR_ERRORS
 from skdgp.estimation._sensors import (
-    AIR_SENSOR_ERRORS,
     GUSTS,
-    KNOWN_ARM,
     PATH_CHANNELS,
     PATH_NOISE,
     FlightSensors,
@@ -29,15 +28,14 @@ from skdgp.estimation._sensors import (
     flights_of,
     missing_channels,
 )
+from skdgp.estimation._sensors import KNOWN_ARM as KNOWN_ARM
 from skdgp.estimation._servos import delayed_surfaces
 from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
 from skdgp.estimation._shift import without_lag
 
 __all__ = [
-    "AIR_SENSOR_ERRORS",
     "CALIBRATED",
     "GUSTS",
-    "KNOWN_ARM",
     "PATH_CHANNELS",
     "PATH_NOISE",
     "RECONSTRUCTED",

@@ -11,7 +11,7 @@ Jategaonkar 2006, chapter 10). Gusts along u change u as well, so the heading is
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -70,9 +70,13 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     """
     if not has_values(table, *NEEDED):
         return UNKNOWN_SCALE
-    sampled = table[np.isfinite(numeric(table, NEEDED)).all(axis=1)]
+    is_sampled = np.isfinite(numeric(table, NEEDED)).all(axis=1)
+    sampled = table.iloc[np.flatnonzero(is_sampled)]
     clock = Clock.of(sampled["time"], sampled.get("flight"))
-    blocks = [_moments(sampled.iloc[rows], settings) for rows in clock.rows.values()]
+    blocks = []
+    for rows in clock.rows.values():
+        flight: Any = sampled.iloc[rows]
+        blocks.append(_moments(flight, settings))
     of_ground = np.concatenate([block.of_ground for block in blocks])
     of_air = np.concatenate([block.of_air for block in blocks])
     turning = np.concatenate([block.of_instrument for block in blocks]).sum() / len(sampled)

@@ -14,21 +14,22 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
-from skdgp.identification._pipeline import FlightPipeline, flight_regressors
+from skdgp.identification._pipeline import FlightPipeline, band_limited, flight_regressors
 from skdgp.identification._prepare import Tables, regressor_columns, usable_flights, with_airspeed
 from skdgp.report import Evaluation
 
 # steps that an evaluation reads
-STEPS = {"flightpathreconstruction", "flightsmoother", "regressorselector", "standardscaler"}
+STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 
 
 def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
     notify(f"evaluating {name}")
     loads = {key: model.options[key] for key in ("thrust", "external_forces")}
-    band = model.pipeline["flightsmoother"].band_
+    band = model.pipeline.band_
     measured = aerodynamic_coefficients(table, model.aircraft, band=band, **loads)
     regressors, noise_ratio = flight_regressors(model.pipeline, table)
+    regressors = band_limited(regressors, table, band)
     regressor = model.pipeline[-1]
     mean = model.pipeline.mean_of_rows(regressors, noise_ratio)
     rows = std_rows(len(table))
@@ -47,7 +48,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         measured_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=regressors,
-        truth=_truth(table),
+        truth=_truth(table, band),
         baseline=_baseline(model, regressors),
         replay=replayed,
     )
@@ -69,10 +70,12 @@ def _interpolated_std(
     return np.column_stack([np.interp(every, rows, column) for column in std.T])
 
 
-def _truth(table: pd.DataFrame) -> Matrix | None:
-    """Return the noise-free coefficients of a simulation, where the table has them."""
+def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
+    """Return the noise-free coefficients of a simulation in the band of the fit, where the table has them."""
     names = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS]
-    return table[names].to_numpy(float) if {*names} <= {*table} else None
+    if not {*names} <= {*table}:
+        return None
+    return band_limited(table[names].to_numpy(float), table, band)
 
 
 def _baseline(model: LearnedModel, regressors: Matrix) -> Matrix | None:

@@ -116,9 +116,8 @@ def learn(
     table = flights.table
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
     # both sides of the regression lose the same frequencies
-    band = motion_band_of(table) if pipeline["flightsmoother"].cutoff == "auto" else np.inf
-    pipeline.set_params(flightsmoother__band=band)
-    Y = aerodynamic_coefficients(table, flights.aircraft, band=band, **flights.loads)
+    pipeline.band_ = motion_band_of(table)
+    Y = aerodynamic_coefficients(table, flights.aircraft, band=pipeline.band_, **flights.loads)
     flown = Extent.of(list(flights.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 

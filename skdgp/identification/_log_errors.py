@@ -31,6 +31,8 @@ class LogErrorSettings:
 
 
 LOG_ERRORS = LogErrorSettings()
+OF_LOG = "errors of the log"
+"""Source of the deviations by errors of the log."""
 CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
@@ -51,9 +53,11 @@ def with_log_errors(
     added = _by_clocks(table, regressors, least_squares, lags) | _by_position(
         aircraft, table, regressors
     )
-    factors = {name: ScaleFactor(1.0, source="log", added=effect) for name, effect in added.items()}
+    factors = {
+        name: ScaleFactor(1.0, source=OF_LOG, added=effect) for name, effect in added.items()
+    }
     if airspeed_std:
-        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0}, source="log")
+        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0}, source=OF_LOG)
     return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors})
 
 
@@ -120,7 +124,7 @@ def clock_std(
     prior = settings.clock**2
     if lags is None or group not in lags.index:
         return float(np.hypot(settings.clock, least))
-    lag, std, applied = lags.loc[group, ["lag", "std", "applied"]].astype(float)
+    lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
     if not np.isfinite(std):  # given, or not shown
         return least if applied else float(np.hypot(settings.clock, least))
     if applied:

@@ -15,16 +15,7 @@ from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
 from skdgp._compute.wording import text_of
-from skdgp._flight.channels import (
-    AIR_DATA,
-    ALL_SURFACES,
-    AUXILIARY,
-    CHANNELS,
-    RATES,
-    SPECIFIC_FORCE,
-    VANES,
-    WRAPPED,
-)
+from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES, WRAPPED
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
     FlightDataWarning,
@@ -33,9 +24,8 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
-from skdgp._flight.motion import motion_band_of
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._flight.tables import FlightTable, by_name, numeric, unwrapped
+from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
 from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
 
@@ -197,7 +187,6 @@ SMOOTHED = (
     "r_dot",
     *SPECIFIC_FORCE,
 )
-CONTROLS = (*ALL_SURFACES, *AUXILIARY, "throttle")
 PARTNERS = ("airspeed", *RATES)  # of alpha and beta
 IN_RADIANS = (*VANES, *RATES)
 
@@ -224,11 +213,6 @@ class FlightSmoother(TableTransformer):
     derivatives : "auto" or list of str, default="auto"
         Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A
         measured rate is kept.
-    band : {"auto"}, float or None, default=None
-        For ``cutoff="auto"``: frequency [Hz] beyond which all is removed, from controls as well, so
-        that an equation of band-limited targets and these regressors remains true. "auto": the
-        frequency below which the rates, or the surfaces, have 98 % of their power. Noise beyond it
-        need not be white: vibration is removed.
     joint : bool, default=True
         Whether alpha and beta are smoothed jointly with airspeed, p, q and r, if the cutoff is
         "auto". Their cross-spectra keep higher frequencies of the vanes than their own spectra do.
@@ -239,8 +223,6 @@ class FlightSmoother(TableTransformer):
         Columns smoothed and differentiated.
     partners_ : list of str
         Columns that alpha and beta are smoothed with; ``transform`` needs them too.
-    band_ : float
-        The band [Hz] of the flights of ``fit``; infinite without one.
 
     Examples
     --------
@@ -260,13 +242,8 @@ class FlightSmoother(TableTransformer):
         "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), None],
         "columns": [StrOptions({"auto"}), list, tuple],
         "derivatives": [StrOptions({"auto"}), list, tuple],
-        "band": [Interval(Real, 0, None, closed="right"), StrOptions({"auto"}), None],
         "joint": ["boolean"],
     }
-
-    # of models that were saved before there was a band
-    band: Any = None
-    band_: float = np.inf
 
     def __init__(
         self,
@@ -274,13 +251,11 @@ class FlightSmoother(TableTransformer):
         cutoff: Any = "auto",
         columns: Any = "auto",
         derivatives: Any = "auto",
-        band: Any = None,
         joint: bool = True,
     ) -> None:
         self.cutoff = cutoff
         self.columns = columns
         self.derivatives = derivatives
-        self.band = band
         self.joint = joint
 
     def _fit_table(self, table):
@@ -296,13 +271,6 @@ class FlightSmoother(TableTransformer):
         if self.joint and self.cutoff == "auto":
             self._vanes = present(VANES, {*self.columns_, *self.derivatives_})
         self.partners_ = present(PARTNERS, table) if self._vanes else []
-        self.band_ = self._band_of(table)
-
-    def _band_of(self, table: pd.DataFrame) -> float:
-        """Return the band [Hz] of flights, infinite without one."""
-        if self.band is None or self.cutoff != "auto":
-            return np.inf
-        return motion_band_of(table) if self.band == "auto" else float(self.band)
 
     def _transform_table(self, table):
         used = [*self.columns_, *self.derivatives_]
@@ -314,8 +282,6 @@ class FlightSmoother(TableTransformer):
             new[name] = wrapped_near(new[name], table[name])
         for name, rate in self._apply(differentiate, self.derivatives_, table).items():
             new[f"{name}_dot"] = rate
-        if np.isfinite(self.band_):
-            new |= self._band_limited_controls(table)
         return with_columns(table, new)
 
     def _columns_out(self, names):
@@ -323,23 +289,13 @@ class FlightSmoother(TableTransformer):
 
     def _apply(self, operation, names, table):
         """Return columns by name, each filtered in one of two groups: vanes with their partners, and others."""
-        options = {"cutoff": self.cutoff, "band": self.band_, **_clock(table)}
+        clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
         apart = [name for name in names if name not in self._vanes]
         together = self._vanes if len(apart) < len(names) else []
         new: dict[str, Vector] = {}
         for group, partners in ((together, self.partners_), (apart, [])):
             if group:
                 columns = unwrapped(table, group + partners)
-                values = operation(columns, joint=bool(partners), **options)
+                values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
                 new |= dict(zip(group, values.T, strict=False))  # without the partners
         return {name: new[name] for name in names}
-
-    def _band_limited_controls(self, table: pd.DataFrame) -> dict[str, Vector]:
-        """Return the controls without frequencies beyond the band of the motion."""
-        names = present(CONTROLS, table)
-        controls = smooth(numeric(table, names), shrink=False, band=self.band_, **_clock(table))
-        return by_name(names, controls)
-
-
-def _clock(table: pd.DataFrame) -> dict[str, Any]:
-    return {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}

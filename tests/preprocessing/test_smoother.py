@@ -191,47 +191,6 @@ class TestJoint:
         assert_allclose(out.alpha, FlightSmoother().fit_transform(silent).alpha)
 
 
-class TestBand:
-    """Motion below 3 Hz, and vibration of a changing frequency above 6 Hz in all inertial sensors."""
-
-    def shaken(self, size):
-        rng = default_rng(2)
-        names = ["p", "q", "r", "elevator", "ay"]
-        motion = np.array(
-            [np.convolve(x, signal.windows.hann(16), "same") for x in rng.normal(size=(5, 4800))]
-        )
-        table = pd.DataFrame(motion.T, columns=names)
-        table["ay"] = 2.0 * table["elevator"] - 3.0 * table["p"]
-        time = clock(4800)
-        wave = np.sin(2 * np.pi * np.cumsum(rng.uniform(8, 12) + 3 * np.sin(0.2 * time)) / RATE)
-        for name in ("p", "q", "r", "ay"):
-            table[name] += size * table[name].std() * wave
-        return table.assign(time=time)
-
-    @pytest.mark.parametrize("size", [0.0, 1.0])
-    def test_an_equation_of_the_channels_remains_true(self, size):
-        table = self.shaken(size)
-        smoother = FlightSmoother(band="auto").fit(table)
-        out = smoother.transform(table)
-        assert 1.5 < smoother.band_ < 6.0
-        X = out[["elevator", "p"]]
-        slopes, *_ = np.linalg.lstsq(X, out["ay"], rcond=None)
-        assert_allclose(slopes, [2.0, -3.0], rtol=0.02)
-
-    def test_controls_lose_what_lies_beyond_it(self):
-        table = self.shaken(0.0)
-        fast = 0.1 * np.sin(2 * np.pi * 12.0 * table["time"])
-        out = FlightSmoother(band=5.0).fit_transform(table.assign(aileron=fast))
-        middle = slice(200, -200)
-        assert rms(out["aileron"][middle]) < 0.01 * rms(fast)
-        same = FlightSmoother().fit_transform(table.assign(aileron=fast))
-        assert_array_equal(same["aileron"], fast)
-
-    def test_without_rates_and_surfaces_there_is_none(self):
-        table = flight()[["time", "alpha", "airspeed"]]
-        assert FlightSmoother(band="auto").fit(table).band_ == np.inf
-
-
 class TestNoiseLevel:
     def test_matches_the_noise_that_was_added(self):
         time, _, noisy = noisy_sine(9600, noise=0.05)

@@ -116,7 +116,8 @@ def learn(
     table = flights.table
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
     # both sides of the regression lose the same frequencies
-    pipeline.band_ = motion_band_of(table)
+    # errors of a band below half the rate of the rows would be correlated between these
+    pipeline.band_ = max(motion_band_of(table), ROWS.rate / 2)
     Y = aerodynamic_coefficients(table, flights.aircraft, band=pipeline.band_, **flights.loads)
     flown = Extent.of(list(flights.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))

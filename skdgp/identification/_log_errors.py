@@ -27,7 +27,7 @@ class LogErrorSettings:
     # of the log; as `AirSettings.lag_error`
     clock_steps: float = 0.1
     # prior of this time [s]; guess
-    clock: float = 0.02
+    clock: float = 0.01
 
 
 LOG_ERRORS = LogErrorSettings()

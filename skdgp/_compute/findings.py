@@ -56,6 +56,7 @@ class Code(Enum):
     TESTED_ON_TRAINING = "tested_on_training"
 
     # transformers
+    AIRSPEED_CORRECTED = "airspeed_corrected"
     AIR_NOT_CONVERGED = "air_not_converged"
     AIR_NOT_ESTIMATED = "air_not_estimated"
     COUPLINGS_FOUND = "couplings_found"
@@ -119,6 +120,7 @@ class Code(Enum):
 DOUBTS = frozenset({Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED})
 NOTES = frozenset(
     {
+        Code.AIRSPEED_CORRECTED,
         Code.CONTROLS_KNOWN,
         Code.COUPLINGS_FOUND,
         Code.ERRORS_SMALL,

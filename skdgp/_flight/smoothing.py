@@ -10,6 +10,9 @@ Beyond the last frequency at which signal is as strong as noise, both are made n
 A gain below one shrinks the signal with the noise. That is right for the regressors of a regression,
 whose slopes then come out unbiased (Carroll et al. 2006, section 4.2), and wrong for its targets: a
 target keeps a gain of one up to that frequency.
+
+A filter that both sides of an equation pass leaves the equation true (Klein & Morelli 2006, chapter 7).
+So targets and regressors lose all frequencies beyond the band of the motion, which holds noise alone.
 """
 
 from __future__ import annotations
@@ -44,6 +47,9 @@ class SmoothingSettings:
     averages: float = 20.0
     # least gain in log likelihood by white noise in a spectrum
     evidence: float = 2.0
+    # fraction of the power of rates, or of surfaces, in the band of the motion; trials on simulated
+    # flights of four aircraft: 0.95 to 0.99 are alike
+    motion_power: float = 0.98
 
 
 SMOOTHING = SmoothingSettings()
@@ -70,6 +76,7 @@ def smooth(
     flight: ArrayLike | None = None,
     joint: bool = False,
     shrink: bool | Sequence[bool] = True,
+    band: float = np.inf,
     derivative: bool = False,
 ) -> np.ndarray:
     """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
@@ -85,8 +92,9 @@ def smooth(
     through their cross-spectra: for few channels that move together, such as alpha and q. Without
     ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
     frequency at which signal is as strong as noise: more noise stays, but no signal is lost there,
-    as the targets of a regression need it. With ``derivative`` their rates of change are returned,
-    see `differentiate`.
+    as the targets of a regression need it. A finite ``band`` [Hz], see `motion_band`, takes the place
+    of that frequency, and "auto" then removes all beyond it. With ``derivative`` their rates of
+    change are returned, see `differentiate`.
 
     Raises ValueError if time does not increase or is too irregular, a value is infinite, or the
     cutoff is not below half the sampling rate.
@@ -103,7 +111,7 @@ def smooth(
         smoothed = np.empty_like(sampled)
         part = clock.part(rows)
         for runs in part.segments_by_flight:
-            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint, shrinks[channels])
+            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint, shrinks[channels], band)
             for run in runs:
                 smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
             lengths.append(sorted(map(n_rows, runs)))
@@ -122,6 +130,32 @@ def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndar
     warning.
     """
     return smooth(values, time, derivative=True, **options)
+
+
+def motion_band(
+    values: ArrayLike,
+    time: ArrayLike,
+    *,
+    flight: ArrayLike | None = None,
+    settings: SmoothingSettings = SMOOTHING,
+) -> float:
+    """Return the frequency [Hz] below which lies nearly all power of each channel (n, k), in each flight.
+
+    Infinite if no channel moves, or all flights are too short to show a spectrum.
+    """
+    columns, clock = _checked(values, time, flight)
+    bands = []
+    for rows, channels in _same_rows(columns):
+        part = clock.part(rows)
+        for runs in part.segments_by_flight:
+            spectrum = _flight_spectrum(columns[np.ix_(rows, channels)], part.time, runs)
+            if spectrum is None:
+                continue
+            is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
+            sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
+            places = np.argmax(sums >= settings.motion_power * sums[-1], axis=0)
+            bands += spectrum.frequency[places].tolist()
+    return max(bands, default=np.inf)
 
 
 def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
@@ -198,6 +232,7 @@ def _low_pass(
     cutoff: float | str | None,
     joint: bool,
     shrinks: NDArray[np.bool_],
+    band: float,
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
     if cutoff is None:
@@ -212,7 +247,9 @@ def _low_pass(
         gain = _joint_gain(spectrum, floor)
     else:
         gain = _single_gain(spectrum, floor)
-        gain = np.where(shrinks | _is_beyond(gain), gain, 1.0)
+        is_kept = ~_is_beyond(gain) if np.isinf(band) else np.ones_like(gain, dtype=bool)
+        gain = np.where(~shrinks & is_kept, 1.0, gain)
+    gain[spectrum.frequency > band] = 0.0
     response = impulse_response(gain)
     return lambda values, rate: convolve(values, response)
 

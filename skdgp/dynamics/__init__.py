@@ -97,6 +97,7 @@ from skdgp.dynamics._rigid_body import (
 )
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
+from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
 from skdgp.dynamics._size_errors import ScaleFactor
 from skdgp.dynamics._starts import UncertainStart
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands

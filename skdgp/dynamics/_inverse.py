@@ -43,6 +43,7 @@ def aerodynamic_coefficients(
     aircraft: Aircraft,
     *,
     cutoff: float | str | None = "auto",
+    band: float = np.inf,
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
     ignore: Iterable[str] = (),
@@ -75,6 +76,9 @@ def aerodynamic_coefficients(
         differentiated: a corner frequency [Hz], the smoother of each channel's spectrum, or none.
         "auto" removes noise beyond the frequencies at which a channel has more signal, and keeps
         these as they are, as a Wiener smoother would make derivatives too small.
+    band : float, default=inf
+        For ``cutoff="auto"``: frequency [Hz] beyond which all is removed, and below which nothing
+        is. Regressors must lose the same frequencies, as the equation of both is then still true.
     thrust : {"auto", None}, default="auto"
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
@@ -104,7 +108,7 @@ def aerodynamic_coefficients(
     """
     flight = _measured(flight, ignore)
     check_flight(flight, NEEDED)
-    measured, rate_derivatives = _smoothed(flight, cutoff)
+    measured, rate_derivatives = _smoothed(flight, cutoff, band)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
     rates = numeric(measured, RATES)
@@ -149,12 +153,15 @@ def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
     return mass
 
 
-def _smoothed(flight: pd.DataFrame, cutoff: float | str | None) -> tuple[pd.DataFrame, np.ndarray]:
+def _smoothed(
+    flight: pd.DataFrame, cutoff: float | str | None, band: float
+) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
     clock: dict[str, Any] = {
         "time": flight["time"].to_numpy(float),
         "flight": flight.get("flight"),
         "cutoff": cutoff,
+        "band": band,
     }
     names = ["airspeed", *SPECIFIC_FORCE, *RATES]
     is_measured = all(name in flight for name in RATE_DERIVATIVES)

@@ -7,6 +7,7 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations
+from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._contradictions import Contradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
@@ -17,6 +18,7 @@ from skdgp.estimation._path import (
 )
 from skdgp.estimation._path_equations import FlightPath
 from skdgp.estimation._reconstruction import RECONSTRUCTED, air_columns, path_columns
+from skdgp.estimation._sensors import AIR_SENSOR_ERRORS as AIR_SENSOR_ERRORS
 from skdgp.estimation._sensors import (
     GUSTS,
     PATH_CHANNELS,
@@ -26,6 +28,7 @@ from skdgp.estimation._sensors import (
     flights_of,
     missing_channels,
 )
+from skdgp.estimation._sensors import KNOWN_ARM as KNOWN_ARM
 from skdgp.estimation._servos import delayed_surfaces
 from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
 from skdgp.estimation._shift import without_lag
@@ -38,6 +41,7 @@ __all__ = [
     "RECONSTRUCTED",
     "AirMotion",
     "AirSettings",
+    "AirspeedScale",
     "Contradiction",
     "FlightPath",
     "FlightSensors",
@@ -47,6 +51,7 @@ __all__ = [
     "PathEstimate",
     "PathSettings",
     "air_columns",
+    "airspeed_scale",
     "contradictions",
     "delayed_surfaces",
     "estimate_air_motion",

@@ -42,6 +42,12 @@ class PathSettings:
     inertial_ratio: float = 6.0
     # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
     gust_prior_seconds: float = 2.0
+    # prior standard deviation of the relative error of the airspeed; guess
+    airspeed_scale: float = 0.03
+    # least variance of the unit vector forward that shows it: gusts turn a straight flight; a circle has 1; guess
+    least_turning: float = 0.1
+    # errors of the airspeed below this many standard deviations are not removed; convention
+    significance: float = 2.0
     # one row in so many of a part of a long flight overlaps on either side; trials
     overlap: int = 32
 

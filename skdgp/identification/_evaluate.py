@@ -14,8 +14,8 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._flights import Flights
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
-from skdgp.identification._pipeline import FlightPipeline, flight_regressors
-from skdgp.identification._prepare import Tables, regressor_columns, usable_flights
+from skdgp.identification._pipeline import FlightPipeline, band_limited, flight_regressors
+from skdgp.identification._prepare import Tables, regressor_columns, usable_flights, with_airspeed
 from skdgp.report import Evaluation
 
 # steps that an evaluation reads
@@ -26,8 +26,10 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
     notify(f"evaluating {name}")
     loads = {key: model.options[key] for key in ("thrust", "external_forces")}
-    measured = aerodynamic_coefficients(table, model.aircraft, **loads)
+    band = model.pipeline.band_
+    measured = aerodynamic_coefficients(table, model.aircraft, band=band, **loads)
     regressors, noise_ratio = flight_regressors(model.pipeline, table)
+    regressors = band_limited(regressors, table, band)
     regressor = model.pipeline[-1]
     mean = model.pipeline.mean_of_rows(regressors, noise_ratio)
     rows = std_rows(len(table))
@@ -46,7 +48,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         measured_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=regressors,
-        truth=_truth(table),
+        truth=_truth(table, band),
         baseline=_baseline(model, regressors),
         replay=replayed,
     )
@@ -68,10 +70,12 @@ def _interpolated_std(
     return np.column_stack([np.interp(every, rows, column) for column in std.T])
 
 
-def _truth(table: pd.DataFrame) -> Matrix | None:
-    """Return the noise-free coefficients of a simulation, where the table has them."""
+def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
+    """Return the noise-free coefficients of a simulation in the band of the fit, where the table has them."""
     names = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS]
-    return table[names].to_numpy(float) if {*names} <= {*table} else None
+    if not {*names} <= {*table}:
+        return None
+    return band_limited(table[names].to_numpy(float), table, band)
 
 
 def _baseline(model: LearnedModel, regressors: Matrix) -> Matrix | None:
@@ -87,7 +91,8 @@ def usable_flights_of_model(
 ) -> Tables:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
-    Flights that do not state the position of their inertial sensors get the aircraft's. Raises
+    Flights that do not state the position of their inertial sensors get the aircraft's, and lose the
+    error of their airspeed as the training flights did. Raises
     ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training
     flights had.
     """
@@ -95,7 +100,8 @@ def usable_flights_of_model(
     regressors = pipeline["regressorselector"].regressors
     of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
     columns = regressor_columns([of_fit], regressors)
-    return usable_flights(flights, aircraft, regressors, columns)
+    usable = usable_flights(flights, aircraft, regressors, columns)
+    return with_airspeed(usable, pipeline.airspeed_scale_)
 
 
 def check_identified(pipeline: Pipeline) -> None:

@@ -22,16 +22,20 @@ from skdgp._flight.channels import (
     HIGH_LIFT,
     MIXED,
     THRUST_COLUMNS,
+    VANES,
 )
+from skdgp._flight.motion import motion_band_of
+from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
+from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
     regressor_names,
 )
-from skdgp.identification._prepare import PreparedFlights, with_thrust_errors
+from skdgp.identification._prepare import PreparedFlights
 from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
@@ -110,12 +114,15 @@ def learn(
     """Return the model of the training flights; parameters: see `identify`."""
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
-    Y = aerodynamic_coefficients(table, flights.aircraft, **flights.loads)
+    pipeline = _pipeline_for(flights, regressors, regressor, steps)
+    # both sides of the regression lose the same frequencies
+    # errors of a band below half the rate of the rows would be correlated between these
+    pipeline.band_ = max(motion_band_of(table), ROWS.rate / 2)
+    Y = aerodynamic_coefficients(table, flights.aircraft, band=pipeline.band_, **flights.loads)
     flown = Extent.of(list(flights.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
-    pipeline = _pipeline_for(flights, regressors, regressor, steps)
     began = time.monotonic()
     # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
@@ -139,6 +146,16 @@ def learn(
     aircraft = flights.aircraft
     if "propeller" in training.thrust:
         aircraft = with_thrust_errors(aircraft, table, named_regressors(pipeline, X))
+    if has_values(table, *VANES):  # without them these errors are parameters of the filter
+        lags = getattr(pipeline["lagcorrector"], "lags_", None)
+        aircraft = with_log_errors(
+            aircraft,
+            table,
+            named_regressors(pipeline, X),
+            training.least_squares,
+            lags,
+            flights.airspeed.left(),
+        )
     return LearnedModel(
         pipeline=pipeline,
         aircraft=aircraft,
@@ -182,6 +199,7 @@ def _pipeline_for(
         pipeline.set_params(flightpathreconstruction__thrust=flights.loads["thrust"])
         if flights.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
+    pipeline.airspeed_scale_ = flights.airspeed.removable()
     if flights.has_full_throws:
         pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline

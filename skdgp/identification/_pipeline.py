@@ -17,6 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.smoothing import smooth
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
 from skdgp.identification._calibration import RegressionCalibration
@@ -158,6 +159,14 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     return np.asarray(flight), ratio
 
 
+def band_limited(values: Matrix, flights: pd.DataFrame, band: float) -> Matrix:
+    """Return columns (n, k) of flights without frequencies beyond a band [Hz]."""
+    if np.isinf(band):
+        return values
+    time = flights["time"].to_numpy(float)
+    return smooth(values, time, flight=flights.get("flight"), shrink=False, band=band)
+
+
 def regressor_names(pipeline: Pipeline) -> list[str]:
     """Return the names of the regressors of the last step."""
     return [str(name) for name in pipeline["regressorselector"].regressors_]
@@ -192,6 +201,12 @@ class FlightPipeline(Pipeline):
         :func:`identify`.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
+    band_ : float
+        Frequency [Hz] beyond which the coefficients of the fit are without motion, and lose the
+        regressors all, so that the equation of both remains true; set by :func:`identify`.
+    airspeed_scale_ : float
+        Relative error of the airspeed that was removed from the flights before the fit; set by
+        :func:`identify`.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -200,6 +215,8 @@ class FlightPipeline(Pipeline):
 
     steps: list[tuple[str, Any]]
     control_units_: Mapping[str, str] = MappingProxyType({})
+    band_: float = np.inf
+    airspeed_scale_: float = 0.0
     calibration_: RegressionCalibration | None = None
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
@@ -227,6 +244,7 @@ class FlightPipeline(Pipeline):
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         regressors, without_effect = self._fit_transforms(X, y, choose_engine)
+        regressors = band_limited(regressors, X, self.band_)
         of_air = self._slopes_of_air(regressors, y)
         slopes = self._known_slopes(of_air, without_effect)
         last.fit(regressors, y, **slopes | self._clock(X) | parameters)

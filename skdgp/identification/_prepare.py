@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.linear_model import LinearRegression
 
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
     CHANNELS,
-    COEFFICIENTS,
     ELEVONS,
     HAT,
     MIXED,
@@ -36,14 +34,13 @@ from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
     Aircraft,
-    ScaleFactor,
     check_aircraft,
-    dynamic_pressure,
     propeller_speed_of,
-    propulsive_loads,
     with_sensor_position,
 )
+from skdgp.estimation import AirspeedScale, airspeed_scale
 from skdgp.identification._flights import Flights, items_of, named_flights
+from skdgp.identification._log_errors import OF_LOG
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import FlightCheck
 
@@ -89,6 +86,7 @@ class PreparedFlights:
     servos: Any
     loads: dict[str, Any]
     lacks_thrust: bool
+    airspeed: AirspeedScale
 
     @property
     def has_full_throws(self) -> bool:
@@ -135,6 +133,9 @@ def prepare(
     aircraft = _with_position_of(aircraft, train)
     usable_train = usable_flights(train, aircraft, regressors, columns)
     usable_test = usable_flights(test_flights, aircraft, regressors, columns)
+    airspeed = _airspeed_of(usable_train.values())
+    usable_train = with_airspeed(usable_train, airspeed.removable())
+    usable_test = with_airspeed(usable_test, airspeed.removable())
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
         thrust = None
@@ -149,6 +150,7 @@ def prepare(
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},
         lacks_thrust=lacks_thrust,
+        airspeed=airspeed,
     )
     if prepared.has_full_throws:
         report(Finding(Code.FULL_THROWS), stacklevel=3)
@@ -279,6 +281,25 @@ def usable_flights(
     return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
 
 
+def _airspeed_of(tables: Iterable[pd.DataFrame]) -> AirspeedScale:
+    """Return the relative error of the airspeed of flights, and report one that is removed."""
+    scale = airspeed_scale(pd.concat(tables, ignore_index=True))
+    if scale.removable():
+        numbers = {"percent": 100 * scale.value, "std_percent": 100 * scale.std}
+        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=4)
+    return scale
+
+
+def with_airspeed(tables: Tables, scale: float) -> Tables:
+    """Return flights without the relative error ``scale`` of their airspeed."""
+    if not scale:
+        return tables
+    corrected = {}
+    for name, table in tables.items():
+        corrected[name] = table.assign(airspeed=table["airspeed"] / (1 + scale))
+    return corrected
+
+
 def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
     """Return the aircraft with the one position of the inertial sensors that all flights state, if it has none.
 
@@ -359,31 +380,6 @@ def warn_of_engine(flights: Tables, regressors: str | Sequence[str]) -> None:
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}), stacklevel=2)
 
 
-def with_thrust_errors(
-    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
-) -> Aircraft:
-    """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
-
-    If the thrust is T (1 + e), coefficients lack e T / (qbar S), and a model learns this as
-    the nearest linear function of its regressors.
-    """
-    propeller = aircraft.propeller
-    if propeller is None or not propeller.load_std:
-        return aircraft
-    scale = dynamic_pressure(table["airspeed"], table["density"])[:, None] * aircraft.wing_area
-    force, moment = propulsive_loads(table, aircraft)
-    missing = -np.hstack([force, moment / aircraft.moment_lengths]) / scale
-    is_sampled = np.isfinite(missing).all(axis=1) & np.isfinite(regressors).all(axis=1)
-    missing = missing[is_sampled]
-    linear = LinearRegression().fit(regressors[is_sampled], missing)
-    added = dict(zip(COEFFICIENTS, missing.mean(axis=0).tolist(), strict=True))  # at the mean
-    for name, slopes in zip(regressors, linear.coef_.T.tolist(), strict=True):
-        for coefficient, slope in zip(COEFFICIENTS, slopes, strict=True):
-            added[f"{coefficient}_{str(name).removesuffix(HAT)}"] = slope
-    factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
-
-
 def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[Finding, ...]:
     """Return the assumptions of the aircraft, and those among the reported findings.
 
@@ -394,7 +390,8 @@ def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[F
     sizes = _uncertain_sizes(aircraft)
     if sizes:
         findings.append(Finding(Code.SIZES_ESTIMATED, numbers={"sizes": sizes}))
-    sources = {name: f.source for name, f in factors.items() if f.source != "given"}
+    known = ("given", OF_LOG)
+    sources = {name: f.source for name, f in factors.items() if f.source not in known}
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
     return (*findings, *with_codes(reported, *ASSUMED))

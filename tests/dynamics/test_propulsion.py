@@ -20,7 +20,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     stability_derivatives,
 )
-from skdgp.identification._prepare import with_thrust_errors
+from skdgp.identification._log_errors import with_thrust_errors
 
 TRUE = Propeller(
     diameter=0.5,

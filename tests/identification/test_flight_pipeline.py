@@ -18,6 +18,7 @@ from skdgp.identification import (
     flight_regressors,
     identify,
 )
+from skdgp.identification._pipeline import band_limited
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -155,16 +156,21 @@ class TestPredict:
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""
-        train, test = flights.train.iloc[:1200], flights.test.iloc[:400]
+        train, test = flights.train.iloc[:1200], flights.test.iloc[:1200]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
         )
-        targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 120)
+        band = result.pipeline.band_
+        targets = aerodynamic_coefficients(train, flights.aircraft, band=band)
+        targets = thin_targets(targets, 120)
         rows = targets.notna().all(axis=1).to_numpy()
-        X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
+        X, Xt = (
+            band_limited(np.asarray(result.pipeline[:-1].transform(table)), table, band)
+            for table in (train, test)
+        )
         linear = LinearRegression().fit(X[rows], targets[rows])
-        measured = aerodynamic_coefficients(test, flights.aircraft)
+        measured = aerodynamic_coefficients(test, flights.aircraft, band=band)
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T

@@ -1,0 +1,157 @@
+"""Errors of a flight log that its flights leave, and their effect on the learned coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from sklearn.linear_model import LinearRegression
+
+from skdgp._compute.typing import Matrix
+from skdgp._flight.channels import COEFFICIENTS, HAT, SENSOR_POSITION, SURFACES, VANES
+from skdgp._flight.clock import Clock, median_step
+from skdgp._flight.sensor_position import sensor_acceleration, sensor_position, with_sensors_at
+from skdgp._flight.smoothing import differentiate
+from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
+from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
+from skdgp.identification._least_squares import linear_terms
+
+
+@dataclass(frozen=True)
+class LogErrorSettings:
+    """Standard deviations of errors that flights do not show."""
+
+    # of the time of a channel against the inertial sensors, by its motion between samples, in steps
+    # of the log; as `AirSettings.lag_error`
+    clock_steps: float = 0.1
+    # prior of this time [s]; guess
+    clock: float = 0.01
+
+
+LOG_ERRORS = LogErrorSettings()
+OF_LOG = "errors of the log"
+"""Source of the deviations by errors of the log."""
+CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
+"""Regressors by their group in `LagCorrector.lags_`."""
+
+
+def with_log_errors(
+    aircraft: Aircraft,
+    table: pd.DataFrame,
+    regressors: pd.DataFrame,
+    least_squares: Mapping[str, Mapping[str, float]],
+    lags: pd.DataFrame | None,
+    airspeed_std: float,
+) -> Aircraft:
+    """Return the aircraft, with the errors of coefficients by errors of the log.
+
+    Errors are the times of surfaces and vanes, after the removal of ``lags`` (`LagCorrector.lags_`),
+    the position of the inertial sensors, and the airspeed, of relative error ``airspeed_std``.
+    """
+    added = _by_clocks(table, regressors, least_squares, lags) | _by_position(
+        aircraft, table, regressors
+    )
+    factors = {
+        name: ScaleFactor(1.0, source=OF_LOG, added=effect) for name, effect in added.items()
+    }
+    if airspeed_std:
+        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0}, source=OF_LOG)
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors})
+
+
+def with_thrust_errors(
+    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
+) -> Aircraft:
+    """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
+
+    If the thrust is T (1 + e), coefficients lack e T / (qbar S).
+    """
+    propeller = aircraft.propeller
+    if propeller is None or not propeller.load_std:
+        return aircraft
+    force, moment = propulsive_loads(table, aircraft)
+    missing = -np.hstack([force, moment / aircraft.moment_lengths]) / _scale(table, aircraft)
+    added = learned_as(missing, regressors)
+    factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
+    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
+
+
+def learned_as(changes: Matrix, regressors: pd.DataFrame) -> dict[str, float]:
+    """Return what changes of the coefficients (n, 6) add to these at their mean, and to their slopes.
+
+    A model learns the changes as the nearest linear function of its regressors.
+    """
+    is_sampled = np.isfinite(changes).all(axis=1) & np.isfinite(regressors).all(axis=1)
+    changes = changes[is_sampled]
+    linear = LinearRegression().fit(regressors[is_sampled], changes)
+    added = dict(zip(COEFFICIENTS, changes.mean(axis=0).tolist(), strict=True))
+    for name, slopes in zip(regressors, linear.coef_.T.tolist(), strict=True):
+        for coefficient, slope in zip(COEFFICIENTS, slopes, strict=True):
+            added[f"{coefficient}_{str(name).removesuffix(HAT)}"] = slope
+    return added
+
+
+def _by_clocks(
+    table: pd.DataFrame,
+    regressors: pd.DataFrame,
+    least_squares: Mapping[str, Mapping[str, float]],
+    lags: pd.DataFrame | None,
+) -> dict[str, dict[str, float]]:
+    """Return the effects of one standard deviation of the time of each group of channels."""
+    time = table["time"].to_numpy(float)
+    flight = table.get("flight")
+    step = median_step(time, Clock.of(time, flight).segments)
+    _, slopes = linear_terms(least_squares)
+    rates = differentiate(regressors.to_numpy(), time, flight=flight, cutoff=None)
+    effects = {}
+    for group, names in CHANNELS_OF_CLOCK.items():
+        is_of_group = np.isin(regressors.columns, names)
+        changes = clock_std(lags, group, step) * rates[:, is_of_group] @ slopes[is_of_group]
+        effects[f"time of {group}"] = learned_as(changes, regressors)
+    return effects
+
+
+def clock_std(
+    lags: pd.DataFrame | None,
+    group: str,
+    step: float,
+    settings: LogErrorSettings = LOG_ERRORS,
+) -> float:
+    """Return the error of the time of a group of channels after its lag is removed [s], root mean square."""
+    least = settings.clock_steps * step
+    prior = settings.clock**2
+    if lags is None or group not in lags.index:
+        return float(np.hypot(settings.clock, least))
+    lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
+    if not np.isfinite(std):  # given, or not shown
+        return least if applied else float(np.hypot(settings.clock, least))
+    if applied:
+        return float(np.hypot(std, least))
+    weight = prior / (prior + std**2)
+    return float(np.sqrt((weight * lag) ** 2 + weight * std**2 + least**2))
+
+
+def _by_position(
+    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
+) -> dict[str, dict[str, float]]:
+    """Return the effects of one standard deviation of each coordinate of the inertial sensors."""
+    is_known = np.isfinite(sensor_position(table)).all()
+    errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
+    effects = {}
+    for axis, (name, column) in enumerate(zip("xyz", SENSOR_POSITION, strict=True)):
+        _, std = errors[f"arm_{name}"]
+        position = np.zeros((len(table), 3))
+        position[:, axis] = std
+        acceleration = sensor_acceleration(with_sensors_at(table, position))
+        force = -aircraft.mass * acceleration / _scale(table, aircraft)
+        changes = np.hstack([force, np.zeros_like(force)])
+        effects[column.replace("_", " ")] = learned_as(changes, regressors)
+    return effects
+
+
+def _scale(table: pd.DataFrame, aircraft: Aircraft) -> Matrix:
+    """Return qbar S (n, 1)."""
+    qbar = dynamic_pressure(table["airspeed"], table["density"])
+    return np.asarray(qbar)[:, None] * aircraft.wing_area

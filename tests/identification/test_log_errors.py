@@ -1,0 +1,97 @@
+"""Errors of a log: what they make of a linear model that is learned from it."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from scipy.ndimage import gaussian_filter1d
+from sklearn.linear_model import LinearRegression
+
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.identification._log_errors import LOG_ERRORS, clock_std, with_log_errors
+from skdgp.preprocessing import LagCorrector
+
+AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
+REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+STEP = 0.02
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A flight of smooth motion that a linear model explains, and its regressors."""
+    rng = default_rng(0)
+    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
+    noise = rng.standard_normal((3000, len(names)))
+    motion = gaussian_filter1d(noise, 12.0, axis=0)
+    table = pd.DataFrame(0.05 * motion / motion.std(axis=0), columns=names)
+    table = table.assign(time=STEP * np.arange(3000), airspeed=20.0, density=1.2)
+    X = table[names].copy()
+    for rate, length in (("p", 2.0), ("q", 0.3), ("r", 2.0)):
+        X[rate] *= length / 40.0
+    X.columns = REGRESSORS
+    slopes = rng.normal(size=(len(names), 6))
+    force = (X.to_numpy() @ slopes)[:, :3] * 0.5 * 1.2 * 20.0**2 * 0.6 / 3.0
+    return table.assign(ax=force[:, 0], ay=force[:, 1], az=force[:, 2]), X, slopes
+
+
+def least_squares_of(X, Y):
+    """Return slopes and intercepts as `identify` keeps them."""
+    fit = LinearRegression().fit(X.to_numpy(), np.asarray(Y))
+    table = pd.DataFrame(fit.coef_.T, X.columns, ["CX", "CY", "CZ", "Cl", "Cm", "Cn"])
+    table.loc["intercept"] = fit.intercept_
+    return table.to_dict()
+
+
+def effect(aircraft, name):
+    """Return what one standard deviation of an error adds to the slopes, (6, regressors)."""
+    added = aircraft.deviations[name].added
+    columns = [column.removesuffix("_hat") for column in REGRESSORS]
+    return np.array([[added[f"{C}_{x}"] for x in columns] for C in ("CX", "CY", "CZ", "Cl", "Cm", "Cn")])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("group", "channels"),
+    [("surfaces", ["elevator", "aileron", "rudder"]), ("air", ["alpha", "beta"])],
+)
+def test_late_channels_change_slopes_by_what_is_added(flown, group, channels):
+    table, X, slopes = flown
+    Y = X.to_numpy() @ slopes
+    aircraft = with_log_errors(AIRCRAFT, table, X, least_squares_of(X, Y), None, 0.0)
+    late = 1e-4  # s
+    later = X.copy()
+    for name in channels:
+        later[name] = X[name] - late * np.gradient(X[name], STEP, edge_order=2)
+    change = LinearRegression().fit(later, Y).coef_ - LinearRegression().fit(X, Y).coef_
+    std = clock_std(None, group, STEP)
+    expected = effect(aircraft, f"time of {group}") / std * late
+    assert_allclose(change, expected, atol=0.03 * np.abs(expected).max())
+
+
+def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
+    table, X, _ = flown
+    Y = aerodynamic_coefficients(table, AIRCRAFT, thrust=None, cutoff=None)
+    aircraft = with_log_errors(AIRCRAFT, table, X, least_squares_of(X, Y), None, 0.0)
+    position = {"sensor_position_x": 0.0, "sensor_position_y": 0.0, "sensor_position_z": 0.03}
+    there = aerodynamic_coefficients(table.assign(**position), AIRCRAFT, thrust=None, cutoff=None)
+    change = LinearRegression().fit(X, there).coef_ - LinearRegression().fit(X, Y).coef_
+    got = effect(aircraft, "sensor position z")
+    assert_allclose(got, change, atol=0.02 * np.abs(change).max())
+
+
+def test_an_error_of_the_airspeed_counts_twice_in_dynamic_pressure(flown):
+    table, X, slopes = flown
+    fitted = least_squares_of(X, X.to_numpy() @ slopes)
+    assert "airspeed" not in with_log_errors(AIRCRAFT, table, X, fitted, None, 0.0).deviations
+    factor = with_log_errors(AIRCRAFT, table, X, fitted, None, 0.01).deviations["airspeed"]
+    assert factor.std == 0.02
+    assert factor.powers == {"dynamic pressure": 1.0}
+
+
+def test_a_lag_that_is_known_leaves_no_more_than_motion_between_samples():
+    lags = LagCorrector(lags={"surfaces": 0.05}).fit(
+        pd.DataFrame({"time": [0.0], "elevator": [0.0]})
+    )
+    least = LOG_ERRORS.clock_steps * STEP
+    assert clock_std(lags.lags_, "surfaces", STEP) == least
+    assert clock_std(lags.lags_, "air", STEP) == pytest.approx(np.hypot(LOG_ERRORS.clock, least))

@@ -353,6 +353,7 @@ def _errors_too_large(finding: Finding) -> str:
 CAUSES = {
     "std_random": "errors that last",
     "std_method": "gusts, or noise of the regressors",
+    "std_log": "times of channels, position of sensors, airspeed",
     "std_posterior": "few or small inputs",
 }
 

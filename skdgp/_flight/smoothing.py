@@ -17,7 +17,7 @@ So targets and regressors lose all frequencies beyond the band of the motion, wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
@@ -68,15 +68,96 @@ LowPass: TypeAlias = Callable[[Matrix, float], Matrix]
 """Filter of equidistant channels (n, k) of a rate [Hz]."""
 
 
+@dataclass(frozen=True)
+class FittedFilter:
+    """A filter without delay of some channels, which leaves the same part of the noise in all flights.
+
+    Attributes
+    ----------
+    frequency : (m,) array [Hz]
+    gain : (m, k) array
+        Interpolated between frequencies; beyond the last, that of the last.
+    """
+
+    frequency: Vector
+    gain: Matrix
+
+    @classmethod
+    def up_to(cls, highest: float, n_channels: int) -> FittedFilter:
+        """Return the filter that passes all frequencies up to a highest one [Hz]."""
+        frequency = np.array([0.0, highest, np.nextafter(highest, np.inf)])
+        return cls(frequency, np.repeat([[1.0], [1.0], [0.0]], n_channels, axis=1))
+
+    @classmethod
+    def of_flights(
+        cls,
+        values: ArrayLike,
+        time: ArrayLike,
+        *,
+        flight: ArrayLike | None = None,
+        shrink: bool | Sequence[bool] = True,
+    ) -> FittedFilter:
+        """Return the smoother "auto" of channels (n, k) of flights, its gains of root mean square; see `smooth`.
+
+        The gain of a channel that was not sampled is one.
+        """
+        columns, clock = _checked(values, time, flight)
+        shrinks = np.broadcast_to(shrink, columns.shape[1])
+        parts = []
+        for rows, channels in _same_rows(columns):
+            part = clock.part(rows)
+            sampled = columns[np.ix_(rows, channels)]
+            for runs in part.segments_by_flight:
+                fitted = cls._of_flight(sampled, part.time, runs, shrinks[channels])
+                parts.append((channels, sum(map(n_rows, runs)), fitted))
+        finest = min((fitted.frequency[1] for *_, fitted in parts), default=1.0)
+        highest = max((fitted.frequency[-1] for *_, fitted in parts), default=1.0)
+        frequency = np.linspace(0.0, highest, 1 + round(highest / finest))
+        square = np.zeros((len(frequency), columns.shape[1]))
+        n_samples = np.zeros(columns.shape[1])
+        for channels, n, fitted in parts:
+            square[:, channels] += n * fitted.at(frequency) ** 2
+            n_samples[channels] += n
+        is_sampled = n_samples > 0
+        gain = np.ones_like(square)
+        gain[:, is_sampled] = np.sqrt(square[:, is_sampled] / n_samples[is_sampled])
+        return cls(frequency, gain)
+
+    @classmethod
+    def _of_flight(
+        cls, columns: Matrix, time: Vector, runs: list[slice], shrinks: NDArray[np.bool_]
+    ) -> FittedFilter:
+        """Return the smoother of one flight, of gain one where no run shows a spectrum."""
+        spectrum = _flight_spectrum(columns, time, runs)
+        if spectrum is None:
+            return cls(np.array([0.0, 1.0]), np.ones((2, columns.shape[1])))
+        return cls(spectrum.frequency, _separate_gain(spectrum, shrinks))
+
+    def of_channels(self, channels: Sequence[int] | Indices) -> FittedFilter:
+        """Return the filter of some of the channels."""
+        return FittedFilter(self.frequency, self.gain[:, channels])
+
+    def at(self, frequency: ArrayLike) -> Matrix:
+        """Return the gains at frequencies [Hz], (n, k)."""
+        wanted = np.asarray(frequency, dtype=float)
+        gains = [np.interp(wanted, self.frequency, gain) for gain in self.gain.T]
+        return np.stack(gains, axis=1)
+
+    def __call__(self, columns: Matrix, rate: float) -> Matrix:
+        """Return equidistant channels (n, k) of a rate [Hz], filtered."""
+        size = 2 * (_window_rows(1 / rate) // 2)
+        gain = self.at(np.fft.rfftfreq(size, 1 / rate))
+        return convolve(columns, impulse_response(gain))
+
+
 def smooth(
     values: ArrayLike,
     time: ArrayLike,
     *,
-    cutoff: float | str | None = "auto",
+    cutoff: float | str | FittedFilter | None = "auto",
     flight: ArrayLike | None = None,
     joint: bool = False,
     shrink: bool | Sequence[bool] = True,
-    band: float = np.inf,
     derivative: bool = False,
 ) -> np.ndarray:
     """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
@@ -87,21 +168,21 @@ def smooth(
 
     ``cutoff`` is the corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2
     there); "auto", the Wiener smoother of the channel's spectrum over its flight, which needs a
-    segment of 128 samples, else it warns and leaves the channel as it is; or None, no smoothing.
+    segment of 128 samples, else it warns and leaves the channel as it is; a `FittedFilter`; or None,
+    no smoothing.
     With ``joint``, "auto" estimates each channel from all channels sampled at the same rows,
     through their cross-spectra: for few channels that move together, such as alpha and q. Without
     ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
     frequency at which signal is as strong as noise: more noise stays, but no signal is lost there,
-    as the targets of a regression need it. A finite ``band`` [Hz], see `motion_band`, takes the place
-    of that frequency, and "auto" then removes all beyond it. With ``derivative`` their rates of
-    change are returned, see `differentiate`.
+    as the targets of a regression need it. With ``derivative`` their rates of change are returned,
+    see `differentiate`.
 
     Raises ValueError if time does not increase or is too irregular, a value is infinite, or the
     cutoff is not below half the sampling rate.
     """
     columns, clock = _checked(values, time, flight)
     shrinks = np.broadcast_to(shrink, columns.shape[1])
-    if cutoff is not None and cutoff != "auto":
+    if not isinstance(cutoff, str | FittedFilter | None):
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
     lengths = []  # of the segments of each flight [rows]
@@ -110,8 +191,9 @@ def smooth(
         sampled = columns[place]
         smoothed = np.empty_like(sampled)
         part = clock.part(rows)
+        of_group = cutoff.of_channels(channels) if isinstance(cutoff, FittedFilter) else cutoff
         for runs in part.segments_by_flight:
-            low_pass = _low_pass(sampled, part.time, runs, cutoff, joint, shrinks[channels], band)
+            low_pass = _low_pass(sampled, part.time, runs, of_group, joint, shrinks[channels])
             for run in runs:
                 smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
             lengths.append(sorted(map(n_rows, runs)))
@@ -143,19 +225,41 @@ def motion_band(
 
     Infinite if no channel moves, or all flights are too short to show a spectrum.
     """
-    columns, clock = _checked(values, time, flight)
     bands = []
+    for _, spectrum in _spectra(values, time, flight):
+        is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
+        sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
+        places = np.argmax(sums >= settings.motion_power * sums[-1], axis=0)
+        bands += spectrum.frequency[places].tolist()
+    return max(bands, default=np.inf)
+
+
+def power_beyond(
+    values: ArrayLike, time: ArrayLike, highest: float, *, flight: ArrayLike | None = None
+) -> Vector:
+    """Return the fraction of the power of each channel (n, k) beyond a frequency [Hz], (k,); NaN if it is unknown.
+
+    Means and trends are no power.
+    """
+    beyond, total = np.zeros((2, np.shape(values)[1]))
+    for channels, spectrum in _spectra(values, time, flight):
+        weighted = spectrum.averages * spectrum.channel_power
+        total[channels] += weighted.sum(axis=0)
+        beyond[channels] += weighted[spectrum.frequency > highest].sum(axis=0)
+    return beyond / np.where(total > 0, total, np.nan)
+
+
+def _spectra(
+    values: ArrayLike, time: ArrayLike, flight: ArrayLike | None
+) -> Iterator[tuple[Indices, Spectrum]]:
+    """Yield the channels that were sampled at the same rows, and their spectrum, of each flight that shows one."""
+    columns, clock = _checked(values, time, flight)
     for rows, channels in _same_rows(columns):
         part = clock.part(rows)
         for runs in part.segments_by_flight:
             spectrum = _flight_spectrum(columns[np.ix_(rows, channels)], part.time, runs)
-            if spectrum is None:
-                continue
-            is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
-            sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
-            places = np.argmax(sums >= settings.motion_power * sums[-1], axis=0)
-            bands += spectrum.frequency[places].tolist()
-    return max(bands, default=np.inf)
+            if spectrum is not None:
+                yield channels, spectrum
 
 
 def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
@@ -229,27 +333,22 @@ def _low_pass(
     columns: Matrix,
     time: Vector,
     runs: list[slice],
-    cutoff: float | str | None,
+    cutoff: float | str | FittedFilter | None,
     joint: bool,
     shrinks: NDArray[np.bool_],
-    band: float,
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
-    if cutoff is None:
-        return None
+    if cutoff is None or isinstance(cutoff, FittedFilter):
+        return cutoff
     if not isinstance(cutoff, str):
         return partial(_butterworth, cutoff=cutoff)
     spectrum = _flight_spectrum(columns, time, runs)
     if spectrum is None:
         return None
-    floor = white_noise(spectrum)
     if joint:
-        gain = _joint_gain(spectrum, floor)
+        gain = _joint_gain(spectrum, white_noise(spectrum))
     else:
-        gain = _single_gain(spectrum, floor)
-        is_kept = ~_is_beyond(gain) if np.isinf(band) else np.ones_like(gain, dtype=bool)
-        gain = np.where(~shrinks & is_kept, 1.0, gain)
-    gain[spectrum.frequency > band] = 0.0
+        gain = _separate_gain(spectrum, shrinks)
     response = impulse_response(gain)
     return lambda values, rate: convolve(values, response)
 
@@ -283,8 +382,7 @@ def _flight_spectrum(
     if longest < settings.least_samples:
         return None
     step = median_step(time, runs)
-    wanted = max(settings.window_seconds / step, settings.shortest_window)
-    half = min(int(wanted), longest // 4) // 2
+    half = min(_window_rows(step), longest // 4) // 2
     size = 2 * half
     windows = []
     for run in runs:
@@ -308,6 +406,11 @@ def _flight_spectrum(
         averages=0.375 * len(pieces),
         rounding=2 * step * (1e-9 * largest) ** 2,
     )
+
+
+def _window_rows(step: float, settings: SmoothingSettings = SMOOTHING) -> int:
+    """Return the most rows of a periodogram."""
+    return int(max(settings.window_seconds / step, settings.shortest_window))
 
 
 def _windows(segment: Matrix, size: int) -> Array:
@@ -359,10 +462,16 @@ def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
     return weights, misfit
 
 
-def _single_gain(
+def _separate_gain(spectrum: Spectrum, shrinks: NDArray[np.bool_]) -> Matrix:
+    """Return the smoother of each channel alone, (m, k), for channels that do not shrink as for a target."""
+    gain = _wiener_gain(spectrum, white_noise(spectrum))
+    return np.where(shrinks | _is_beyond(gain), gain, 1.0)
+
+
+def _wiener_gain(
     spectrum: Spectrum, floor: Vector, settings: SmoothingSettings = SMOOTHING
 ) -> Matrix:
-    """Return the smoother of each channel alone, (m, k)."""
+    """Return Wiener's smoother of each channel alone, (m, k)."""
     log_power = np.log(spectrum.channel_power + TINY)
     width = max(1.0, settings.averages / spectrum.averages)
     smoothed = ndimage.gaussian_filter1d(log_power, width, axis=0, mode="nearest")

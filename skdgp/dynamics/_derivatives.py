@@ -85,13 +85,16 @@ def stability_derivatives(
         ``regressor``, and ``per``, the unit of the regressor. ``perturbation`` is s in this unit,
         absent for local slopes (``attrs["slopes"]`` tells which). Several points have an outer level
         ``point``, and columns ``airspeed``, ``alpha``, ``beta``. ``std`` is the standard deviation
-        over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too. Of
-        a model learned from flights its square is the sum of the squares of
+        over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too, and
+        by errors of the log. Of a model learned from flights its square is the sum of the squares of
 
         - ``std_random``: errors correlated between samples and between outputs, estimated block by
           block,
         - ``std_method``: difference to the slopes of a polynomial with past regressors as
           instruments, and how far noise of the regressors flattens a slope,
+        - ``std_log``: errors of the log that flights do not show, ``deviations`` of the aircraft of
+          :func:`skdgp.identification.identify`: times of the channels, position of the sensors,
+          scale of the airspeed,
         - ``std_posterior``: the rest.
 
         A model without a time series has the errors of its means alone as ``std_random``; one
@@ -147,6 +150,8 @@ def stability_derivatives(
         columns |= _deviations(motion, now, frame, n_paths, random_state, rows)
     if aircraft.deviations:
         columns |= _errors_of_aircraft(motion, now, frame)
+    if "std" in columns and "std_log" in columns:
+        columns["std"] = np.hypot(columns["std"], columns["std_log"])
     tables = []
     for k, value in enumerate(values):
         of_point = {name: column[k].ravel() for name, column in columns.items()}
@@ -291,7 +296,10 @@ def _std_of_slopes(std: Array, now: Instant, frame: _Frame) -> Array:
 
 
 def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:
-    """Return what errors of the aircraft's sizes make of the values, and the names of the largest errors."""
+    """Return what errors of the log, and of the aircraft's sizes, make of the values.
+
+    And the names of the largest errors of sizes.
+    """
     aircraft = motion.aircraft
     deviations = aircraft.deviations or {}
     slopes = motion.aerodynamics.gradient(now.regressors)
@@ -299,10 +307,15 @@ def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str
     errors = errors_of_sizes(deviations, aircraft.inertia, motion.regressors, values)
     sizes = np.abs(frame(errors[..., 0], errors[..., 1:]))
     names = np.array(list(deviations), dtype=object)
-    return {
-        "std_aircraft": np.sqrt(np.sum(sizes**2, axis=0)),
-        "aircraft": _largest(sizes, names[:, None, None, None]),
-    }
+    is_of_log = np.array([factor.of_log for factor in deviations.values()])
+    columns = {}
+    if is_of_log.any():
+        columns["std_log"] = np.sqrt(np.sum(sizes[is_of_log] ** 2, axis=0))
+    if not is_of_log.all():
+        of_sizes = sizes[~is_of_log]
+        columns["std_aircraft"] = np.sqrt(np.sum(of_sizes**2, axis=0))
+        columns["aircraft"] = _largest(of_sizes, names[~is_of_log, None, None, None])
+    return columns
 
 
 def _largest(sizes: Array, names: np.ndarray) -> np.ndarray:

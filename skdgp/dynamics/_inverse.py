@@ -10,7 +10,7 @@ import pandas as pd
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
-from skdgp._compute.typing import Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
     RATE_DERIVATIVES,
@@ -24,7 +24,7 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
-from skdgp._flight.smoothing import differentiate, smooth
+from skdgp._flight.smoothing import FittedFilter, differentiate, smooth
 from skdgp._flight.tables import FlightTable, by_name, numeric
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
@@ -36,14 +36,16 @@ from skdgp.dynamics._rigid_body import (
 )
 
 NEEDED = ["airspeed", "density", *SPECIFIC_FORCE, *RATES]
+SMOOTHED = ["airspeed", *SPECIFIC_FORCE, *RATES, *RATE_DERIVATIVES]
+# targets of a regression may not shrink; airspeed is a regressor, too
+SHRINKS = [name == "airspeed" for name in SMOOTHED]
 
 
 def aerodynamic_coefficients(
     flight: pd.DataFrame,
     aircraft: Aircraft,
     *,
-    cutoff: float | str | None = "auto",
-    band: float = np.inf,
+    cutoff: float | str | FittedFilter | None = "auto",
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
     ignore: Iterable[str] = (),
@@ -76,9 +78,6 @@ def aerodynamic_coefficients(
         differentiated: a corner frequency [Hz], the smoother of each channel's spectrum, or none.
         "auto" removes noise beyond the frequencies at which a channel has more signal, and keeps
         these as they are, as a Wiener smoother would make derivatives too small.
-    band : float, default=inf
-        For ``cutoff="auto"``: frequency [Hz] beyond which all is removed, and below which nothing
-        is. Regressors must lose the same frequencies, as the equation of both is then still true.
     thrust : {"auto", None}, default="auto"
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
@@ -108,7 +107,7 @@ def aerodynamic_coefficients(
     """
     flight = _measured(flight, ignore)
     check_flight(flight, NEEDED)
-    measured, rate_derivatives = _smoothed(flight, cutoff, band)
+    measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
     rates = numeric(measured, RATES)
@@ -153,24 +152,45 @@ def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
     return mass
 
 
+def coefficient_filter(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> FittedFilter:
+    """Return the smoothing of ``cutoff="auto"`` of flights, as a cutoff for other flights.
+
+    "auto" leaves as much noise as the motion of each flight asks for. Coefficients that pass
+    through the smoothing of the training flights have their noise, which a band of new
+    measurements contains.
+
+    Parameters and errors: see `aerodynamic_coefficients`.
+    """
+    flight = _measured(flight, ignore)
+    check_flight(flight, NEEDED)
+    return FittedFilter.of_flights(_channels(flight), shrink=SHRINKS, **_clock(flight))
+
+
+def band_filter(highest: float) -> FittedFilter:
+    """Return the cutoff of `aerodynamic_coefficients` that passes all frequencies up to a highest one [Hz]."""
+    return FittedFilter.up_to(highest, len(SMOOTHED))
+
+
+def _channels(flight: pd.DataFrame) -> Matrix:
+    """Return the channels that are smoothed, (n, 10), NaN where not measured."""
+    return numeric(flight.reindex(columns=SMOOTHED), SMOOTHED)
+
+
+def _clock(flight: pd.DataFrame) -> dict[str, Any]:
+    return {"time": flight["time"].to_numpy(float), "flight": flight.get("flight")}
+
+
 def _smoothed(
-    flight: pd.DataFrame, cutoff: float | str | None, band: float
+    flight: pd.DataFrame, cutoff: float | str | FittedFilter | None
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
-    clock: dict[str, Any] = {
-        "time": flight["time"].to_numpy(float),
-        "flight": flight.get("flight"),
-        "cutoff": cutoff,
-        "band": band,
-    }
-    names = ["airspeed", *SPECIFIC_FORCE, *RATES]
-    is_measured = all(name in flight for name in RATE_DERIVATIVES)
-    if is_measured:
-        names += RATE_DERIVATIVES
-    # targets of a regression may not shrink; airspeed is a regressor, too
-    shrinks = [name == "airspeed" for name in names]
-    smoothed = smooth(numeric(flight, names), shrink=shrinks, **clock)
-    measured = flight.assign(**by_name(names, smoothed))
-    if is_measured:
+    clock = _clock(flight)
+    channels = _channels(flight)
+    smoothed = smooth(channels, cutoff=cutoff, shrink=SHRINKS, **clock)
+    measured = flight.assign(**by_name(SMOOTHED, smoothed))
+    if {*RATE_DERIVATIVES} <= {*flight}:
         return measured, numeric(measured, RATE_DERIVATIVES)
-    return measured, differentiate(numeric(flight, RATES), shrink=False, **clock)
+    rates = [SMOOTHED.index(name) for name in RATES]
+    if isinstance(cutoff, FittedFilter):
+        cutoff = cutoff.of_channels(rates)
+    return measured, differentiate(channels[:, rates], cutoff=cutoff, shrink=False, **clock)

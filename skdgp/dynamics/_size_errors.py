@@ -47,12 +47,16 @@ class ScaleFactor:
         Of an error that adds to coefficients, such as an error of the thrust: the change by an
         error of 100 %, of coefficients and their slopes by regressors of a model, "CX",
         "CX_alpha", ...
+    of_log : bool
+        Whether it is an error of the log that a model was learned from. Simulations with the same
+        aircraft depend on it.
     """
 
     std: float
     powers: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
     added: Mapping[str, float] = field(default_factory=dict)
+    of_log: bool = False
 
     def __post_init__(self):
         std = check_number("std of a scale factor", self.std, is_open=False)

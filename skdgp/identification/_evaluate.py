@@ -26,12 +26,16 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
     notify(f"evaluating {name}")
     loads = {key: model.options[key] for key in ("thrust", "external_forces")}
-    band = model.pipeline.band_
-    measured = aerodynamic_coefficients(table, model.aircraft, band=band, **loads)
-    regressors, noise_ratio = flight_regressors(model.pipeline, table)
-    regressors = band_limited(regressors, table, band)
-    regressor = model.pipeline[-1]
-    mean = model.pipeline.mean_of_rows(regressors, noise_ratio)
+    pipeline = model.pipeline
+    measured = aerodynamic_coefficients(table, model.aircraft, cutoff=pipeline.own_cutoff, **loads)
+    # with the noise of the fit, which the bands contain
+    noisy = aerodynamic_coefficients(
+        table, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
+    )
+    regressors, noise_ratio = flight_regressors(pipeline, table)
+    regressors = band_limited(regressors, table, pipeline.band_)
+    regressor = pipeline[-1]
+    mean = pipeline.mean_of_rows(regressors, noise_ratio)
     rows = std_rows(len(table))
     std = _interpolated_std(regressor, regressors, noise_ratio, rows)
     replayed = None
@@ -43,12 +47,13 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         time=table["time"].to_numpy(float),
         table=table,
         measured=measured.to_numpy(),
+        measured_as_in_fit=noisy.to_numpy(),
         mean=mean,
         std=std,
         measured_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=regressors,
-        truth=_truth(table, band),
+        truth=_truth(table, pipeline.band_),
         baseline=_baseline(model, regressors),
         replay=replayed,
     )

@@ -24,10 +24,10 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
-from skdgp._flight.motion import motion_band_of
+from skdgp._flight.motion import motion_band_of, vibrates_beyond
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, band_filter, coefficient_filter
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
 from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
@@ -115,10 +115,14 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
-    # both sides of the regression lose the same frequencies
-    # errors of a band below half the rate of the rows would be correlated between these
-    pipeline.band_ = max(motion_band_of(table), ROWS.rate / 2)
-    Y = aerodynamic_coefficients(table, flights.aircraft, band=pipeline.band_, **flights.loads)
+    pipeline.band_ = _band(table)
+    if np.isfinite(pipeline.band_):
+        pipeline.coefficient_filter_ = band_filter(pipeline.band_)
+    else:
+        pipeline.coefficient_filter_ = coefficient_filter(table)
+    Y = aerodynamic_coefficients(
+        table, flights.aircraft, cutoff=pipeline.own_cutoff, **flights.loads
+    )
     flown = Extent.of(list(flights.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
@@ -162,6 +166,19 @@ def learn(
         fit=fit,
         options=_options(flights, pipeline, training.samples, horizons),
     )
+
+
+def _band(table: pd.DataFrame) -> float:
+    """Return the frequency [Hz] beyond which both sides of the regression lose all, infinite without vibration.
+
+    Beyond the motion, vibration biases slopes. Without it nothing is removed, as gusts there
+    contribute to the mean of a curved function.
+    """
+    if not has_values(table, *VANES):
+        return np.inf
+    # errors of a band below half the rate of the rows would be correlated between these
+    band = max(motion_band_of(table), ROWS.rate / 2)
+    return band if vibrates_beyond(table, band) else np.inf
 
 
 def _n_rows(

@@ -31,8 +31,6 @@ class LogErrorSettings:
 
 
 LOG_ERRORS = LogErrorSettings()
-OF_LOG = "errors of the log"
-"""Source of the deviations by errors of the log."""
 CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
@@ -53,11 +51,9 @@ def with_log_errors(
     added = _by_clocks(table, regressors, least_squares, lags) | _by_position(
         aircraft, table, regressors
     )
-    factors = {
-        name: ScaleFactor(1.0, source=OF_LOG, added=effect) for name, effect in added.items()
-    }
+    factors = {name: ScaleFactor(1.0, added=effect, of_log=True) for name, effect in added.items()}
     if airspeed_std:
-        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0}, source=OF_LOG)
+        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0}, of_log=True)
     return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors})
 
 

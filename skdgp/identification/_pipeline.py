@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
-from skdgp._flight.smoothing import smooth
+from skdgp._flight.smoothing import FittedFilter, smooth
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
 from skdgp.identification._calibration import RegressionCalibration
@@ -164,7 +164,8 @@ def band_limited(values: Matrix, flights: pd.DataFrame, band: float) -> Matrix:
     if np.isinf(band):
         return values
     time = flights["time"].to_numpy(float)
-    return smooth(values, time, flight=flights.get("flight"), shrink=False, band=band)
+    cutoff = FittedFilter.up_to(band, values.shape[1])
+    return smooth(values, time, flight=flights.get("flight"), cutoff=cutoff)
 
 
 def regressor_names(pipeline: Pipeline) -> list[str]:
@@ -202,8 +203,11 @@ class FlightPipeline(Pipeline):
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
     band_ : float
-        Frequency [Hz] beyond which the coefficients of the fit are without motion, and lose the
-        regressors all, so that the equation of both remains true; set by :func:`identify`.
+        Frequency [Hz] beyond which coefficients and regressors of the fit lost all, so that the
+        equation of both remained true; infinite without vibration; set by :func:`identify`.
+    coefficient_filter_ : FittedFilter or "auto"
+        Smoothing of the coefficients of the fit, with which those of other flights have the same
+        noise; set by :func:`identify`.
     airspeed_scale_ : float
         Relative error of the airspeed that was removed from the flights before the fit; set by
         :func:`identify`.
@@ -216,8 +220,14 @@ class FlightPipeline(Pipeline):
     steps: list[tuple[str, Any]]
     control_units_: Mapping[str, str] = MappingProxyType({})
     band_: float = np.inf
+    coefficient_filter_: FittedFilter | str = "auto"
     airspeed_scale_: float = 0.0
     calibration_: RegressionCalibration | None = None
+
+    @property
+    def own_cutoff(self) -> FittedFilter | str:
+        """Smoothing of the coefficients of a flight: by its spectra, or up to ``band_``."""
+        return "auto" if np.isinf(self.band_) else self.coefficient_filter_
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.

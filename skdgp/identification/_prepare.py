@@ -40,7 +40,6 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation import AirspeedScale, airspeed_scale
 from skdgp.identification._flights import Flights, items_of, named_flights
-from skdgp.identification._log_errors import OF_LOG
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import FlightCheck
 
@@ -390,8 +389,10 @@ def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[F
     sizes = _uncertain_sizes(aircraft)
     if sizes:
         findings.append(Finding(Code.SIZES_ESTIMATED, numbers={"sizes": sizes}))
-    known = ("given", OF_LOG)
-    sources = {name: f.source for name, f in factors.items() if f.source not in known}
+    sources = {}
+    for name, factor in factors.items():
+        if not factor.of_log and factor.source != "given":
+            sources[name] = factor.source
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
     return (*findings, *with_codes(reported, *ASSUMED))

@@ -43,7 +43,7 @@ VANES_OF = {"CZ": "alpha", "CY": "beta"}
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
 MOMENTS = ("Cl", "Cm", "Cn")
 # parts of the standard deviation of a derivative
-PARTS = ("std_random", "std_method", "std_posterior")
+PARTS = ("std_random", "std_method", "std_log", "std_posterior")
 # Regressors that are known only after a flight
 ACCELERATIONS = {
     *SPECIFIC_FORCE,

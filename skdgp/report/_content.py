@@ -175,7 +175,7 @@ class Verdict:
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
 DERIVATIVE = (
     *("value", "std", "lower", "upper"),
-    *("std_random", "std_method", "std_posterior"),
+    *("std_random", "std_method", "std_log", "std_posterior"),
     *("std_merged", "std_aircraft", "aircraft"),
 )
 
@@ -263,8 +263,9 @@ class Evaluation:
     measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
         noise.
-    measured_std : (n, 6)
-        Standard deviations of new measurements.
+    measured_as_in_fit, measured_std : (n, 6)
+        Coefficients measured with the noise of the fit, and standard deviations of such measurements.
+        ``measured`` is smoothed by the spectra of the flight, and so has more or less noise.
     rows : ndarray of int
         Where standard deviations were computed; between them they are interpolated.
     regressors : (n, d)
@@ -283,6 +284,7 @@ class Evaluation:
     measured: Matrix
     mean: Matrix
     std: Matrix
+    measured_as_in_fit: Matrix
     measured_std: Matrix
     rows: Indices
     regressors: Matrix
@@ -302,17 +304,22 @@ def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
     Metrics of bands are of the rows where standard deviations were computed.
     """
     measured = [flight.measured for flight in flights]
-    against = {"measured": _scores(flights, measured, [flight.measured_std for flight in flights])}
+    in_bands = [flight.measured_as_in_fit for flight in flights]
+    bands = [flight.measured_std for flight in flights]
+    against = {"measured": _scores(flights, measured, in_bands, bands)}
     truth = [flight.truth for flight in flights if flight.truth is not None]
     if len(truth) == len(flights):
-        against["truth"] = _scores(flights, truth, [flight.std for flight in flights])
+        against["truth"] = _scores(flights, truth, truth, [flight.std for flight in flights])
     return against
 
 
 def _scores(
-    flights: Sequence[Evaluation], reference: Sequence[Matrix], std: Sequence[Matrix]
+    flights: Sequence[Evaluation],
+    reference: Sequence[Matrix],
+    in_bands: Sequence[Matrix],
+    std: Sequence[Matrix],
 ) -> pd.DataFrame:
-    """Return coefficients by metrics against a reference."""
+    """Return coefficients by metrics: errors against a reference, and how bands hold values."""
     expected = np.concatenate(reference)
     mean = np.concatenate([flight.mean for flight in flights])
     each: dict[str, Any] = {"multioutput": "raw_values"}
@@ -328,7 +335,7 @@ def _scores(
     for flight in flights:
         has_std[begin + flight.rows] = True
         begin += len(flight.mean)
-    bands = expected[has_std], mean[has_std], np.concatenate(std)[has_std]
+    bands = np.concatenate(in_bands)[has_std], mean[has_std], np.concatenate(std)[has_std]
     table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
     table["interval_coverage"] = interval_coverage(*bands, **each)
     return table

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy import signal
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
@@ -102,10 +102,10 @@ GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, spa
 FORCE = 0.5 * 1.2 * 12.0**2 * 0.5  # dynamic pressure and wing area of `surge` [N]
 
 
-def surge(rng, size, n):
-    """Return a glide whose forward acceleration of some size [m/s^2] has noise of 0.1 m/s^2, and its true CX."""
-    below_1_hz = signal.butter(4, 1.0, fs=50, output="sos")
-    wave = signal.sosfiltfilt(below_1_hz, rng.normal(size=n))
+def surge(rng, size, n, highest=1.0):
+    """Return a glide whose forward acceleration, up to a frequency [Hz], has noise of 0.1 m/s^2, and its true CX."""
+    below = signal.butter(4, highest, fs=50, output="sos")
+    wave = signal.sosfiltfilt(below, rng.normal(size=n))
     wave *= size / wave.std()
     still = dict.fromkeys(["ay", "p", "q", "r"], 0.0)
     flight = pd.DataFrame({"time": 0.02 * np.arange(n), "airspeed": 12.0, "az": -9.8} | still)
@@ -129,6 +129,27 @@ def test_no_draw_of_the_noise_hides_that_it_is_noise():
         flight, true = surge(default_rng(seed), 0.3, 1500)
         CX = aerodynamic_coefficients(flight, GLIDER, thrust=None)["CX"]
         assert np.std(CX - true) < 0.4 * noise
+
+
+def test_flights_by_the_smoothing_of_a_flight_have_its_noise():
+    """By their own spectra, a calm and a lively flight have noise of different size."""
+    calm, of_calm = surge(default_rng(0), 0.3, 6000, highest=0.5)
+    lively, of_lively = surge(default_rng(1), 3.0, 6000, highest=8.0)
+    together = pd.concat([calm.assign(flight="calm"), lively.assign(flight="lively")])
+    cutoffs = {"own": "auto"}
+    for name, flights in {"calm": calm, "lively": lively, "together": together}.items():
+        cutoffs[name] = coefficient_filter(flights)
+    variance = {}
+    for name, cutoff in cutoffs.items():
+        left = []
+        for flight, true in ((calm, of_calm), (lively, of_lively)):
+            CX = aerodynamic_coefficients(flight, GLIDER, thrust=None, cutoff=cutoff)["CX"]
+            left.append(np.var(CX - true))
+        variance[name] = left
+    assert variance["own"][1] > 4 * variance["own"][0]
+    assert variance["lively"] == pytest.approx([variance["own"][1]] * 2, rel=0.1)
+    assert variance["calm"][0] == pytest.approx(variance["own"][0])
+    assert variance["together"][0] == pytest.approx(np.mean(variance["own"]), rel=0.1)
 
 
 def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coefficients):

@@ -7,8 +7,8 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy import signal
 
-from skdgp._flight.motion import motion_band_of
-from skdgp._flight.smoothing import smooth
+from skdgp._flight.motion import motion_band_of, vibrates_beyond
+from skdgp._flight.smoothing import FittedFilter, smooth
 
 RATE = 40.0
 NAMES = ["p", "q", "r", "elevator"]
@@ -44,13 +44,29 @@ def test_without_rates_and_surfaces_it_is_unknown():
     assert motion_band_of(shaken(0.0).iloc[:60]) == np.inf
 
 
+def test_forces_beyond_it_are_vibration():
+    table = shaken(1.0)
+    rng = default_rng(1)
+    band = motion_band_of(table)
+    for name in ("ax", "ay", "az"):
+        table[name] = table["elevator"] + 0.5 * table["elevator"].std() * rng.normal(
+            size=len(table)
+        )
+    assert not vibrates_beyond(table, band)
+    shaking = table["p"] - shaken(0.0)["p"]
+    table["ax"] += 3 * shaking
+    assert not vibrates_beyond(table, band)
+    table["az"] += 3 * shaking
+    assert vibrates_beyond(table, band)
+
+
 def test_an_equation_of_channels_remains_true():
     """Force by elevator and rate, beside a vibration that both inertial sensors feel."""
     calm, table = shaken(0.0), shaken(1.0)
     force = 2.0 * calm["elevator"] - 3.0 * calm["p"] + 5 * (table["p"] - calm["p"])
     columns = np.column_stack([table["elevator"], table["p"], force])
     band = motion_band_of(table)
-    out = smooth(columns, table["time"], shrink=False, band=band)
+    out = smooth(columns, table["time"], cutoff=FittedFilter.up_to(band, 3))
     slopes, *_ = np.linalg.lstsq(out[:, :2], out[:, 2], rcond=None)
     assert_allclose(slopes, [2.0, -3.0], rtol=0.01)
 
@@ -58,7 +74,6 @@ def test_an_equation_of_channels_remains_true():
 def test_a_wave_beyond_it_is_removed_and_one_within_it_is_kept():
     time = np.arange(4800) / RATE
     waves = np.sin(2 * np.pi * np.outer(time, [2.0, 12.0]))
-    out = smooth(waves, time, shrink=False, band=5.0)
+    out = smooth(waves, time, cutoff=FittedFilter.up_to(5.0, 2))
     middle = slice(200, -200)
     assert_allclose(out[middle], waves[middle] * [1.0, 0.0], atol=0.01)
-    assert_allclose(smooth(waves, time, shrink=False), waves, atol=1e-9)

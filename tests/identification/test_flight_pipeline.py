@@ -18,7 +18,6 @@ from skdgp.identification import (
     flight_regressors,
     identify,
 )
-from skdgp.identification._pipeline import band_limited
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -161,16 +160,12 @@ class TestLeastSquares:
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
         )
-        band = result.pipeline.band_
-        targets = aerodynamic_coefficients(train, flights.aircraft, band=band)
+        targets = aerodynamic_coefficients(train, flights.aircraft)
         targets = thin_targets(targets, 120)
         rows = targets.notna().all(axis=1).to_numpy()
-        X, Xt = (
-            band_limited(np.asarray(result.pipeline[:-1].transform(table)), table, band)
-            for table in (train, test)
-        )
+        X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])
-        measured = aerodynamic_coefficients(test, flights.aircraft, band=band)
+        measured = aerodynamic_coefficients(test, flights.aircraft)
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T

@@ -1,5 +1,7 @@
 """Errors of a log: what they make of a linear model that is learned from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -8,7 +10,13 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
 from sklearn.linear_model import LinearRegression
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp import DependentGPRegressor
+from skdgp.dynamics import (
+    Aircraft,
+    ScaleFactor,
+    aerodynamic_coefficients,
+    stability_derivatives,
+)
 from skdgp.identification._log_errors import LOG_ERRORS, clock_std, with_log_errors
 from skdgp.preprocessing import LagCorrector
 
@@ -95,3 +103,26 @@ def test_a_lag_that_is_known_leaves_no_more_than_motion_between_samples():
     least = LOG_ERRORS.clock_steps * STEP
     assert clock_std(lags.lags_, "surfaces", STEP) == least
     assert clock_std(lags.lags_, "air", STEP) == pytest.approx(np.hypot(LOG_ERRORS.clock, least))
+
+
+def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
+    table, X, slopes = flown
+    X = X.iloc[::20]
+    Y = X.to_numpy() @ slopes + 0.01 * default_rng(1).normal(size=(len(X), 6))
+    model = DependentGPRegressor(structure="trend", input_noise=None, random_state=0).fit(X, Y)
+    state = np.array([0, 0, -100, 20, 0, 0, 1, 0, 0, 0, 0, 0, 0])
+    factor = ScaleFactor(0.1, {"dynamic pressure": 1.0}, of_log=True)
+    tables = []
+    for deviations in (None, {"airspeed": factor}):
+        aircraft = replace(AIRCRAFT, deviations=deviations)
+        controls = dict.fromkeys(["elevator", "aileron", "rudder"], 0.0)
+        tables.append(
+            stability_derivatives(model, aircraft, state, controls, thrust=None, random_state=0)
+        )
+    without, table = tables
+    # a non-dimensional rate contains the airspeed, too
+    relative = table["regressor"].isin(["p", "q", "r"]).map({True: 0.05, False: 0.1})
+    assert_allclose(table["std_log"], relative * table["value"].abs(), rtol=1e-6)
+    assert_allclose(table["std"], np.hypot(without["std"], table["std_log"]))
+    assert_allclose(table["upper"] - table["lower"], 2 * 1.95996 * table["std"], rtol=1e-4)
+    assert "std_aircraft" not in table

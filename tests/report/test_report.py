@@ -100,6 +100,7 @@ def result(n=800, **changes):
         "name": "test",
         "time": flight["time"].to_numpy(),
         "measured": mean + 0.02 * rng.normal(size=(n, 6)),
+        "measured_as_in_fit": mean + 0.02 * rng.normal(size=(n, 6)),
         "mean": mean,
         "std": std,
         "measured_std": 2 * std,
@@ -348,7 +349,7 @@ class TestWords:
         for values in (flight.measured, flight.truth):
             for error in normalized_rmse(values, flight.mean, multioutput="raw_values"):
                 assert f"{error:.3f}" in words
-        moments = flight.measured, flight.mean, flight.measured_std
+        moments = flight.measured_as_in_fit, flight.mean, flight.measured_std
         for held in interval_coverage(*moments, multioutput="raw_values"):
             assert f"{100 * held:.1f}" in words
 

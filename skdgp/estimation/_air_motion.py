@@ -309,7 +309,7 @@ def estimate_air_motion(
     if thrust is None:
         # the measured axial force takes the place of thrust and CX: in `_records`, and `_parameters`
         # without a scale of the thrust
-        derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
+        derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     constants = dict(AIRCRAFT_CONSTANTS)
@@ -380,6 +380,11 @@ def _moves(table: pd.DataFrame, surface: str) -> bool:
 def _has_drag(derivatives: Iterable[str]) -> bool:
     """Return whether derivatives of CX are among some."""
     return "CX" in map(coefficient_of, derivatives)
+
+
+def _needs_thrust(derivative: str) -> bool:
+    """Return whether a derivative is of the axial force or by thrust."""
+    return coefficient_of(derivative) == "CX" or derivative.endswith("_thrust")
 
 
 def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:

@@ -327,9 +327,9 @@ class _Expansion:
         inputs = self.inputs
         if answers is None:
             return inputs
-        late = servo_output(answers[:, 1:], self.value["servo_lag"], self.record.median_step)
+        late = servo_output(answers[:, :-1], self.value["servo_lag"], self.record.median_step)
         thrust = inputs.thrust.copy()
-        thrust[:, 0] -= answers[:, 0]
+        thrust[:, 0] -= answers[:, -1]
         return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
 
     def step_slopes(self, end: Matrix, by_start: Array, instrument_terms: Matrix) -> Array:

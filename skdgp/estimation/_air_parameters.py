@@ -27,7 +27,9 @@ TERMS: dict[str, tuple[str, ...]] = {
 }
 """Terms of each coefficient with wide priors; those of surfaces that a flight lacks are left out."""
 LINEAR_TERMS = ("0", "alpha", "beta", "p", "q", "r", *SURFACES)
-ALL_TERMS = dict.fromkeys(COEFFICIENTS, (*LINEAR_TERMS, "thrust")) | {"CX": (*LINEAR_TERMS, "alpha2")}
+ALL_TERMS = dict.fromkeys(COEFFICIENTS, (*LINEAR_TERMS, "thrust")) | {
+    "CX": (*LINEAR_TERMS, "alpha2")
+}
 """These and all other linear terms: couplings, whose priors are narrow. CX by thrust is its scale."""
 DERIVATIVES: Prior = {
     "CX_alpha": (0.2, 1.0), "CX_alpha2": (0.0, 5.0), "CY_beta": (-0.5, 0.5), "CY_p": (0.0, 0.5),

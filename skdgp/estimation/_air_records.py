@@ -48,7 +48,8 @@ class Record(NamedTuple):
     surface_errors: Matrix  # (n, k) size between samples of a slow clock, zero at these [rad]
     inputs: Inputs  # as logged
     periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
-    answers: Matrix | None = None  # (n, 1 + k) part of thrust and surfaces that answers gusts (autopilot)
+    # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
+    answers: Matrix | None = None
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
@@ -73,15 +74,15 @@ class Record(NamedTuple):
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
     def with_answers(self, innovation: Matrix, settings: AirSettings) -> Record:
-        """Return the record with the part of thrust and surfaces that innovations (n - 1, m) explain.
+        """Return the record with the part of surfaces and thrust that innovations (n - 1, m) explain.
 
         By least squares on sums of the innovations over bins of the past, wider the earlier. Other
         motion of a surface is a first-order process of the surface's own correlation (Cochrane &
         Orcutt 1949): inputs hold their values for a while.
         """
-        inputs = np.column_stack([self.inputs.thrust[:, 0], self.inputs.surfaces])
+        inputs = np.column_stack([self.inputs.surfaces, self.inputs.thrust[:, 0]])
         inputs -= inputs.mean(axis=0)
-        periods = [0.0, *self.periods]
+        periods = [*self.periods, 0.0]
         answers = np.empty_like(inputs)
         sums = {
             period: _sums_around(innovation, self.median_step, period, settings)

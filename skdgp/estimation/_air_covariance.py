@@ -202,5 +202,5 @@ def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vecto
     angle = settings.velocity_error / speed
     rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
     error = np.full(n_terms, settings.surface_error)
-    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates]
+    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, settings.thrust_error]
     return error

@@ -309,7 +309,8 @@ class _Expansion:
         It contains no gusts. The motion is damped to a correlation time of
         ``settings.response_time``, as the motion of an unstable aircraft would grow.
         """
-        surfaces = self._commanded()
+        commanded = self._commanded()
+        surfaces = commanded.surfaces
         delay = settings.response_delay
         late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
         A = by_start[:, :, :6]
@@ -318,21 +319,24 @@ class _Expansion:
         B = by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
         motion = _motion(A, matrix_vector(B, _means(late - late.mean(axis=0))))
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
-        return self.model.terms(motion, late)
+        return self.model.terms(motion, commanded._replace(surfaces=late))
 
-    def _commanded(self) -> Matrix:
-        """Return the surfaces (n, k) without an autopilot's answers to gusts."""
+    def _commanded(self) -> Inputs:
+        """Return surfaces and thrust without an autopilot's answers to gusts."""
         answers = self.record.answers
+        inputs = self.inputs
         if answers is None:
-            return self.inputs.surfaces
-        late = servo_output(answers, self.value["servo_lag"], self.record.median_step)
-        return self.inputs.surfaces - late
+            return inputs
+        late = servo_output(answers[:, :-1], self.value["servo_lag"], self.record.median_step)
+        thrust = inputs.thrust.copy()
+        thrust[:, 0] -= answers[:, -1]
+        return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
 
     def step_slopes(self, end: Matrix, by_start: Array, instrument_terms: Matrix) -> Array:
         """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
         # terms within a step are the mean of the terms at its ends
-        terms = self.model.terms(self.start, self.inputs.part(slice(-1)).surfaces)
-        end_terms = self.model.terms(end, self.end_inputs.surfaces)
+        terms = self.model.terms(self.start, self.inputs.part(slice(-1)))
+        end_terms = self.model.terms(end, self.end_inputs)
         variables = self.layout.variable_slopes(
             self.record.attitude[:-1],
             self.start[:, BODY_RATES],
@@ -386,7 +390,7 @@ class _Expansion:
 
     def end_slopes(self, end: Matrix, by_variables: Array, instrument_terms: Matrix) -> Array:
         """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""
-        terms = self.model.terms(end, self.end_inputs.surfaces)
+        terms = self.model.terms(end, self.end_inputs)
         slopes = self.end_variable_slopes(end)
         return self.layout.chained(by_variables, slopes, terms, instrument_terms[1:])
 

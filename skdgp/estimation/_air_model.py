@@ -80,7 +80,7 @@ class AirMotionModel:
         """Derivatives of the coefficients by the surfaces, (6, n_surfaces)."""
         return self.derivatives[:, len(STATE_TERMS) :]
 
-    def terms(self, state: Array, surfaces: Array) -> Array:
+    def terms(self, state: Array, inputs: Inputs) -> Array:
         """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more)."""
         airspeed, alpha, beta = air_data(state[..., AIR_VELOCITY])
         X = np.empty((*alpha.shape, self.derivatives.shape[1]))
@@ -91,13 +91,15 @@ class AirMotionModel:
         X[..., 4:7] = (
             state[..., BODY_RATES] * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
         )
-        X[..., 7:] = surfaces
+        pressure = dynamic_pressure(airspeed, inputs.density)
+        X[..., 7] = inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
+        X[..., 8:] = inputs.surfaces
         return X
 
     def accelerations(self, state: Array, inputs: Inputs) -> Array:
         """Return specific force and angular acceleration (..., 6) at variables (..., 12)."""
         rates = state[..., BODY_RATES]
-        terms = self.terms(state, inputs.surfaces)
+        terms = self.terms(state, inputs)
         coefficients = terms @ self.derivatives.T + state[..., COEFFICIENT_ERRORS]
         airspeed = np.linalg.norm(state[..., AIR_VELOCITY], axis=-1)
         force, moment = aerodynamic_loads(coefficients, airspeed, inputs.density, self.aircraft)

@@ -87,8 +87,9 @@ class AirMotion:
     Attributes
     ----------
     derivatives : DataFrame
-        A row per derivative, such as CZ_alpha [1/rad]: ``value``, ``std``, and ``prior_std``, which
-        ``std`` approaches where the flights contain no information.
+        A row per derivative, such as CZ_alpha [1/rad], or Cm_thrust, by thrust over dynamic pressure
+        and wing area: ``value``, ``std``, and ``prior_std``, which ``std`` approaches where the
+        flights contain no information.
     covariance : DataFrame (p, p)
         Joint covariance of the derivatives.
     constants : DataFrame
@@ -245,7 +246,8 @@ def estimate_air_motion(
     answers gusts: this motion excludes the part of the surfaces that innovations explain.
     Noises maximise the likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound
     parameters that a flight does not determine. Terms beyond the usual ones, such as CY by the
-    ailerons, have narrow priors around zero, as of a symmetric aircraft. The covariance is
+    ailerons, or Cm by thrust over dynamic pressure and wing area, have narrow priors around zero, as
+    of a symmetric aircraft without offset of the thrust line. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
     samples of a slow clock make much of the innovations. For nonlinear effects 4 % of each derivative are
@@ -265,8 +267,8 @@ def estimate_air_motion(
         Its position of the inertial sensors, or the one in the table, is taken to be right to 1 cm
         (across 5 mm). Unknown, it is estimated within 3 cm of the centre of gravity (across 1 cm).
     terms : mapping of str to sequence of str, optional
-        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r and surfaces; by default all but
-        alpha2, which only CX has. Without CX the axial force is taken as measured, see ``thrust``.
+        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r, thrust and surfaces; by default all but
+        alpha2, which only CX has, and CX by thrust. Without CX the axial force is taken as measured, see ``thrust``.
     thrust : str or None, default="auto"
         As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
         measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
@@ -309,7 +311,7 @@ def estimate_air_motion(
     if thrust is None:
         # the measured axial force takes the place of thrust and CX: in `_records`, and `_parameters`
         # without a scale of the thrust
-        derivatives = {k: v for k, v in derivatives.items() if coefficient_of(k) != "CX"}
+        derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     constants = dict(AIRCRAFT_CONSTANTS)
@@ -380,6 +382,11 @@ def _moves(table: pd.DataFrame, surface: str) -> bool:
 def _has_drag(derivatives: Iterable[str]) -> bool:
     """Return whether derivatives of CX are among some."""
     return "CX" in map(coefficient_of, derivatives)
+
+
+def _needs_thrust(derivative: str) -> bool:
+    """Return whether a derivative is of the axial force or by thrust."""
+    return coefficient_of(derivative) == "CX" or derivative.endswith("_thrust")
 
 
 def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:

@@ -15,8 +15,8 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SURFACES
 from skdgp.estimation._sensors import AIR_NOISE, AIR_SENSOR_ERRORS, RATE_BIASES, WIND_STD, Prior
 
-STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r")
-"""Terms of a coefficient before those of the surfaces."""
+STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r", "thrust")
+"""Terms of a coefficient before those of the surfaces; thrust over dynamic pressure and wing area."""
 TERMS: dict[str, tuple[str, ...]] = {
     "CX": ("0", "alpha", "alpha2"),
     "CY": ("0", "beta", "p", "r", "rudder"),
@@ -27,8 +27,10 @@ TERMS: dict[str, tuple[str, ...]] = {
 }
 """Terms of each coefficient with wide priors; those of surfaces that a flight lacks are left out."""
 LINEAR_TERMS = ("0", "alpha", "beta", "p", "q", "r", *SURFACES)
-ALL_TERMS = dict.fromkeys(COEFFICIENTS, LINEAR_TERMS) | {"CX": (*LINEAR_TERMS, "alpha2")}
-"""These and all other linear terms: couplings, whose priors are narrow."""
+ALL_TERMS = dict.fromkeys(COEFFICIENTS, (*LINEAR_TERMS, "thrust")) | {
+    "CX": (*LINEAR_TERMS, "alpha2")
+}
+"""These and all other linear terms: couplings, whose priors are narrow. CX by thrust is its scale."""
 DERIVATIVES: Prior = {
     "CX_alpha": (0.2, 1.0), "CX_alpha2": (0.0, 5.0), "CY_beta": (-0.5, 0.5), "CY_p": (0.0, 0.5),
     "CY_r": (0.1, 0.5), "CZ_alpha": (-4.5, 1.5), "CZ_q": (-5.0, 10.0), "CZ_elevator": (-0.2, 0.5),

@@ -48,7 +48,8 @@ class Record(NamedTuple):
     surface_errors: Matrix  # (n, k) size between samples of a slow clock, zero at these [rad]
     inputs: Inputs  # as logged
     periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
-    answers: Matrix | None = None  # (n, k) part of the surfaces that answers gusts (autopilot)
+    # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
+    answers: Matrix | None = None
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
@@ -73,20 +74,22 @@ class Record(NamedTuple):
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
     def with_answers(self, innovation: Matrix, settings: AirSettings) -> Record:
-        """Return the record with the part of its surfaces that innovations (n - 1, m) explain.
+        """Return the record with the part of surfaces and thrust that innovations (n - 1, m) explain.
 
         By least squares on sums of the innovations over bins of the past, wider the earlier. Other
         motion of a surface is a first-order process of the surface's own correlation (Cochrane &
         Orcutt 1949): inputs hold their values for a while.
         """
-        surfaces = self.inputs.surfaces - self.inputs.surfaces.mean(axis=0)
-        answers = np.empty_like(surfaces)
+        inputs = np.column_stack([self.inputs.surfaces, self.inputs.thrust[:, 0]])
+        inputs -= inputs.mean(axis=0)
+        periods = [*self.periods, 0.0]
+        answers = np.empty_like(inputs)
         sums = {
             period: _sums_around(innovation, self.median_step, period, settings)
-            for period in set(self.periods)
+            for period in set(periods)
         }
-        for k, surface in enumerate(surfaces.T):
-            X = sums[self.periods[k]]
+        for k, surface in enumerate(inputs.T):
+            X = sums[periods[k]]
             residual = surface - X @ _least_squares(X, surface)
             rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, np.finfo(float).tiny)
             X_rest = X[1:] - rho * X[:-1]

@@ -115,7 +115,7 @@ class SteadyRegression:
         model = motion_model(record, self.layout, self.aircraft, value)
         coefficients = model.coefficients(record.force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)
-        return model.terms(state, record.inputs.surfaces), coefficients
+        return model.terms(state, record.inputs), coefficients
 
     def derivatives(self, records: list[Record], x: Vector) -> Vector:
         """Return parameters with derivatives by least squares, but slopes by alpha and beta as in x.

@@ -202,6 +202,8 @@ class AirSettings:
     velocity_error: float = 0.02
     rate_error: float = 0.002
     surface_error: float = 0.001
+    # the same of thrust over dynamic pressure and wing area; guess
+    thrust_error: float = 0.001
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,8 @@ def flight_of_sines(n=30):
         inputs,
         np.zeros(3),
     )
-    derivatives = derivatives_of(TERMS, SURFACES)
+    by_thrust = {"Cm": (*TERMS["Cm"], "thrust"), "Cn": (*TERMS["Cn"], "thrust")}
+    derivatives = derivatives_of(TERMS | by_thrust, SURFACES)
     value = {name: DERIVATIVES.get(name, (0.01, 0))[0] for name in derivatives}
     value |= {
         name: mean + 0.3 * min(std, 5.0)
@@ -182,6 +183,22 @@ def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
     assert np.corrcoef(slopes)[0, 1] < 0.7
     assert np.corrcoef(instruments)[0, 1] > 0.95
     assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
+
+
+def test_moments_by_thrust_are_those_of_an_offset_thrust_line():
+    """A thrust T below the centre of gravity by z, and right of it by y, has the moments z T and -y T."""
+    record, layout, value, states = flight_of_sines()
+    still = dict.fromkeys(value, 0.0)
+    z, y = 0.02, 0.01
+    by_arm = {"Cm_thrust": z / AIRCRAFT.chord, "Cn_thrust": -y / AIRCRAFT.span}
+    thrust = record.inputs.thrust.copy()
+    thrust[:, 4] += z * thrust[:, 0]
+    thrust[:, 5] -= y * thrust[:, 0]
+    offset = record._replace(inputs=record.inputs._replace(thrust=thrust))
+    expected = linearized(offset, layout, AIRCRAFT, still, states, DECAY)
+    found = linearized(record, layout, AIRCRAFT, still | by_arm, states, DECAY)
+    assert_allclose(found.predicted, expected.predicted, rtol=1e-9)
+    assert_allclose(found.innovation, expected.innovation, rtol=1e-9)
 
 
 def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():

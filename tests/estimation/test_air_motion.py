@@ -67,15 +67,17 @@ def pulses(time, starts):
     return inputs
 
 
-def flown(case, seconds, *, inputs=True, seed=3, deflections=False, bank=0.0, arm=None):
+def flown(
+    case, seconds, *, inputs=True, seed=3, deflections=False, bank=0.0, arm=None, thrust_arm=(0, 0)
+):
     """Return a flight of the trainer, with commands of servos 50 ms late, or deflections.
 
     The aircraft states that its inertial sensors are at ``arm`` [m], None: at the centre of gravity,
-    and unknown.
+    and unknown. ``thrust_arm`` are Cl and Cm by thrust.
     """
     module = benchmark()
     rng = default_rng(seed)
-    plane = module.AIRCRAFT["trainer"]
+    plane = module.AIRCRAFT["trainer"] | {"thrust_arm": np.array(thrust_arm)}
     fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
     fleet.legs = [(bank + 0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
     starts = np.arange(0.5, seconds - 2, 2.0) if inputs else np.zeros(0)
@@ -204,6 +206,19 @@ def test_rows_without_a_sample_tell_nothing_of_the_noise():
     flight.table.loc[np.arange(len(flight.table)) % 5 != 0, "airspeed"] = np.nan
     found = flight.estimate(settings=AirSettings(max_passes=8))
     assert_allclose(found.noise["airspeed"], 0.3, rtol=0.25)
+
+
+@pytest.mark.slow
+def test_moments_of_the_thrust_are_couplings():
+    """A thrust line above the centre of gravity, and the torque of the propeller, in changing speeds."""
+    flight = flown(GUSTY, 30.0, thrust_arm=(-0.02, 0.1))
+    found = flight.estimate()
+    assert found.converged
+    for name, moment in (("Cl_thrust", -0.02), ("Cm_thrust", 0.1)):
+        value, std, _ = found.derivatives.loc[name]
+        assert abs(value - moment) < 2 * std
+    value, std, _, truth = flight.compared(found)
+    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
 
 
 @pytest.mark.slow

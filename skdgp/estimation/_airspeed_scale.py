@@ -81,18 +81,15 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     of_air = np.concatenate([block.of_air for block in blocks])
     turning = np.concatenate([block.of_instrument for block in blocks]).sum() / len(sampled)
     n = len(of_air)
-    if n <= N_UNKNOWNS or turning < settings.least_turning:
+    n_unknowns = 6  # real numbers: c, mean and drift of the wind
+    if n <= n_unknowns or turning < settings.least_turning:
         return UNKNOWN_SCALE
     total = of_air.sum()
     slope = of_ground.sum() / total
     # effect of each block on |c|
     effects = (np.conj(slope) / abs(slope) * (of_ground - slope * of_air) / total).real
-    std = np.sqrt(np.sum(effects**2) * n / (n - N_UNKNOWNS))
+    std = np.sqrt(np.sum(effects**2) * n / (n - n_unknowns))
     return AirspeedScale(float(1 / abs(slope) - 1), float(std / abs(slope) ** 2))
-
-
-# Real numbers that are estimated: c, mean and drift of the wind
-N_UNKNOWNS = 6
 
 
 def _moments(flight: pd.DataFrame, settings: PathSettings) -> _Moments:

@@ -47,6 +47,18 @@ def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Arra
     return cross(spin, position) + cross(rates, cross(rates, position))
 
 
+def rotation(table: pd.DataFrame) -> tuple[Matrix, Matrix]:
+    """Return the angular acceleration [rad/s^2] and the smoothed angular rates [rad/s], (n, 3) each."""
+    time = table["time"].to_numpy(float)
+    flight = table.get("flight")
+    measured = numeric(table, RATES)
+    with without_warnings():  # of short segments, which are not smoothed
+        rates = smooth(measured, time, flight=flight, shrink=False)
+        if {*RATE_DERIVATIVES} <= {*table.columns}:
+            return numeric(table, RATE_DERIVATIVES), rates
+        return differentiate(measured, time, flight=flight, shrink=False), rates
+
+
 def sensor_acceleration(table: pd.DataFrame) -> Matrix:
     """Return the acceleration (n, 3) of the inertial sensors relative to the centre of gravity [m/s^2].
 
@@ -55,16 +67,9 @@ def sensor_acceleration(table: pd.DataFrame) -> Matrix:
     position = np.nan_to_num(sensor_position(table))
     if not position.any():
         return position
+    acceleration = acceleration_by_rotation(*rotation(table), position)
     time = table["time"].to_numpy(float)
     flight = table.get("flight")
-    measured = numeric(table, RATES)
-    with without_warnings():  # of short segments, which are not smoothed
-        rates = smooth(measured, time, flight=flight, shrink=False)
-        if {*RATE_DERIVATIVES} <= {*table.columns}:
-            spin = numeric(table, RATE_DERIVATIVES)
-        else:
-            spin = differentiate(measured, time, flight=flight, shrink=False)
-    acceleration = acceleration_by_rotation(spin, rates, position)
     for rows in Clock.of(time, flight).rows.values():
         acceleration[rows] = interpolate_missing(time[rows], acceleration[rows])
     return np.nan_to_num(acceleration)  # of a flight without rates

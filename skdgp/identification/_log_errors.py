@@ -12,7 +12,7 @@ from sklearn.linear_model import LinearRegression
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import COEFFICIENTS, HAT, SENSOR_POSITION, SURFACES, VANES
 from skdgp._flight.clock import Clock, median_step
-from skdgp._flight.sensor_position import sensor_acceleration, sensor_position, with_sensors_at
+from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
 from skdgp._flight.smoothing import differentiate
 from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
@@ -135,12 +135,13 @@ def _by_position(
     """Return the effects of one standard deviation of each coordinate of the inertial sensors."""
     is_known = np.isfinite(sensor_position(table)).all()
     errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
+    spin, rates = rotation(table)
     effects = {}
     for axis, (name, column) in enumerate(zip("xyz", SENSOR_POSITION, strict=True)):
         _, std = errors[f"arm_{name}"]
         position = np.zeros((len(table), 3))
         position[:, axis] = std
-        acceleration = sensor_acceleration(with_sensors_at(table, position))
+        acceleration = acceleration_by_rotation(spin, rates, position)
         force = -aircraft.mass * acceleration / _scale(table, aircraft)
         changes = np.hstack([force, np.zeros_like(force)])
         effects[column.replace("_", " ")] = learned_as(changes, regressors)

@@ -211,7 +211,7 @@ def test_rows_without_a_sample_tell_nothing_of_the_noise():
 @pytest.mark.slow
 def test_moments_of_the_thrust_are_couplings():
     """A thrust line above the centre of gravity, and the torque of the propeller, in changing speeds."""
-    flight = flown(GUSTY, 30.0, thrust_arm=(-0.02, 0.1))
+    flight = flown(GUSTY, 20.0, thrust_arm=(-0.02, 0.1))
     found = flight.estimate()
     assert found.converged
     for name, moment in (("Cl_thrust", -0.02), ("Cm_thrust", 0.1)):

@@ -57,6 +57,7 @@ class Code(Enum):
 
     # transformers
     AIRSPEED_CORRECTED = "airspeed_corrected"
+    VIBRATION = "vibration"
     AIR_NOT_CONVERGED = "air_not_converged"
     AIR_NOT_ESTIMATED = "air_not_estimated"
     COUPLINGS_FOUND = "couplings_found"
@@ -129,6 +130,7 @@ NOTES = frozenset(
         Code.PATHS_RECONSTRUCTED,
         Code.PATHS_SMOOTHED,
         Code.SLOW_CHANNELS,
+        Code.VIBRATION,
     }
 )
 

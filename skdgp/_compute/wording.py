@@ -456,8 +456,10 @@ TEXTS = _by_code(
     "signs, units or clocks of their sensors may be the cause.",
     paths_reconstructed=_paths,
     paths_smoothed=_paths,
-    airspeed_corrected="The airspeed reads {percent:+.2g} ± {std_percent:.2g} % of itself too much by the velocity "
-    "over the ground in a steady wind, and is corrected: calibrate the pitot, or check the density.",
+    airspeed_corrected="The airspeed has an error of {percent:+.2g} ± {std_percent:.2g} %, by the velocity over "
+    "the ground in a steady wind, and is corrected: calibrate the pitot tube, or check the density.",
+    vibration="The specific forces vibrate beyond {band:.2g} Hz, where the aircraft does not move: "
+    "coefficients and regressors were filtered to that frequency, and errors of test flights are within it.",
     sensors_elsewhere="By the motion of the flights the inertial sensors are {distance:.2g} m from the "
     "position that was given, or from the centre of gravity if none was given. Bands are wider by it: "
     "measure the position.",

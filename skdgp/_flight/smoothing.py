@@ -11,8 +11,8 @@ A gain below one shrinks the signal with the noise. That is right for the regres
 whose slopes then come out unbiased (Carroll et al. 2006, section 4.2), and wrong for its targets: a
 target keeps a gain of one up to that frequency.
 
-A filter that both sides of an equation pass leaves the equation true (Klein & Morelli 2006, chapter 7).
-So targets and regressors lose all frequencies beyond the band of the motion, which holds noise alone.
+A filter that both sides of a linear equation pass leaves the equation true (Klein & Morelli 2006,
+chapter 7): `FittedFilter` for targets and regressors of flights that vibrate.
 """
 
 from __future__ import annotations

@@ -296,10 +296,7 @@ def _std_of_slopes(std: Array, now: Instant, frame: _Frame) -> Array:
 
 
 def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:
-    """Return what errors of the log, and of the aircraft's sizes, make of the values.
-
-    And the names of the largest errors of sizes.
-    """
+    """Return the effect of errors of the log and of the aircraft's sizes, and names of the largest of the latter."""
     aircraft = motion.aircraft
     deviations = aircraft.deviations or {}
     slopes = motion.aerodynamics.gradient(now.regressors)

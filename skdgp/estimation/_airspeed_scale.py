@@ -64,9 +64,34 @@ class _Moments(NamedTuple):
 
 
 def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) -> AirspeedScale:
-    """Return the relative error of the airspeed of flights.
+    r"""Return the relative error of the airspeed of flights.
 
-    The wind may drift linearly in time. Its errors last up to ``gust_time``.
+    :math:`c = \sum h^* v / \sum h^* u` with the horizontal velocities v over the ground and u
+    through the air, and the unit vector forward h, all without mean and trend in each flight, and
+    :math:`s = 1 / |c| - 1`. Gusts of different blocks of ``gust_time`` are independent.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        ``time`` [s], ``airspeed``, ``v_north``, ``v_east``, ``v_down`` [m/s], ``alpha``, ``beta``,
+        ``phi``, ``theta``, ``psi`` [rad]; ``flight`` where there are several.
+    settings : PathSettings
+
+    Returns
+    -------
+    AirspeedScale
+        Of infinite standard deviation if a column is missing, or the flights hardly turn.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from skdgp.estimation import airspeed_scale
+    >>> psi = np.linspace(0, 4 * np.pi, 1200)
+    >>> circles = pd.DataFrame({"time": 0.1 * np.arange(1200), "airspeed": 1.02 * 22, "alpha": 0.0, "beta": 0.0,
+    ...                         "phi": 0.0, "theta": 0.0, "psi": psi, "v_north": 22 * np.cos(psi) + 6,
+    ...                         "v_east": 22 * np.sin(psi) - 3, "v_down": 0.0})
+    >>> round(airspeed_scale(circles).value, 4)
+    0.02
     """
     if not has_values(table, *NEEDED):
         return UNKNOWN_SCALE

@@ -118,6 +118,7 @@ def learn(
     pipeline.band_ = _band(table)
     if np.isfinite(pipeline.band_):
         pipeline.coefficient_filter_ = band_filter(pipeline.band_)
+        report(Finding(Code.VIBRATION, numbers={"band": pipeline.band_}), stacklevel=3)
     else:
         pipeline.coefficient_filter_ = coefficient_filter(table)
     Y = aerodynamic_coefficients(
@@ -151,7 +152,8 @@ def learn(
     if "propeller" in training.thrust:
         aircraft = with_thrust_errors(aircraft, table, named_regressors(pipeline, X))
     if has_values(table, *VANES):  # without them these errors are parameters of the filter
-        lags = getattr(pipeline["lagcorrector"], "lags_", None)
+        step = pipeline["lagcorrector"]
+        lags = step.lags_ if isinstance(step, LagCorrector) else None
         aircraft = with_log_errors(
             aircraft,
             table,
@@ -169,10 +171,10 @@ def learn(
 
 
 def _band(table: pd.DataFrame) -> float:
-    """Return the frequency [Hz] beyond which both sides of the regression lose all, infinite without vibration.
+    """Return the highest frequency [Hz] of coefficients and regressors in the fit, infinite without vibration.
 
-    Beyond the motion, vibration biases slopes. Without it nothing is removed, as gusts there
-    contribute to the mean of a curved function.
+    Vibration beyond the motion biases slopes. Without it nothing is removed, as gusts there
+    contribute to the mean of a nonlinear function.
     """
     if not has_values(table, *VANES):
         return np.inf

@@ -160,7 +160,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
 
 
 def band_limited(values: Matrix, flights: pd.DataFrame, band: float) -> Matrix:
-    """Return columns (n, k) of flights without frequencies beyond a band [Hz]."""
+    """Return columns (n, k) of flights without frequencies beyond ``band`` [Hz]; as they are if it is infinite."""
     if np.isinf(band):
         return values
     time = flights["time"].to_numpy(float)
@@ -203,8 +203,8 @@ class FlightPipeline(Pipeline):
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
     band_ : float
-        Frequency [Hz] beyond which coefficients and regressors of the fit lost all, so that the
-        equation of both remained true; infinite without vibration; set by :func:`identify`.
+        Highest frequency [Hz] of the coefficients and regressors of the fit, where the flights
+        vibrate; else infinite; set by :func:`identify`.
     coefficient_filter_ : FittedFilter or "auto"
         Smoothing of the coefficients of the fit, with which those of other flights have the same
         noise; set by :func:`identify`.
@@ -226,7 +226,7 @@ class FlightPipeline(Pipeline):
 
     @property
     def own_cutoff(self) -> FittedFilter | str:
-        """Smoothing of the coefficients of a flight: by its spectra, or up to ``band_``."""
+        """Cutoff of the coefficients of a flight: "auto", by its spectra, or the filter up to ``band_``."""
         return "auto" if np.isinf(self.band_) else self.coefficient_filter_
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:

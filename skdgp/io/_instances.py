@@ -28,9 +28,10 @@ from skdgp.io._resets import correct_resets, place_of_jump
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
 USED_WEIGHT = 2
-# engines differ by more than this fraction of their speed: one stands still, or they steer; airspeed
-# sensors do: one is wrong; a guess
-LARGEST_APART = 0.1
+# engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
+LARGEST_APART = 0.05
+# mean airspeeds of sensors differ by more than this fraction: one is wrong; a guess
+LARGEST_DISAGREEMENT = 0.1
 AIRSPEEDS = (("airspeed",), (EQUIVALENT,))
 # columns whose instances are engines, and allocators, in place of redundant sensors
 ENGINES = ("propeller_speed",)
@@ -225,7 +226,7 @@ def _readings(instance: Instance, rule: Rule) -> Readings:
     preferred = np.zeros(n)
     for field in rule.preferred:
         if field in topic:
-            preferred = np.clip(np.nan_to_num(topic[field]), 0.0, 1.0)
+            preferred = np.maximum(preferred, np.clip(np.nan_to_num(topic[field]), 0.0, 1.0))
     counter = np.zeros(n)
     deltas = np.full((n, max(len(rule.resets[1:]), 1)), np.nan)
     if rule.resets and rule.resets[0] in topic:
@@ -355,7 +356,7 @@ def _disagreement(readings: list[Readings], times: Vector, rule: Rule) -> str:
         mean = float(each.values[last[together]].mean())
         means.append(mean)
         parts.append(f"{each.instance.name} {mean:.3g} m/s")
-    if max(means) - min(means) <= LARGEST_APART * max(means):
+    if max(means) - min(means) <= LARGEST_DISAGREEMENT * max(means):
         return ""
     return f"airspeeds differ on average ({', '.join(parts)}): not all of them are right"
 

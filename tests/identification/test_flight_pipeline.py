@@ -211,3 +211,41 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
     assert (np.abs(slopes[0]) > 1).all()
     # the thrust is in the first coefficient alone: the others have no slope by it
     assert (np.abs(slopes[1:]) < 0.02).all()
+
+
+def shaken(flight):
+    """Return a flight whose accelerometers feel a vibration of 8 m/s^2, of 8 to 14 Hz."""
+    time = flight["time"].to_numpy()
+    phase = 2 * np.pi * np.cumsum(11 + 3 * np.sin(0.2 * time)) / 40
+    forces = {}
+    for k, name in enumerate(("ax", "ay", "az")):
+        forces[name] = flight[name] + 8 * np.sin(phase + k)
+    return flight.assign(**forces)
+
+
+@pytest.mark.usefixtures("no_mechanics")
+def test_vibration_does_not_bias_slopes(flights):
+    """True slopes are those of the noise-free columns."""
+    train = flights.train[flights.train["flight"] == "latlon"]
+    regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
+    with pytest.warns(UserWarning, match="vibrate beyond 5 Hz"):
+        result = identify(
+            shaken(train),
+            flights.aircraft,
+            test=shaken(flights.test.iloc[:400]),
+            samples=200,
+            regressor=regressor,
+            horizons=[2.0],
+        )
+    pipeline = result.pipeline
+    fitted = pipeline[-1]
+    at_mean = np.zeros((1, fitted.n_features_in_))
+    slopes = fitted.predict_gradient(at_mean)[0] / pipeline["standardscaler"].scale_
+    learned = pd.DataFrame(slopes, result.fit.noise_std, pipeline["regressorselector"].regressors_)
+    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
+    inputs = [f"{name}_true" for name in names[:5]] + names[5:]
+    true = LinearRegression().fit(train[inputs], train[["CY_true", "CZ_true"]]).coef_
+    true = pd.DataFrame(true, ["CY", "CZ"], names)
+    for coefficient, name in (("CZ", "alpha"), ("CY", "beta"), ("CY", "rudder")):
+        found = learned.loc[coefficient, name]
+        assert found == pytest.approx(true.loc[coefficient, name], rel=0.1)

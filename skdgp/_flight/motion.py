@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.smoothing import motion_band, power_beyond
-from skdgp._flight.tables import numeric
+from skdgp._flight.tables import has_values, numeric
+
+
+@dataclass(frozen=True)
+class BandSettings:
+    """When flights vibrate."""
+
+    #: Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second
+    least: float = 5.0
+
+
+BAND = BandSettings()
+
+
+def vibration_band(table: pd.DataFrame) -> float:
+    """Return the frequency [Hz] beyond which flights with vanes vibrate; infinite where they do not.
+
+    Vibration beyond the motion biases slopes. Without it nothing should be removed, as gusts there
+    contribute to the mean of a nonlinear function. Without vanes the noise of the filter contains it.
+    """
+    if not has_values(table, "time", *SPECIFIC_FORCE, *VANES):
+        return np.inf
+    band = max(motion_band_of(table), BAND.least)
+    return band if vibrates_beyond(table, band) else np.inf
 
 
 def motion_band_of(table: pd.DataFrame) -> float:

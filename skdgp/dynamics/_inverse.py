@@ -23,6 +23,7 @@ from skdgp._flight.faults import (
     find_faults,
     without_faults,
 )
+from skdgp._flight.motion import vibration_band
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
 from skdgp._flight.smoothing import FittedFilter, differentiate, smooth
 from skdgp._flight.tables import FlightTable, by_name, numeric
@@ -77,7 +78,8 @@ def aerodynamic_coefficients(
         Zero-phase smoothing of the measured channels, and of the rates before they are
         differentiated: a corner frequency [Hz], the smoother of each channel's spectrum, or none.
         "auto" removes noise beyond the frequencies at which a channel has more signal, and keeps
-        these as they are, as a Wiener smoother would make derivatives too small.
+        these as they are, as a Wiener smoother would make derivatives too small. Of flights with
+        vanes that vibrate beyond the motion, it removes all beyond, as their pipeline does.
     thrust : {"auto", None}, default="auto"
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
@@ -163,12 +165,10 @@ def coefficient_filter(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> F
     """
     flight = _measured(flight, ignore)
     check_flight(flight, NEEDED)
+    band = vibration_band(flight)
+    if np.isfinite(band):
+        return FittedFilter.up_to(band, len(SMOOTHED))
     return FittedFilter.of_flights(_channels(flight), shrink=SHRINKS, **_clock(flight))
-
-
-def band_filter(highest: float) -> FittedFilter:
-    """Return the cutoff of `aerodynamic_coefficients` that passes all frequencies up to a highest one [Hz]."""
-    return FittedFilter.up_to(highest, len(SMOOTHED))
 
 
 def _channels(flight: pd.DataFrame) -> Matrix:
@@ -186,6 +186,10 @@ def _smoothed(
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
     clock = _clock(flight)
     channels = _channels(flight)
+    if isinstance(cutoff, str) and cutoff == "auto":
+        band = vibration_band(flight)
+        if np.isfinite(band):
+            cutoff = FittedFilter.up_to(band, len(SMOOTHED))
     smoothed = smooth(channels, cutoff=cutoff, shrink=SHRINKS, **clock)
     measured = flight.assign(**by_name(SMOOTHED, smoothed))
     if {*RATE_DERIVATIVES} <= {*flight}:

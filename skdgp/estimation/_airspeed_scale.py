@@ -55,6 +55,11 @@ class AirspeedScale(NamedTuple):
 UNKNOWN_SCALE = AirspeedScale(0.0, np.inf)
 
 
+def without_airspeed_error(table: pd.DataFrame, scale: float) -> pd.DataFrame:
+    """Return flights without a relative error ``scale`` of their airspeed."""
+    return table.assign(airspeed=table["airspeed"] / (1 + scale)) if scale else table
+
+
 class _Moments(NamedTuple):
     """One flight: sums of products with the instrument, the unit vector forward, over blocks of time."""
 
@@ -93,7 +98,7 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     >>> round(airspeed_scale(circles).value, 4)
     0.02
     """
-    if not has_values(table, *NEEDED):
+    if not has_values(table, "time", *NEEDED):
         return UNKNOWN_SCALE
     is_sampled = np.isfinite(numeric(table, NEEDED)).all(axis=1)
     sampled = table.iloc[np.flatnonzero(is_sampled)]

@@ -24,7 +24,6 @@ from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import (
-    band_limited,
     flight_regressors,
     reconstruction_of,
     regressor_names,
@@ -169,9 +168,13 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     samples = {}
     for name, table in tables.items():
         X, noise_ratio = flight_regressors(model.pipeline, table)
-        X = band_limited(X, table, model.pipeline.band_)
         mean = model.pipeline.mean_of_rows(X, noise_ratio)
-        samples[name] = X, residuals_without_smoothing(table, mean, model.aircraft, options)
+        samples[name] = (
+            X,
+            residuals_without_smoothing(
+                model.pipeline.corrected(table), mean, model.aircraft, options
+            ),
+        )
     return changes_of(model.pipeline, samples, settings)
 
 

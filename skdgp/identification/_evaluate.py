@@ -15,7 +15,7 @@ from skdgp.identification._flights import Flights
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
 from skdgp.identification._pipeline import FlightPipeline, band_limited, flight_regressors
-from skdgp.identification._prepare import Tables, regressor_columns, usable_flights, with_airspeed
+from skdgp.identification._prepare import Tables, regressor_columns, usable_flights
 from skdgp.report import Evaluation
 
 # steps that an evaluation reads
@@ -27,13 +27,13 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     notify(f"evaluating {name}")
     loads = {key: model.options[key] for key in ("thrust", "external_forces")}
     pipeline = model.pipeline
+    regressors, noise_ratio = flight_regressors(pipeline, table)
+    table = pipeline.corrected(table)
     measured = aerodynamic_coefficients(table, model.aircraft, cutoff=pipeline.own_cutoff, **loads)
     # with the noise of the fit, which the bands contain
     noisy = aerodynamic_coefficients(
         table, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
-    regressors, noise_ratio = flight_regressors(pipeline, table)
-    regressors = band_limited(regressors, table, pipeline.band_)
     regressor = pipeline[-1]
     mean = pipeline.mean_of_rows(regressors, noise_ratio)
     rows = std_rows(len(table))
@@ -96,8 +96,7 @@ def usable_flights_of_model(
 ) -> Tables:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
-    Flights that do not state the position of their inertial sensors get the aircraft's, and lose the
-    error of their airspeed as the training flights did. Raises
+    Flights that do not state the position of their inertial sensors get the aircraft's. Raises
     ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training
     flights had.
     """
@@ -105,8 +104,7 @@ def usable_flights_of_model(
     regressors = pipeline["regressorselector"].regressors
     of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
     columns = regressor_columns([of_fit], regressors)
-    usable = usable_flights(flights, aircraft, regressors, columns)
-    return with_airspeed(usable, pipeline.airspeed_scale_)
+    return usable_flights(flights, aircraft, regressors, columns)
 
 
 def check_identified(pipeline: Pipeline) -> None:

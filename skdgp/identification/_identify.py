@@ -128,7 +128,7 @@ def identify(
         pipeline=model.pipeline,
         options=model.options,
         fit=model.fit,
-        train=prepared.train,
+        train={name: model.pipeline.corrected(table) for name, table in prepared.train.items()},
         evaluations=evaluations,
         findings=tuple(record.findings),
         assumptions=assumptions(model.aircraft, record.findings),

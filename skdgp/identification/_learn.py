@@ -24,10 +24,9 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
-from skdgp._flight.motion import motion_band_of, vibrates_beyond
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, band_filter, coefficient_filter
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
 from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
@@ -115,14 +114,13 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
-    pipeline.band_ = _band(table)
+    pipeline.learn_errors_of_log(table)
     if np.isfinite(pipeline.band_):
-        pipeline.coefficient_filter_ = band_filter(pipeline.band_)
         report(Finding(Code.VIBRATION, numbers={"band": pipeline.band_}), stacklevel=3)
-    else:
-        pipeline.coefficient_filter_ = coefficient_filter(table)
+    pipeline.coefficient_filter_ = coefficient_filter(table)
+    corrected = pipeline.corrected(table)
     Y = aerodynamic_coefficients(
-        table, flights.aircraft, cutoff=pipeline.own_cutoff, **flights.loads
+        corrected, flights.aircraft, cutoff=pipeline.own_cutoff, **flights.loads
     )
     flown = Extent.of(list(flights.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
@@ -141,7 +139,7 @@ def learn(
         thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in flights.train.items()},
-        conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
+        conditions={str(k): float(v) for k, v in corrected.median(numeric_only=True).items()},
         flown=flown,
     )
     fit = fit_record(pipeline, training)
@@ -150,13 +148,13 @@ def learn(
         report(finding, stacklevel=3)
     aircraft = flights.aircraft
     if "propeller" in training.thrust:
-        aircraft = with_thrust_errors(aircraft, table, named_regressors(pipeline, X))
+        aircraft = with_thrust_errors(aircraft, corrected, named_regressors(pipeline, X))
     if has_values(table, *VANES):  # without them these errors are parameters of the filter
         step = pipeline["lagcorrector"]
         lags = step.lags_ if isinstance(step, LagCorrector) else None
         aircraft = with_log_errors(
             aircraft,
-            table,
+            corrected,
             named_regressors(pipeline, X),
             training.least_squares,
             lags,
@@ -168,19 +166,6 @@ def learn(
         fit=fit,
         options=_options(flights, pipeline, training.samples, horizons),
     )
-
-
-def _band(table: pd.DataFrame) -> float:
-    """Return the highest frequency [Hz] of coefficients and regressors in the fit, infinite without vibration.
-
-    Vibration beyond the motion biases slopes. Without it nothing is removed, as gusts there
-    contribute to the mean of a nonlinear function.
-    """
-    if not has_values(table, *VANES):
-        return np.inf
-    # errors of a band below half the rate of the rows would be correlated between these
-    band = max(motion_band_of(table), ROWS.rate / 2)
-    return band if vibrates_beyond(table, band) else np.inf
 
 
 def _n_rows(
@@ -218,7 +203,6 @@ def _pipeline_for(
         pipeline.set_params(flightpathreconstruction__thrust=flights.loads["thrust"])
         if flights.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
-    pipeline.airspeed_scale_ = flights.airspeed.removable()
     if flights.has_full_throws:
         pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline

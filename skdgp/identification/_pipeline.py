@@ -16,10 +16,18 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.channels import (
+    COEFFICIENTS,
+    HAT,
+    RATES,
+    SENSOR_GUST,
+    VANES,
+)
+from skdgp._flight.motion import vibration_band
 from skdgp._flight.smoothing import FittedFilter, smooth
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
+from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._engine import engine_regressors
 from skdgp.inference import KnownSlopes
@@ -147,7 +155,19 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
+
+    As in the fit, a `FlightPipeline` removes the error of the airspeed from the flight, and
+    frequencies beyond its ``band_`` from the regressors.
     """
+    if isinstance(pipeline, FlightPipeline):
+        flight = pipeline.corrected(flight)
+        regressors, ratio = _regressors_of(pipeline, flight)
+        return band_limited(regressors, flight, pipeline.band_), ratio
+    return _regressors_of(pipeline, flight)
+
+
+def _regressors_of(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
+    """Return the regressors (n, d) by the steps of a pipeline, and the ratio of their variances (n,)."""
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
         if step in (None, "passthrough"):
@@ -185,7 +205,8 @@ class FlightPipeline(Pipeline):
 
     The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)``
     includes the noise of the regressors, which is larger in rougher air, see
-    :func:`flight_regressors`.
+    :func:`flight_regressors`. Where flights vibrate, or legs of several headings show an error of
+    their airspeed, the fit and predictions remove both from the regressors.
 
     Parameters
     ----------
@@ -203,14 +224,14 @@ class FlightPipeline(Pipeline):
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
     band_ : float
-        Highest frequency [Hz] of the coefficients and regressors of the fit, where the flights
-        vibrate; else infinite; set by :func:`identify`.
+        Highest frequency [Hz] of the regressors, where the flights of the fit vibrate and have
+        vanes; else infinite.
     coefficient_filter_ : FittedFilter or "auto"
         Smoothing of the coefficients of the fit, with which those of other flights have the same
         noise; set by :func:`identify`.
     airspeed_scale_ : float
-        Relative error of the airspeed that was removed from the flights before the fit; set by
-        :func:`identify`.
+        Relative error of the airspeed that is removed from flights; zero where those of the fit
+        do not show one.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -237,7 +258,9 @@ class FlightPipeline(Pipeline):
         scikit-learn's ``Pipeline``.
         """
         if get_config()["enable_metadata_routing"]:
-            super().fit(X, y, **params)
+            # without time, regressors beyond a band cannot be removed
+            self.airspeed_scale_ = airspeed_scale(X).removable()
+            super().fit(self.corrected(X), y, **params)
             self._learn_turbulence(X)
         else:
             self.fit_returning_regressors(X, y, **params)
@@ -253,6 +276,8 @@ class FlightPipeline(Pipeline):
         """
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
+        self.learn_errors_of_log(X)
+        X = self.corrected(X)
         regressors, without_effect = self._fit_transforms(X, y, choose_engine)
         regressors = band_limited(regressors, X, self.band_)
         of_air = self._slopes_of_air(regressors, y)
@@ -266,6 +291,15 @@ class FlightPipeline(Pipeline):
             )
         self._learn_turbulence(X)
         return regressors
+
+    def learn_errors_of_log(self, X: pd.DataFrame) -> None:
+        """Learn ``airspeed_scale_`` and ``band_`` of flights X."""
+        self.airspeed_scale_ = airspeed_scale(X).removable()
+        self.band_ = vibration_band(X)
+
+    def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
+        """Return flights X without the error of the airspeed."""
+        return without_airspeed_error(X, self.airspeed_scale_)
 
     def _fit_transforms(
         self, X: pd.DataFrame, y: Any, choose_engine: bool
@@ -350,8 +384,6 @@ class FlightPipeline(Pipeline):
         """
         uncertain = params.get("return_std") or params.get("return_cov")
         by_ratio = uncertain and params.get("include_input_noise", True) is True
-        if not by_ratio and self.calibration_ is None:
-            return super().predict(X, **params)
         check_is_fitted(self)
         regressors, ratio = flight_regressors(self, X)
         if by_ratio and isinstance(self[-1], DependentGPRegressor):

@@ -69,7 +69,7 @@ class PreparedFlights:
     Attributes
     ----------
     train, test : dict of str to DataFrame
-        Usable rows of the flights to learn from, and to be tested on.
+        Usable rows of the flights to learn from, and to be tested on, with the airspeed as logged.
     aircraft : Aircraft
     servos : object
         What gave the surfaces.
@@ -77,6 +77,8 @@ class PreparedFlights:
         ``thrust`` and ``external_forces`` of the inverse dynamics.
     lacks_thrust : bool
         Whether the thrust is part of the coefficients, as nothing gives it.
+    airspeed : AirspeedScale
+        Relative error of the airspeed of the flights to learn from.
     """
 
     train: Tables
@@ -133,8 +135,6 @@ def prepare(
     usable_train = usable_flights(train, aircraft, regressors, columns)
     usable_test = usable_flights(test_flights, aircraft, regressors, columns)
     airspeed = _airspeed_of(usable_train.values())
-    usable_train = with_airspeed(usable_train, airspeed.removable())
-    usable_test = with_airspeed(usable_test, airspeed.removable())
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
         thrust = None
@@ -287,16 +287,6 @@ def _airspeed_of(tables: Iterable[pd.DataFrame]) -> AirspeedScale:
         numbers = {"percent": 100 * scale.value, "std_percent": 100 * scale.std}
         report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=4)
     return scale
-
-
-def with_airspeed(tables: Tables, scale: float) -> Tables:
-    """Return flights without the relative error ``scale`` of their airspeed."""
-    if not scale:
-        return tables
-    corrected = {}
-    for name, table in tables.items():
-        corrected[name] = table.assign(airspeed=table["airspeed"] / (1 + scale))
-    return corrected
 
 
 def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:

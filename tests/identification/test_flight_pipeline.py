@@ -223,9 +223,28 @@ def shaken(flight):
     return flight.assign(**forces)
 
 
+def learned_slopes(pipeline):
+    """Return the slopes at the mean of the regressors, coefficients by regressors."""
+    fitted = pipeline[-1]
+    at_mean = np.zeros((1, fitted.n_features_in_))
+    slopes = fitted.predict_gradient(at_mean)[0] / pipeline["standardscaler"].scale_
+    names = pipeline["regressorselector"].regressors_
+    return pd.DataFrame(slopes, fitted.output_names_, names)
+
+
+def assert_slopes_of_truth(learned, train):
+    """Assert that slopes are those of the noise-free columns."""
+    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
+    inputs = [f"{name}_true" for name in names[:5]] + names[5:]
+    true = LinearRegression().fit(train[inputs], train[["CY_true", "CZ_true"]]).coef_
+    true = pd.DataFrame(true, ["CY", "CZ"], names)
+    for coefficient, name in (("CZ", "alpha"), ("CY", "beta"), ("CY", "rudder")):
+        found = learned.loc[coefficient, name]
+        assert found == pytest.approx(true.loc[coefficient, name], rel=0.1)
+
+
 @pytest.mark.usefixtures("no_mechanics")
-def test_vibration_does_not_bias_slopes(flights):
-    """True slopes are those of the noise-free columns."""
+def test_vibration_does_not_bias_slopes_of_identify(flights):
     train = flights.train[flights.train["flight"] == "latlon"]
     regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
     with pytest.warns(UserWarning, match="vibrate beyond 5 Hz"):
@@ -237,15 +256,37 @@ def test_vibration_does_not_bias_slopes(flights):
             regressor=regressor,
             horizons=[2.0],
         )
-    pipeline = result.pipeline
-    fitted = pipeline[-1]
-    at_mean = np.zeros((1, fitted.n_features_in_))
-    slopes = fitted.predict_gradient(at_mean)[0] / pipeline["standardscaler"].scale_
-    learned = pd.DataFrame(slopes, result.fit.noise_std, pipeline["regressorselector"].regressors_)
-    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
-    inputs = [f"{name}_true" for name in names[:5]] + names[5:]
-    true = LinearRegression().fit(train[inputs], train[["CY_true", "CZ_true"]]).coef_
-    true = pd.DataFrame(true, ["CY", "CZ"], names)
-    for coefficient, name in (("CZ", "alpha"), ("CY", "beta"), ("CY", "rudder")):
-        found = learned.loc[coefficient, name]
-        assert found == pytest.approx(true.loc[coefficient, name], rel=0.1)
+    assert_slopes_of_truth(learned_slopes(result.pipeline), train)
+    # in the band of the fit, a flight that vibrates is predicted as one that does not
+    steady, moved = (
+        result.pipeline.predict(f) for f in (flights.test[:400], shaken(flights.test[:400]))
+    )
+    assert normalized_rmse(steady, moved) < 0.3
+
+
+def test_vibration_does_not_bias_slopes_of_a_pipeline(flights):
+    train = flights.train[flights.train["flight"] == "latlon"]
+    Y = aerodynamic_coefficients(shaken(train), flights.aircraft)
+    regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
+    pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor)
+    pipeline.fit(shaken(train), thin_targets(Y, 200))
+    assert_slopes_of_truth(learned_slopes(pipeline), train)
+
+
+def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
+    """Legs of several headings show it; non-dimensional rates are then those of the right airspeed."""
+    too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
+    Y = thin_targets(aerodynamic_coefficients(flights.train, flights.aircraft), 100)
+    regressor = DependentGPRegressor(structure="trend", max_iter=1, random_state=0)
+    pipeline = make_identification_pipeline(
+        flights.aircraft, regressor=regressor, reconstruction="passthrough", lags=None
+    )
+    pipeline.fit(too_much, Y)
+    assert pipeline.airspeed_scale_ == pytest.approx(0.04, abs=0.005)
+    right = clone(pipeline).fit(flights.train, Y)
+    assert right.airspeed_scale_ == 0.0
+    rate = list(pipeline["regressorselector"].regressors_).index("p_hat")
+    deviation, expected = (model["standardscaler"].scale_[rate] for model in (pipeline, right))
+    assert deviation == pytest.approx(expected, rel=0.005)
+    found, wanted = pipeline.predict(too_much), right.predict(flights.train)
+    assert normalized_rmse(wanted, found) < 0.02

@@ -7,11 +7,8 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations
-from skdgp.estimation._airspeed_scale import (
-    AirspeedScale,
-    airspeed_scale,
-    without_airspeed_error,
-)
+from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
+from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
 from skdgp.estimation._contradictions import Contradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
@@ -67,6 +64,5 @@ __all__ = [
     "path_columns",
     "prior_deviations",
     "removable",
-    "without_airspeed_error",
     "without_lag",
 ]

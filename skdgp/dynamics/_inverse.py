@@ -167,8 +167,20 @@ def coefficient_filter(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> F
     check_flight(flight, NEEDED)
     band = vibration_band(flight)
     if np.isfinite(band):
-        return FittedFilter.up_to(band, len(SMOOTHED))
+        return band_filter(band)
     return FittedFilter.of_flights(_channels(flight), shrink=SHRINKS, **_clock(flight))
+
+
+def band_filter(highest: float) -> FittedFilter:
+    """Return the cutoff of `aerodynamic_coefficients` that passes all frequencies up to a highest one [Hz]."""
+    return FittedFilter.up_to(highest, len(SMOOTHED))
+
+
+def filter_of_coefficients(smoothing: FittedFilter, flight: pd.DataFrame) -> FittedFilter:
+    """Return what a smoothing of channels does to the coefficients: that of forces and rates, or their derivatives."""
+    of_moments = RATE_DERIVATIVES if {*RATE_DERIVATIVES} <= {*flight} else RATES
+    channels = [SMOOTHED.index(name) for name in (*SPECIFIC_FORCE, *of_moments)]
+    return smoothing.of_channels(channels)
 
 
 def _channels(flight: pd.DataFrame) -> Matrix:
@@ -189,7 +201,7 @@ def _smoothed(
     if isinstance(cutoff, str) and cutoff == "auto":
         band = vibration_band(flight)
         if np.isfinite(band):
-            cutoff = FittedFilter.up_to(band, len(SMOOTHED))
+            cutoff = band_filter(band)
     smoothed = smooth(channels, cutoff=cutoff, shrink=SHRINKS, **clock)
     measured = flight.assign(**by_name(SMOOTHED, smoothed))
     if {*RATE_DERIVATIVES} <= {*flight}:

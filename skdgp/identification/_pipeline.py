@@ -30,6 +30,7 @@ from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
 from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._engine import engine_regressors
+from skdgp.identification._fast_motion import FastMotion
 from skdgp.inference import KnownSlopes
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -232,6 +233,9 @@ class FlightPipeline(Pipeline):
     airspeed_scale_ : float
         Relative error of the airspeed that is removed from flights; zero where those of the fit
         do not show one.
+    fast_motion_ : FastMotion or None
+        Linear terms of what ``coefficient_filter_`` removes, with which coefficients of other
+        flights are like those of the fit; set by :func:`identify`.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -243,6 +247,7 @@ class FlightPipeline(Pipeline):
     band_: float = np.inf
     coefficient_filter_: FittedFilter | str = "auto"
     airspeed_scale_: float = 0.0
+    fast_motion_: FastMotion | None = None
     calibration_: RegressionCalibration | None = None
 
     @property
@@ -263,23 +268,35 @@ class FlightPipeline(Pipeline):
             super().fit(self.corrected(X), y, **params)
             self._learn_turbulence(X)
         else:
-            self.fit_returning_regressors(X, y, **params)
+            regressors, _ = self.fit_regressors(X, y)
+            self.fit_coefficients(X, regressors, y, **params)
         return self
 
-    def fit_returning_regressors(
-        self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False, **params: Any
-    ) -> Matrix:
-        """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.
+    def fit_regressors(
+        self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False
+    ) -> tuple[Matrix, Matrix | None]:
+        """Fit all steps but the last; return the regressors (n, d), and which are of no use to an output (P, d).
 
         ``choose_engine``: of throttle and airspeed the set of regressors gets those of
-        `engine_regressors`.
+        `engine_regressors`. Otherwise the second is None.
         """
-        name, last = self.steps[-1]
-        parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         self.learn_errors_of_log(X)
         X = self.corrected(X)
         regressors, without_effect = self._fit_transforms(X, y, choose_engine)
-        regressors = band_limited(regressors, X, self.band_)
+        return band_limited(regressors, X, self.band_), without_effect
+
+    def fit_coefficients(
+        self,
+        X: pd.DataFrame,
+        regressors: Matrix,
+        y: Any,
+        without_effect: Matrix | None = None,
+        **params: Any,
+    ) -> None:
+        """Fit the last step with its ``params`` to coefficients y (n, P), behind `fit_regressors`."""
+        name, last = self.steps[-1]
+        parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
+        X = self.corrected(X)
         of_air = self._slopes_of_air(regressors, y)
         slopes = self._known_slopes(of_air, without_effect)
         last.fit(regressors, y, **slopes | self._clock(X) | parameters)
@@ -290,7 +307,6 @@ class FlightPipeline(Pipeline):
                 regressors, residuals, without_effect
             )
         self._learn_turbulence(X)
-        return regressors
 
     def learn_errors_of_log(self, X: pd.DataFrame) -> None:
         """Learn ``airspeed_scale_`` and ``band_`` of flights X."""

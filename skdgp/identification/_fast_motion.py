@@ -1,0 +1,112 @@
+r"""Motion that the smoothing of coefficients removes, put back by linear terms.
+
+Smoothing F removes frequencies at which a channel has more noise than signal. Regressors keep them, so
+slopes by what moves fast, such as surfaces, would be too small. Where regressors X have slopes
+:math:`\beta` in the smoothed band, coefficients C are learned as
+
+.. math:: F C + k \, (1 - F) \, X \beta, \quad F C \approx F X \beta.
+
+The fraction k of the linear terms that the removed part of C shows in spite of its noise is one of a
+linear function, and less of a curved one, whose slopes at the mean are not those of fast gusts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.smoothing import FittedFilter, smooth
+
+
+@dataclass(frozen=True)
+class FastMotionSettings:
+    """When fast motion is put back."""
+
+    #: Length of the blocks whose errors are independent [s]
+    block: float = 2.0
+    #: Fractions below this many standard deviations are none; convention
+    significance: float = 2.0
+
+
+SETTINGS = FastMotionSettings()
+
+
+@dataclass(frozen=True)
+class FastMotion:
+    """Linear terms of the motion that a smoothing of coefficients removes.
+
+    Attributes
+    ----------
+    smoothing : FittedFilter
+        Of the P coefficients.
+    slopes : (P, d) array
+        Of the coefficients by regressors, times the fraction k.
+    """
+
+    smoothing: FittedFilter
+    slopes: Matrix
+
+    @classmethod
+    def of_flights(
+        cls,
+        smoothing: FittedFilter,
+        smoothed: Matrix,
+        noisy: Matrix,
+        regressors: Matrix,
+        flights: pd.DataFrame,
+        band: float,
+        settings: FastMotionSettings = SETTINGS,
+    ) -> FastMotion:
+        """Return the terms by coefficients (n, P), smoothed and up to a ``band`` [Hz], and regressors (n, d).
+
+        ``flights`` have ``time`` [s], and ``flight`` where there are several.
+        """
+        clock = _clock(flights)
+        n_regressors = regressors.shape[1]
+        slopes = np.zeros((smoothed.shape[1], n_regressors))
+        up_to_band = FittedFilter.up_to(band, n_regressors)
+        in_band = smooth(regressors, cutoff=up_to_band, **clock)
+        width = _rows_of(settings.block, clock["time"])
+        for i, coefficient in enumerate(smoothed.T):
+            filters = smoothing.of_channels([i] * n_regressors)
+            slow = smooth(regressors, cutoff=filters, **clock)
+            is_known = np.isfinite(slow).all(axis=1)
+            is_known &= np.isfinite(coefficient) & np.isfinite(noisy[:, i])
+            centred = slow[is_known] - slow[is_known].mean(axis=0)
+            by_regressor: Any = np.linalg.lstsq(centred, coefficient[is_known], rcond=None)[0]
+            fast = (in_band[is_known] - slow[is_known]) @ by_regressor
+            removed = noisy[is_known, i] - coefficient[is_known]
+            slopes[i] = _fraction(fast, removed, width, settings) * by_regressor
+        return cls(smoothing, slopes)
+
+    def added(self, regressors: Matrix, flights: pd.DataFrame) -> Matrix:
+        """Return what the fast motion of regressors (n, d) adds to smoothed coefficients, (n, P)."""
+        linear = regressors @ self.slopes.T
+        return linear - smooth(linear, cutoff=self.smoothing, **_clock(flights))
+
+
+def _clock(flights: pd.DataFrame) -> dict[str, Any]:
+    return {"time": flights["time"].to_numpy(float), "flight": flights.get("flight")}
+
+
+def _rows_of(seconds: float, time: Vector) -> int:
+    """Return how many rows last some seconds."""
+    steps = np.diff(time)
+    return max(1, round(seconds / np.median(steps[steps > 0])))
+
+
+def _fraction(fast: Vector, removed: Vector, width: int, settings: FastMotionSettings) -> float:
+    """Return the fraction of the fast motion that a removed part shows, from zero to one."""
+    square = fast @ fast
+    if square <= np.finfo(float).tiny:
+        return 0.0
+    fraction = float(fast @ removed / square)
+    errors = fast * (removed - fraction * fast)
+    blocks = np.add.reduceat(errors, np.arange(0, len(errors), width))
+    std = np.linalg.norm(blocks) / square
+    is_significant = fraction > settings.significance * float(std)
+    return min(fraction, 1.0) if is_significant else 0.0

@@ -14,6 +14,7 @@ from scipy.stats import false_discovery_control
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._display.page import section
@@ -153,6 +154,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     The p-values of the coefficients are combined into the whole by Simes' test, which allows for
     positive dependence (Simes 1986).
 
+    A weight of a regressor that did not move in the fit is left out, as its slope was not learned.
+
     Raises ValueError as `validate` does.
 
     Parameters
@@ -204,6 +207,9 @@ def changes_of(
     tables = {}
     scale = np.append(1.0, pipeline["standardscaler"].scale_)
     bare = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
+    is_constant = constant_columns(training_inputs(pipeline[-1].posterior_))
+    learned = np.flatnonzero(np.append(True, ~is_constant))  # weights that the model knows
+    among_learned = np.ix_(learned, learned)
     spread = _covariance_spread(pipeline, settings)
     for flight, (X, residuals) in samples.items():
         is_measured = np.isfinite(residuals).all(axis=1)
@@ -214,11 +220,13 @@ def changes_of(
         changes = {}
         for i, coefficient in enumerate(COEFFICIENTS):
             weights, scatter, n_blocks = block_weights(X, residuals[:, i], settings)
-            row[coefficient] = _p_value(weights, scatter, uncertainty[i], n_blocks)
-            std = np.sqrt(np.diag(scatter + uncertainty[i]))
+            of_flight = scatter[among_learned]
+            of_model = uncertainty[i][among_learned]
+            row[coefficient] = _p_value(weights[learned], of_flight, of_model, n_blocks)
+            std = np.sqrt(np.diag(of_flight + of_model))
             names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
-            for name, change, error in zip(names, weights / scale, std / scale, strict=True):
-                changes[name] = {"change": change, "std": error}
+            for k, error in zip(learned, std, strict=True):
+                changes[names[k]] = {"change": weights[k] / scale[k], "std": error / scale[k]}
         row[WHOLE] = combined(list(row.values()))
         p_values[flight] = row
         tables[flight] = pd.DataFrame.from_dict(changes, orient="index")

@@ -197,6 +197,22 @@ def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight
     assert (changes_of(filtered, samples).p_values["whole"] < 0.05).mean() < 0.2
 
 
+@pytest.mark.filterwarnings("ignore:.*(never change|are constant)")
+def test_a_control_that_first_moves_in_the_later_flight_is_no_change():
+    X, Y = flight(0, 0.02)
+    held = 0.02
+    Y[:, 4] -= SLOPES[2, 4] * (X["elevator"] - held)
+    X["elevator"] = held
+    regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
+    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
+    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+    same = changes(pipeline, {"same": flight(1, 0.02)})
+    assert same.p_values.loc["same", "Cm"] > 0.01
+    assert "Cm_elevator" not in same.derivatives.loc["same"].index
+    iced = changes(pipeline, {"iced": flight(1, 0.02)}, change=0.2)
+    assert iced.p_values.loc["iced", "Cm"] < 0.01
+
+
 def test_a_short_flight_tells_nothing(model):
     X, Y = flight(7, 0.02)
     result = changes(model, {"short": (X[:25], Y[:25])}, change=1.0)

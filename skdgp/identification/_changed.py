@@ -14,10 +14,11 @@ from scipy.stats import false_discovery_control
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._display.page import section
-from skdgp._flight.channels import COEFFICIENTS, HAT
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import usable_flights_of_model
@@ -46,8 +47,11 @@ class ChangeSettings:
     fewest_times: float = 1.0
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
-    # variance of the unknown correlation of the errors of two regressors, uniform between -1 and 1
+    # variance of the unknown correlation of the errors of two longitudinal, or two lateral
+    # regressors, uniform between -1 and 1
     correlation_variance: float = 1 / 3
+    # the same of a longitudinal and a lateral regressor, chosen on one aircraft
+    across_variance: float = 0.03
     # p-value below which the summary says that the aircraft has changed
     level: float = 0.05
 
@@ -137,7 +141,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     section 1.1). The errors have the standard deviations s, and J are the slopes. How far a filter
     makes the errors of one regressor correlate with the estimate of another, :math:`\rho_{jk}`, is
     unknown, and independent for each k; :math:`\rho_{jj}` is 1 of a sensor without a filter, and 0 of
-    an optimal smoother.
+    an optimal smoother. Between a longitudinal and a lateral regressor it is small, as it changes
+    its sign in the mirrored flight, and the equations of motion do not.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The degrees of freedom follow from the fraction M of C that is the
@@ -147,6 +152,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
 
     The p-values of the coefficients are combined into the whole by Simes' test, which allows for
     positive dependence (Simes 1986).
+
+    A weight of a regressor that did not move in the fit is left out, as its slope was not learned.
 
     Raises ValueError as `validate` does.
 
@@ -203,21 +210,26 @@ def changes_of(
     tables = {}
     scale = np.append(1.0, pipeline["standardscaler"].scale_)
     bare = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
-    variances = _error_variances(pipeline)
+    is_constant = constant_columns(training_inputs(pipeline[-1].posterior_))
+    learned = np.flatnonzero(np.append(True, ~is_constant))  # weights that the model knows
+    among_learned = np.ix_(learned, learned)
+    spread = _covariance_spread(pipeline, settings)
     for flight, (X, residuals) in samples.items():
         is_measured = np.isfinite(residuals).all(axis=1)
         X = X[is_measured]
         residuals = residuals[is_measured]
-        uncertainty = _function_covariance(pipeline[-1], X, variances, settings)
+        uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
         row = {}
         changes = {}
         for i, coefficient in enumerate(COEFFICIENTS):
             weights, scatter, n_blocks = block_weights(X, residuals[:, i], settings)
-            row[coefficient] = _p_value(weights, scatter, uncertainty[i], n_blocks)
-            std = np.sqrt(np.diag(scatter + uncertainty[i]))
+            of_flight = scatter[among_learned]
+            of_model = uncertainty[i][among_learned]
+            row[coefficient] = _p_value(weights[learned], of_flight, of_model, n_blocks)
+            std = np.sqrt(np.diag(of_flight + of_model))
             names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
-            for name, change, error in zip(names, weights / scale, std / scale, strict=True):
-                changes[name] = {"change": change, "std": error}
+            for k, error in zip(learned, std, strict=True):
+                changes[names[k]] = {"change": weights[k] / scale[k], "std": error / scale[k]}
         row[WHOLE] = combined(list(row.values()))
         p_values[flight] = row
         tables[flight] = pd.DataFrame.from_dict(changes, orient="index")
@@ -246,8 +258,21 @@ def _error_variances(pipeline: Pipeline) -> Vector:
     return np.maximum(variances, (std / pipeline["standardscaler"].scale_) ** 2)
 
 
+def _covariance_spread(pipeline: Pipeline, settings: ChangeSettings) -> Matrix:
+    """Return the variances (d, d) of the unknown covariances rho_jk s_j s_k of errors and estimates."""
+    names = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
+    is_lateral = np.array([name in MIRRORED for name in names])
+    is_elevon = np.array([name in ELEVONS for name in names])  # moves in both planes
+    is_across = is_lateral[:, None] != is_lateral
+    is_across &= ~(is_elevon[:, None] | is_elevon)
+    spread = np.where(is_across, settings.across_variance, settings.correlation_variance)
+    np.fill_diagonal(spread, 1.0)
+    variances = _error_variances(pipeline)
+    return spread * variances[:, None] * variances
+
+
 def _function_covariance(
-    regressor: DependentGPRegressor, X: Matrix, variances: Vector, settings: ChangeSettings
+    regressor: DependentGPRegressor, X: Matrix, spread: Matrix, settings: ChangeSettings
 ) -> Array:
     """Return G Q^T K Q G of each output, (P, d + 1, d + 1), from evenly spaced rows of X (n, d)."""
     n_rows = min(settings.n_rows, len(X))
@@ -255,7 +280,7 @@ def _function_covariance(
     mean, cov = regressor.predict(X[rows], return_cov=True, include_input_noise=False)
     n_outputs = mean.shape[1]
     blocks = cov.reshape(n_outputs, n_rows, n_outputs, n_rows)
-    in_fit, further = _biases(regressor, X, rows, variances, settings)
+    in_fit, further = _biases(regressor, X, rows, spread)
     fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
     covariances = []
     for i in range(n_outputs):
@@ -267,11 +292,7 @@ def _function_covariance(
 
 
 def _biases(
-    regressor: DependentGPRegressor,
-    X: Matrix,
-    rows: Indices,
-    variances: Vector,
-    settings: ChangeSettings,
+    regressor: DependentGPRegressor, X: Matrix, rows: Indices, spread: Matrix
 ) -> tuple[Array, Array]:
     """Return the biases of the fit and the further ones a of a flight X (n, d), (J, n_rows, P) and (d, n_rows, P).
 
@@ -283,10 +304,8 @@ def _biases(
         return nothing, nothing
     in_fit = (X[rows] - errors.centre) @ errors.method[:, 1:]
     J = regressor.predict_gradient(errors.centre[None])[0]
-    products = variances * J**2
-    others = products.sum(axis=1, keepdims=True) - products
     # standard deviations (P, d) of the covariance of each regressor with the errors
-    c = np.sqrt(variances * (products + settings.correlation_variance * others))
+    c = np.sqrt(J**2 @ spread)
     X_fit = training_inputs(regressor.posterior_)
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(X_fit.T)), hermitian=True)
     slopes = np.einsum("jk,ik->kji", inverse, c)

@@ -148,6 +148,40 @@ def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight(of_q):
     assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01
 
 
+def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
+    """Only a covariance of both errors biases Cn_alpha, and a mirrored flight changes its sign.
+
+    With the correlation rho it is rho s_alpha s_beta Cn_beta (1 / S - 1 / S_0), of the variances S
+    of alpha in the flight and in the fit.
+    """
+    names = ["alpha", "beta"]
+    motion, size, beta_noise = 0.1, 0.3, 0.02
+    noise = np.array([ALPHA_NOISE, beta_noise])
+
+    def flown(seed, size):
+        rng = np.random.default_rng(seed)
+        X = size * motion * lasting(rng, (1500, 2), 15)
+        Y = 0.02 * lasting(rng, (1500, 6), 5)
+        Y[:, 5] += X[:, 1]
+        return pd.DataFrame(X + noise * rng.normal(size=X.shape), columns=names), Y
+
+    X, Y = flown(0, 1.0)
+    scaler = StandardScaler().fit(X)
+    regressor = DependentGPRegressor(structure="trend", input_noise=noise / scaler.scale_)
+    pipeline = make_pipeline(RegressorSelector(names), StandardScaler(), regressor)
+    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+    samples = {}
+    for seed in range(1, 7):
+        X, Y = flown(seed, size)
+        samples[str(seed)] = np.asarray(pipeline[:-1].transform(X)), Y - pipeline.predict(X)
+    rows = changes_of(pipeline, samples).derivatives.xs("Cn_alpha", level="derivative")
+    in_fit = 1 / (motion**2 + ALPHA_NOISE**2)
+    in_gentle = 1 / ((size * motion) ** 2 + ALPHA_NOISE**2)
+    of_any_correlation = ALPHA_NOISE * beta_noise * (in_gentle - in_fit) / np.sqrt(3)
+    assert rows["std"].mean() < 0.7 * of_any_correlation
+    assert (rows["change"].abs() < 2 * rows["std"]).mean() > 0.8
+
+
 def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight(model):
     """Residuals do not show them, where the filter derived the angles from the same forces."""
     reconstruction = FlightPathReconstruction()
@@ -161,6 +195,22 @@ def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight
         samples[str(seed)] = np.asarray(model[:-1].transform(X)), Y - model.predict(X)
     assert (changes_of(model, samples).p_values["whole"] < 0.05).mean() > 0.8
     assert (changes_of(filtered, samples).p_values["whole"] < 0.05).mean() < 0.2
+
+
+@pytest.mark.filterwarnings("ignore:.*(never change|are constant)")
+def test_a_control_that_first_moves_in_the_later_flight_is_no_change():
+    X, Y = flight(0, 0.02)
+    held = 0.02
+    Y[:, 4] -= SLOPES[2, 4] * (X["elevator"] - held)
+    X["elevator"] = held
+    regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
+    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
+    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+    same = changes(pipeline, {"same": flight(1, 0.02)})
+    assert same.p_values.loc["same", "Cm"] > 0.01
+    assert "Cm_elevator" not in same.derivatives.loc["same"].index
+    iced = changes(pipeline, {"iced": flight(1, 0.02)}, change=0.2)
+    assert iced.p_values.loc["iced", "Cm"] < 0.01
 
 
 def test_a_short_flight_tells_nothing(model):

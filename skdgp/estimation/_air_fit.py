@@ -34,12 +34,13 @@ from skdgp.estimation._settings import AirSettings
 
 
 class FittedRecord(NamedTuple):
-    """A record with its last pass, and the score of the parameters by each sample, (n - 1, p)."""
+    """A record with its last pass, the score of the parameters by each sample, (n - 1, p), and the likelihood."""
 
     record: Record
     linear: Linearization
     run: Pass
     scores: Matrix
+    log_likelihood: float  # of the innovations, but for a constant
 
 
 class AirFit:
@@ -80,9 +81,11 @@ class AirFit:
         self.states = [np.pad(record.rates, before) for record in records]
 
     def search(self, n_before: int) -> bool:
-        """Improve parameters and noises; return whether the search converged to a plausible solution.
+        """Improve parameters and noises; return whether the search converged.
 
-        The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges.
+        The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges, or ends
+        far below the likelihood of an earlier pass: instruments are weak far from the solution, and
+        their equations have others.
         """
         keep_freed_memory()
         settings = self.settings
@@ -90,11 +93,15 @@ class AirFit:
         fraction = 1.0  # of a step that is taken
         last_step = np.zeros(len(self.x) - self.parameters.n_held)
         was_small = False
+        best = -np.inf  # likelihood of a pass
+        lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
         for number in range(settings.max_passes):
             # filter about the states of the last pass
             sums, fitted = self.run(by_instruments=number >= n_before)
             self.records = [item.record for item in fitted]
             self.states = [item.run.states for item in fitted]
+            likelihood = sum(item.log_likelihood for item in fitted)
+            best = max(best, likelihood)
 
             # step of the parameters
             information, score = sums.damped(damping)
@@ -110,6 +117,8 @@ class AirFit:
             is_small = sums.squared_length(step) < settings.tolerance
             is_still = was_small and is_small and noise_length < settings.noise_tolerance
             if is_still and number > n_before:
+                if likelihood < best - lost:
+                    raise np.linalg.LinAlgError
                 return True
             last_step, was_small = step, is_small
             damping *= settings.less_damping
@@ -165,7 +174,9 @@ class AirFit:
             if has_instruments:
                 # for the instruments of the next pass
                 record = record.with_answers(e, self.settings)
-            fitted.append(FittedRecord(record, linear, run, scores))
+            determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
+            log_likelihood = float(determinants - 0.5 * np.sum(e**2))
+            fitted.append(FittedRecord(record, linear, run, scores, log_likelihood))
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:

@@ -57,7 +57,9 @@ UNKNOWN_SCALE = AirspeedScale(0.0, np.inf)
 
 def without_airspeed_error(table: pd.DataFrame, scale: float) -> pd.DataFrame:
     """Return flights without a relative error ``scale`` of their airspeed."""
-    return table.assign(airspeed=table["airspeed"] / (1 + scale)) if scale else table
+    if not scale or "airspeed" not in table:
+        return table
+    return table.assign(airspeed=table["airspeed"] / (1 + scale))
 
 
 class _Moments(NamedTuple):
@@ -101,6 +103,8 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     if not has_values(table, "time", *NEEDED):
         return UNKNOWN_SCALE
     is_sampled = np.isfinite(numeric(table, NEEDED)).all(axis=1)
+    if not is_sampled.any():
+        return UNKNOWN_SCALE
     sampled = table.iloc[np.flatnonzero(is_sampled)]
     clock = Clock.of(sampled["time"], sampled.get("flight"))
     blocks = []

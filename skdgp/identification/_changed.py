@@ -153,7 +153,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     The p-values of the coefficients are combined into the whole by Simes' test, which allows for
     positive dependence (Simes 1986).
 
-    A weight of a regressor that did not move in the fit is left out, as its slope was not learned.
+    A weight of a regressor that did not move in the fit is left out, as its slope was not learned; so
+    is the mean where such a regressor is held at another value.
 
     Raises ValueError as `validate` does.
 
@@ -176,12 +177,9 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     for name, table in tables.items():
         X, noise_ratio = flight_regressors(model.pipeline, table)
         mean = model.pipeline.mean_of_rows(X, noise_ratio)
-        samples[name] = (
-            X,
-            residuals_without_smoothing(
-                model.pipeline.corrected(table), mean, model.aircraft, options
-            ),
-        )
+        corrected = model.pipeline.corrected(table)
+        residuals = residuals_without_smoothing(corrected, mean, model.aircraft, options)
+        samples[name] = X, residuals
     return changes_of(model.pipeline, samples, settings)
 
 
@@ -210,14 +208,17 @@ def changes_of(
     tables = {}
     scale = np.append(1.0, pipeline["standardscaler"].scale_)
     bare = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
-    is_constant = constant_columns(training_inputs(pipeline[-1].posterior_))
-    learned = np.flatnonzero(np.append(True, ~is_constant))  # weights that the model knows
-    among_learned = np.ix_(learned, learned)
+    trained = training_inputs(pipeline[-1].posterior_)
+    is_constant = constant_columns(trained)
     spread = _covariance_spread(pipeline, settings)
     for flight, (X, residuals) in samples.items():
         is_measured = np.isfinite(residuals).all(axis=1)
         X = X[is_measured]
         residuals = residuals[is_measured]
+        # weights that the model knows; an unknown effect that is constant in the flight moves the mean
+        is_elsewhere = is_constant & constant_columns(X) & ~np.isclose(X[0], trained[0])
+        learned = np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
+        among_learned = np.ix_(learned, learned)
         uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
         row = {}
         changes = {}

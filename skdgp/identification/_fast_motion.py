@@ -1,13 +1,14 @@
 r"""Motion that the smoothing of coefficients removes, put back by linear terms.
 
-Smoothing F removes frequencies at which a channel has more noise than signal. Regressors keep them, so
-slopes by what moves fast, such as surfaces, would be too small. Where regressors X have slopes
-:math:`\beta` in the smoothed band, coefficients C are learned as
+Smoothing F removes frequencies at which a channel has more noise than signal. Regressors X keep them, so
+slopes by what moves fast, such as surfaces, would be too small. With slopes :math:`\beta` of coefficients C
+by least squares, without smoothing, coefficients are learned as
 
-.. math:: F C + k \, (1 - F) \, X \beta, \quad F C \approx F X \beta.
+.. math:: F C + k \, (1 - F) \, X \beta.
 
 The fraction k of the linear terms that the removed part of C shows in spite of its noise is one of a
-linear function, and less of a curved one, whose slopes at the mean are not those of fast gusts.
+linear function of exact regressors, and less of a curved one, whose slopes at the mean are not those of
+fast gusts.
 """
 
 from __future__ import annotations
@@ -66,21 +67,19 @@ class FastMotion:
         ``flights`` have ``time`` [s], and ``flight`` where there are several.
         """
         clock = _clock(flights)
-        n_regressors = regressors.shape[1]
-        slopes = np.zeros((smoothed.shape[1], n_regressors))
-        up_to_band = FittedFilter.up_to(band, n_regressors)
+        up_to_band = FittedFilter.up_to(band, regressors.shape[1])
         in_band = smooth(regressors, cutoff=up_to_band, **clock)
+        is_known = np.isfinite(np.hstack([in_band, smoothed, noisy])).all(axis=1)
+        in_band = in_band - in_band[is_known].mean(axis=0)
+        by_regressor: Any = np.linalg.lstsq(in_band[is_known], noisy[is_known], rcond=None)[0]
+        linear = in_band @ by_regressor
+        fast = (linear - smooth(linear, cutoff=smoothing, **clock))[is_known]
+        removed = (noisy - smoothed)[is_known]
         width = _rows_of(settings.block, clock["time"])
-        for i, coefficient in enumerate(smoothed.T):
-            filters = smoothing.of_channels([i] * n_regressors)
-            slow = smooth(regressors, cutoff=filters, **clock)
-            is_known = np.isfinite(slow).all(axis=1)
-            is_known &= np.isfinite(coefficient) & np.isfinite(noisy[:, i])
-            centred = slow[is_known] - slow[is_known].mean(axis=0)
-            by_regressor: Any = np.linalg.lstsq(centred, coefficient[is_known], rcond=None)[0]
-            fast = (in_band[is_known] - slow[is_known]) @ by_regressor
-            removed = noisy[is_known, i] - coefficient[is_known]
-            slopes[i] = _fraction(fast, removed, width, settings) * by_regressor
+        fractions = [
+            _fraction(*pair, width, settings) for pair in zip(fast.T, removed.T, strict=True)
+        ]
+        slopes = np.array(fractions)[:, None] * by_regressor.T
         return cls(smoothing, slopes)
 
     def added(self, regressors: Matrix, flights: pd.DataFrame) -> Matrix:

@@ -11,10 +11,12 @@ import numpy as np
 import pandas as pd
 from sklearn import get_config
 from sklearn.base import clone
+from sklearn.metrics import r2_score
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
+from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
@@ -26,7 +28,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.motion import vibration_band
 from skdgp._flight.smoothing import FittedFilter, smooth
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, Turbulence, check_aircraft
+from skdgp.dynamics import Aircraft, Turbulence, band_filter, check_aircraft
 from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._engine import engine_regressors
@@ -253,7 +255,7 @@ class FlightPipeline(Pipeline):
     @property
     def own_cutoff(self) -> FittedFilter | str:
         """Cutoff of the coefficients of a flight: "auto", by its spectra, or the filter up to ``band_``."""
-        return "auto" if np.isinf(self.band_) else self.coefficient_filter_
+        return "auto" if np.isinf(self.band_) else band_filter(self.band_)
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
@@ -262,10 +264,15 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
+        # unknown of coefficients that are given
+        self.coefficient_filter_ = "auto"
+        self.fast_motion_ = None
         if get_config()["enable_metadata_routing"]:
-            # without time, regressors beyond a band cannot be removed
-            self.airspeed_scale_ = airspeed_scale(X).removable()
-            super().fit(self.corrected(X), y, **params)
+            self.learn_errors_of_log(X)
+            self.band_ = np.inf  # scikit-learn's own fit leaves no place for a band
+            self.calibration_ = None
+            X = self.corrected(X)
+            super().fit(X, y, **params)
             self._learn_turbulence(X)
         else:
             regressors, _ = self.fit_regressors(X, y)
@@ -309,9 +316,14 @@ class FlightPipeline(Pipeline):
         self._learn_turbulence(X)
 
     def learn_errors_of_log(self, X: pd.DataFrame) -> None:
-        """Learn ``airspeed_scale_`` and ``band_`` of flights X."""
-        self.airspeed_scale_ = airspeed_scale(X).removable()
-        self.band_ = vibration_band(X)
+        """Learn ``airspeed_scale_`` and ``band_`` of flights X, without the faults of their sensors."""
+        self.airspeed_scale_ = 0.0
+        self.band_ = np.inf
+        if isinstance(X, pd.DataFrame) and "flightcheck" in self.named_steps:
+            with without_warnings():  # the step itself warns
+                checked = FlightCheck().fit_transform(X)
+            self.airspeed_scale_ = airspeed_scale(checked).removable()
+            self.band_ = vibration_band(checked)
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return flights X without the error of the airspeed."""
@@ -408,6 +420,12 @@ class FlightPipeline(Pipeline):
             return self.mean_of_rows(regressors, ratio, **params)
         mean, uncertainty = self[-1].predict(regressors, **params)
         return mean + self._added(regressors, ratio), uncertainty
+
+    def score(
+        self, X: pd.DataFrame, y: Any = None, sample_weight: Any = None, **params: Any
+    ) -> float:
+        """Return the coefficient of determination of ``predict``, as ``score`` of scikit-learn's regressors."""
+        return float(r2_score(y, self.predict(X, **params), sample_weight=sample_weight))
 
     def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:
         """Return the mean coefficients (n, P) of logged rows, from the two of `flight_regressors`."""

@@ -209,6 +209,10 @@ def test_a_control_that_first_moves_in_the_later_flight_is_no_change():
     same = changes(pipeline, {"same": flight(1, 0.02)})
     assert same.p_values.loc["same", "Cm"] > 0.01
     assert "Cm_elevator" not in same.derivatives.loc["same"].index
+    X, Y = flight(1, 0.02)
+    Y[:, 4] += SLOPES[2, 4] * (0.1 - X["elevator"])
+    elsewhere = changes(pipeline, {"elsewhere": (X.assign(elevator=0.1), Y)})
+    assert elsewhere.p_values.loc["elsewhere", "Cm"] > 0.01
     iced = changes(pipeline, {"iced": flight(1, 0.02)}, change=0.2)
     assert iced.p_values.loc["iced", "Cm"] < 0.01
 

@@ -10,6 +10,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
+from sklearn.metrics import r2_score
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -20,6 +21,7 @@ from skdgp.identification import (
 )
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import FlightCheck
 
 QUICK = {"n_latent": 1, "max_iter": 4, "input_noise": "learned", "random_state": 0}
 
@@ -292,3 +294,48 @@ def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
     assert deviation == pytest.approx(expected, rel=0.005)
     found, wanted = pipeline.predict(too_much), right.predict(flights.train)
     assert normalized_rmse(wanted, found) < 1e-3
+    Y = Y.fillna(0.0)
+    assert pipeline.score(too_much, Y) == pytest.approx(r2_score(Y, found))
+
+
+def test_spikes_are_no_errors_of_the_log(flights):
+    spikes = flights.train.copy()
+    spikes.loc[spikes.index[::300], ["ax", "ay", "az"]] += 500.0
+    spikes.loc[spikes.index[::200], "airspeed"] = 99.0
+    pipeline = FlightPipeline([("flightcheck", FlightCheck())])
+    pipeline.learn_errors_of_log(spikes)
+    assert pipeline.airspeed_scale_ == 0.0
+    assert np.isinf(pipeline.band_)
+
+
+@pytest.mark.usefixtures("no_mechanics")
+def test_coefficients_are_those_of_the_corrected_airspeed(flights):
+    """Flights to learn from and to be tested on lose the same error of the airspeed, once."""
+
+    def result(scale):
+        train, test = (
+            table.assign(airspeed=scale * table["airspeed"])
+            for table in (flights.train, flights.test[:400])
+        )
+        return identify(
+            train,
+            flights.aircraft,
+            test=test,
+            samples=100,
+            regressor=DependentGPRegressor(structure="trend", max_iter=1, random_state=0),
+            pipeline={"reconstruction": "passthrough", "lags": None},
+            horizons=[2.0],
+        )
+
+    with pytest.warns(UserWarning, match="airspeed"):
+        wrong = result(1.04)
+    right = result(1.0)
+    (found,), (expected,) = wrong.evaluations, right.evaluations
+    # what is left of the error enters by its square
+    assert np.nanmedian(found.measured / expected.measured) == pytest.approx(1.0, abs=0.01)
+    assert_allclose(found.table["airspeed"], expected.table["airspeed"], rtol=0.005)
+    assert normalized_rmse(expected.mean, found.mean) < 0.05
+    raw = flights.test[:400].assign(airspeed=1.04 * flights.test["airspeed"][:400])
+    assert_allclose(wrong.pipeline.predict(raw), found.mean, rtol=1e-9)
+    for name, table in wrong.train.items():
+        assert_allclose(table["airspeed"], right.train[name]["airspeed"], rtol=0.005)

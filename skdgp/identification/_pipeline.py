@@ -267,8 +267,8 @@ class FlightPipeline(Pipeline):
         # unknown of coefficients that are given
         self.coefficient_filter_ = "auto"
         self.fast_motion_ = None
+        self.learn_errors_of_log(X)
         if get_config()["enable_metadata_routing"]:
-            self.learn_errors_of_log(X)
             self.band_ = np.inf  # scikit-learn's own fit leaves no place for a band
             self.calibration_ = None
             X = self.corrected(X)
@@ -284,10 +284,9 @@ class FlightPipeline(Pipeline):
     ) -> tuple[Matrix, Matrix | None]:
         """Fit all steps but the last; return the regressors (n, d), and which are of no use to an output (P, d).
 
-        ``choose_engine``: of throttle and airspeed the set of regressors gets those of
-        `engine_regressors`. Otherwise the second is None.
+        Behind `learn_errors_of_log`. ``choose_engine``: of throttle and airspeed the set of regressors
+        gets those of `engine_regressors`. Otherwise the second is None.
         """
-        self.learn_errors_of_log(X)
         X = self.corrected(X)
         regressors, without_effect = self._fit_transforms(X, y, choose_engine)
         return band_limited(regressors, X, self.band_), without_effect

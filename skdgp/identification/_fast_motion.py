@@ -1,13 +1,13 @@
 r"""Motion that the smoothing of coefficients removes, put back by linear terms.
 
-Smoothing F removes frequencies at which a channel has more noise than signal. Regressors X keep them, so
-slopes by what moves fast, such as surfaces, would be too small. With slopes :math:`\beta` of coefficients C
-by least squares, without smoothing, coefficients are learned as
+Smoothing F removes frequencies at which a channel has more noise than signal. Regressors X keep them, with
+their noise, so slopes would be too small. With slopes :math:`\beta` of coefficients C by least squares in
+the band of the motion G, coefficients are learned as
 
-.. math:: F C + k \, (1 - F) \, X \beta.
+.. math:: F C + k \, (1 - F) \, X \beta,
 
-The fraction k of the linear terms that the removed part of C shows in spite of its noise is one of a
-linear function of exact regressors, and less of a curved one, whose slopes at the mean are not those of
+where k is the fraction of :math:`(G - F) X \beta` that :math:`(G - F) C` shows in spite of its noise: one of
+a linear function of exact regressors, and less of a curved one, whose slopes at the mean are not those of
 fast gusts.
 """
 
@@ -70,10 +70,10 @@ class FastMotion:
         up_to_band = FittedFilter.up_to(band, regressors.shape[1])
         in_band = smooth(regressors, cutoff=up_to_band, **clock)
         is_known = np.isfinite(np.hstack([in_band, smoothed, noisy])).all(axis=1)
-        in_band = in_band - in_band[is_known].mean(axis=0)
-        by_regressor: Any = np.linalg.lstsq(in_band[is_known], noisy[is_known], rcond=None)[0]
-        linear = in_band @ by_regressor
-        fast = (linear - smooth(linear, cutoff=smoothing, **clock))[is_known]
+        centred = in_band[is_known] - in_band[is_known].mean(axis=0)
+        by_regressor: Any = np.linalg.lstsq(centred, noisy[is_known], rcond=None)[0]
+        slow = smooth(regressors @ by_regressor, cutoff=smoothing, **clock)
+        fast = (in_band @ by_regressor - slow)[is_known]
         removed = (noisy - smoothed)[is_known]
         width = _rows_of(settings.block, clock["time"])
         fractions = [
@@ -99,7 +99,7 @@ def _rows_of(seconds: float, time: Vector) -> int:
 
 
 def _fraction(fast: Vector, removed: Vector, width: int, settings: FastMotionSettings) -> float:
-    """Return the fraction of the fast motion that a removed part shows, from zero to one."""
+    """Return the fraction of the fast motion that a part of a coefficient shows, from zero to one."""
     square = fast @ fast
     if square <= np.finfo(float).tiny:
         return 0.0

@@ -14,7 +14,7 @@ from skdgp._flight.tables import has_values, numeric
 
 @dataclass(frozen=True)
 class BandSettings:
-    """When flights vibrate."""
+    """The band in which coefficients and regressors are compared."""
 
     #: Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second
     least: float = 5.0
@@ -31,8 +31,13 @@ def vibration_band(table: pd.DataFrame) -> float:
     """
     if not has_values(table, "time", *SPECIFIC_FORCE, *VANES):
         return np.inf
-    band = max(motion_band_of(table), BAND.least)
+    band = smoothing_band(table)
     return band if vibrates_beyond(table, band) else np.inf
+
+
+def smoothing_band(table: pd.DataFrame) -> float:
+    """Return the band of the motion [Hz], but at least `BandSettings.least`; infinite if unknown."""
+    return max(motion_band_of(table), BAND.least)
 
 
 def motion_band_of(table: pd.DataFrame) -> float:

@@ -165,10 +165,9 @@ def coefficient_filter(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> F
     """
     flight = _measured(flight, ignore)
     check_flight(flight, NEEDED)
-    band = vibration_band(flight)
-    if np.isfinite(band):
-        return band_filter(band)
-    return FittedFilter.of_flights(_channels(flight), shrink=SHRINKS, **_clock(flight))
+    return _filter_of_vibration(flight) or FittedFilter.of_flights(
+        _channels(flight), shrink=SHRINKS, **_clock(flight)
+    )
 
 
 def band_filter(highest: float) -> FittedFilter:
@@ -176,8 +175,18 @@ def band_filter(highest: float) -> FittedFilter:
     return FittedFilter.up_to(highest, len(SMOOTHED))
 
 
-def filter_of_coefficients(smoothing: FittedFilter, flight: pd.DataFrame) -> FittedFilter:
-    """Return what a smoothing of channels does to the coefficients: that of forces and rates, or their derivatives."""
+def _filter_of_vibration(flight: pd.DataFrame) -> FittedFilter | None:
+    """Return the filter that removes the vibration of flights, None where they do not vibrate."""
+    band = vibration_band(flight)
+    return band_filter(band) if np.isfinite(band) else None
+
+
+def part_of_coefficients(smoothing: FittedFilter, flight: pd.DataFrame) -> FittedFilter:
+    """Return the part of a smoothing of channels that acts on the six coefficients.
+
+    CX, CY, CZ follow the specific forces, and Cl, Cm, Cn the rates, or their derivatives where
+    these were measured.
+    """
     of_moments = RATE_DERIVATIVES if {*RATE_DERIVATIVES} <= {*flight} else RATES
     channels = [SMOOTHED.index(name) for name in (*SPECIFIC_FORCE, *of_moments)]
     return smoothing.of_channels(channels)
@@ -199,9 +208,7 @@ def _smoothed(
     clock = _clock(flight)
     channels = _channels(flight)
     if isinstance(cutoff, str) and cutoff == "auto":
-        band = vibration_band(flight)
-        if np.isfinite(band):
-            cutoff = band_filter(band)
+        cutoff = _filter_of_vibration(flight) or cutoff
     smoothed = smooth(channels, cutoff=cutoff, shrink=SHRINKS, **clock)
     measured = flight.assign(**by_name(SMOOTHED, smoothed))
     if {*RATE_DERIVATIVES} <= {*flight}:

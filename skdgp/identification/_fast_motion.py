@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.smoothing import FittedFilter, smooth
 
 
@@ -66,40 +67,37 @@ class FastMotion:
 
         ``flights`` have ``time`` [s], and ``flight`` where there are several.
         """
-        clock = _clock(flights)
         up_to_band = FittedFilter.up_to(band, regressors.shape[1])
-        in_band = smooth(regressors, cutoff=up_to_band, **clock)
+        in_band = _smoothed(regressors, up_to_band, flights)
         is_known = np.isfinite(np.hstack([in_band, smoothed, noisy])).all(axis=1)
         centred = in_band[is_known] - in_band[is_known].mean(axis=0)
         by_regressor: Any = np.linalg.lstsq(centred, noisy[is_known], rcond=None)[0]
-        slow = smooth(regressors @ by_regressor, cutoff=smoothing, **clock)
+        slow = _smoothed(regressors @ by_regressor, smoothing, flights)
         fast = (in_band @ by_regressor - slow)[is_known]
         removed = (noisy - smoothed)[is_known]
-        width = _rows_of(settings.block, clock["time"])
-        fractions = [
-            _fraction(*pair, width, settings) for pair in zip(fast.T, removed.T, strict=True)
-        ]
-        slopes = np.array(fractions)[:, None] * by_regressor.T
+        clock = Clock.of(flights["time"], flights.get("flight"))
+        width = max(1, round(settings.block / median_step(clock.time, clock.segments)))
+        slopes = by_regressor.T.copy()
+        for i, terms in enumerate(slopes):
+            terms *= _fraction(fast[:, i], removed[:, i], width, settings)
         return cls(smoothing, slopes)
 
     def added(self, regressors: Matrix, flights: pd.DataFrame) -> Matrix:
         """Return what the fast motion of regressors (n, d) adds to smoothed coefficients, (n, P)."""
         linear = regressors @ self.slopes.T
-        return linear - smooth(linear, cutoff=self.smoothing, **_clock(flights))
+        return linear - _smoothed(linear, self.smoothing, flights)
 
 
-def _clock(flights: pd.DataFrame) -> dict[str, Any]:
-    return {"time": flights["time"].to_numpy(float), "flight": flights.get("flight")}
-
-
-def _rows_of(seconds: float, time: Vector) -> int:
-    """Return how many rows last some seconds."""
-    steps = np.diff(time)
-    return max(1, round(seconds / np.median(steps[steps > 0])))
+def _smoothed(columns: Matrix, cutoff: FittedFilter, flights: pd.DataFrame) -> Matrix:
+    """Return columns (n, k) of flights smoothed by a filter of k channels."""
+    return smooth(columns, flights["time"], flight=flights.get("flight"), cutoff=cutoff)
 
 
 def _fraction(fast: Vector, removed: Vector, width: int, settings: FastMotionSettings) -> float:
-    """Return the fraction of the fast motion that a part of a coefficient shows, from zero to one."""
+    """Return the fraction k of the fast linear terms (n,) that a removed part (n,) shows, from zero to one.
+
+    Zero where it is not significant, by errors that are independent between blocks of ``width`` rows.
+    """
     square = fast @ fast
     if square <= np.finfo(float).tiny:
         return 0.0

@@ -24,7 +24,7 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
-from skdgp._flight.motion import BAND, motion_band_of
+from skdgp._flight.motion import smoothing_band
 from skdgp._flight.smoothing import FittedFilter
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
@@ -33,7 +33,7 @@ from skdgp.dynamics import (
     aerodynamic_coefficients,
     band_filter,
     coefficient_filter,
-    filter_of_coefficients,
+    part_of_coefficients,
 )
 from skdgp.identification._fast_motion import FastMotion
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
@@ -123,7 +123,10 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = flights.table
     pipeline = _pipeline_for(flights, regressors, regressor, steps)
-    pipeline.learn_errors_of_log(table)
+    airspeed = pipeline.learn_errors_of_log(table)
+    if airspeed.removable():
+        numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
+        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=3)
     if np.isfinite(pipeline.band_):
         report(Finding(Code.VIBRATION, numbers={"band": pipeline.band_}), stacklevel=3)
     smoothing = coefficient_filter(table)
@@ -172,7 +175,7 @@ def learn(
             named_regressors(pipeline, X),
             training.least_squares,
             lags,
-            flights.airspeed.left(),
+            airspeed.left(),
         )
     return LearnedModel(
         pipeline=pipeline,
@@ -190,12 +193,12 @@ def _fast_motion(
     regressors: Matrix,
 ) -> FastMotion:
     """Return the linear terms of what the smoothing of the coefficients removes."""
-    band = max(motion_band_of(table), BAND.least)
+    band = smoothing_band(table)
     noisy = aerodynamic_coefficients(
         table, flights.aircraft, cutoff=band_filter(band), **flights.loads
     )
     return FastMotion.of_flights(
-        filter_of_coefficients(smoothing, table),
+        part_of_coefficients(smoothing, table),
         coefficients.to_numpy(),
         noisy.to_numpy(),
         regressors,

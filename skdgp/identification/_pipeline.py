@@ -18,18 +18,17 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import (
-    COEFFICIENTS,
-    HAT,
-    RATES,
-    SENSOR_GUST,
-    VANES,
-)
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.motion import vibration_band
 from skdgp._flight.smoothing import FittedFilter, smooth
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, band_filter, check_aircraft
-from skdgp.estimation import airspeed_scale, without_airspeed_error
+from skdgp.estimation import (
+    UNKNOWN_SCALE,
+    AirspeedScale,
+    airspeed_scale,
+    without_airspeed_error,
+)
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._engine import engine_regressors
 from skdgp.identification._fast_motion import FastMotion
@@ -314,15 +313,21 @@ class FlightPipeline(Pipeline):
             )
         self._learn_turbulence(X)
 
-    def learn_errors_of_log(self, X: pd.DataFrame) -> None:
-        """Learn ``airspeed_scale_`` and ``band_`` of flights X, without the faults of their sensors."""
+    def learn_errors_of_log(self, X: pd.DataFrame) -> AirspeedScale:
+        """Set ``airspeed_scale_`` and ``band_`` by flights X; return the error of the airspeed.
+
+        Faults of the sensors are left out. Both are unknown without a step ``flightcheck``.
+        """
         self.airspeed_scale_ = 0.0
         self.band_ = np.inf
+        airspeed = UNKNOWN_SCALE
         if isinstance(X, pd.DataFrame) and "flightcheck" in self.named_steps:
             with without_warnings():  # the step itself warns
                 checked = FlightCheck().fit_transform(X)
-            self.airspeed_scale_ = airspeed_scale(checked).removable()
+            airspeed = airspeed_scale(checked)
+            self.airspeed_scale_ = airspeed.removable()
             self.band_ = vibration_band(checked)
+        return airspeed
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return flights X without the error of the airspeed."""

@@ -38,7 +38,6 @@ from skdgp.dynamics import (
     propeller_speed_of,
     with_sensor_position,
 )
-from skdgp.estimation import AirspeedScale, airspeed_scale
 from skdgp.identification._flights import Flights, items_of, named_flights
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import FlightCheck
@@ -77,8 +76,6 @@ class PreparedFlights:
         ``thrust`` and ``external_forces`` of the inverse dynamics.
     lacks_thrust : bool
         Whether the thrust is part of the coefficients, as nothing gives it.
-    airspeed : AirspeedScale
-        Relative error of the airspeed of the flights to learn from.
     """
 
     train: Tables
@@ -87,7 +84,6 @@ class PreparedFlights:
     servos: Any
     loads: dict[str, Any]
     lacks_thrust: bool
-    airspeed: AirspeedScale
 
     @property
     def has_full_throws(self) -> bool:
@@ -134,7 +130,6 @@ def prepare(
     aircraft = _with_position_of(aircraft, train)
     usable_train = usable_flights(train, aircraft, regressors, columns)
     usable_test = usable_flights(test_flights, aircraft, regressors, columns)
-    airspeed = _airspeed_of(usable_train.values())
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
         thrust = None
@@ -149,7 +144,6 @@ def prepare(
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},
         lacks_thrust=lacks_thrust,
-        airspeed=airspeed,
     )
     if prepared.has_full_throws:
         report(Finding(Code.FULL_THROWS), stacklevel=3)
@@ -278,15 +272,6 @@ def usable_flights(
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
-
-
-def _airspeed_of(tables: Iterable[pd.DataFrame]) -> AirspeedScale:
-    """Return the relative error of the airspeed of flights, and report one that is removed."""
-    scale = airspeed_scale(pd.concat(tables, ignore_index=True))
-    if scale.removable():
-        numbers = {"percent": 100 * scale.value, "std_percent": 100 * scale.std}
-        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=4)
-    return scale
 
 
 def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:

@@ -423,6 +423,15 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
         assert flown.loc[name, "std"] > 0.95 * std
 
 
+@pytest.mark.slow
+def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none():
+    flight = flown("calm", 12.0)
+    assert flight.estimate().converged
+    without_allowance = AirSettings(lost_likelihood=-np.inf)
+    with pytest.raises(ValueError, match="diverged"):
+        flight.estimate(settings=without_allowance)
+
+
 def test_flight_that_is_too_short_to_estimate_gusts_is_refused_or_in_doubt():
     flight = flown("calm", 1.5, inputs=False)
     with pytest.raises(ValueError, match="Got no record of 100 samples"):

@@ -31,13 +31,8 @@ def vibration_band(table: pd.DataFrame) -> float:
     """
     if not has_values(table, "time", *SPECIFIC_FORCE, *VANES):
         return np.inf
-    band = smoothing_band(table)
+    band = max(motion_band_of(table), BAND.least)
     return band if vibrates_beyond(table, band) else np.inf
-
-
-def smoothing_band(table: pd.DataFrame) -> float:
-    """Return the band of the motion [Hz], but at least `BandSettings.least`; infinite if unknown."""
-    return max(motion_band_of(table), BAND.least)
 
 
 def motion_band_of(table: pd.DataFrame) -> float:

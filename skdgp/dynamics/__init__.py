@@ -61,7 +61,6 @@ from skdgp.dynamics._integrate import (
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._inverse import band_filter as band_filter
 from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
-from skdgp.dynamics._inverse import part_of_coefficients as part_of_coefficients
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion

@@ -181,17 +181,6 @@ def _filter_of_vibration(flight: pd.DataFrame) -> FittedFilter | None:
     return band_filter(band) if np.isfinite(band) else None
 
 
-def part_of_coefficients(smoothing: FittedFilter, flight: pd.DataFrame) -> FittedFilter:
-    """Return the part of a smoothing of channels that acts on the six coefficients.
-
-    CX, CY, CZ follow the specific forces, and Cl, Cm, Cn the rates, or their derivatives where
-    these were measured.
-    """
-    of_moments = RATE_DERIVATIVES if {*RATE_DERIVATIVES} <= {*flight} else RATES
-    channels = [SMOOTHED.index(name) for name in (*SPECIFIC_FORCE, *of_moments)]
-    return smoothing.of_channels(channels)
-
-
 def _channels(flight: pd.DataFrame) -> Matrix:
     """Return the channels that are smoothed, (n, 10), NaN where not measured."""
     return numeric(flight.reindex(columns=SMOOTHED), SMOOTHED)

@@ -34,8 +34,6 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     noisy = aerodynamic_coefficients(
         table, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
-    if pipeline.fast_motion_ is not None:
-        noisy = noisy + pipeline.fast_motion_.added(regressors, table)
     regressor = pipeline[-1]
     mean = pipeline.mean_of_rows(regressors, noise_ratio)
     rows = std_rows(len(table))

@@ -14,7 +14,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     COEFFICIENTS,
@@ -24,18 +24,9 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
-from skdgp._flight.motion import smoothing_band
-from skdgp._flight.smoothing import FittedFilter
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import (
-    Aircraft,
-    aerodynamic_coefficients,
-    band_filter,
-    coefficient_filter,
-    part_of_coefficients,
-)
-from skdgp.identification._fast_motion import FastMotion
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
 from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
@@ -129,24 +120,19 @@ def learn(
         report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=3)
     if np.isfinite(pipeline.band_):
         report(Finding(Code.VIBRATION, numbers={"band": pipeline.band_}), stacklevel=3)
-    smoothing = coefficient_filter(table)
-    pipeline.coefficient_filter_ = smoothing
+    pipeline.coefficient_filter_ = coefficient_filter(table)
     corrected = pipeline.corrected(table)
-    Y = aerodynamic_coefficients(corrected, flights.aircraft, cutoff=smoothing, **flights.loads)
+    Y = aerodynamic_coefficients(
+        corrected, flights.aircraft, cutoff=pipeline.own_cutoff, **flights.loads
+    )
     flown = Extent.of(list(flights.train.values())).seconds
-    n_rows = _n_rows(samples, regressor, len(Y), flown)
-    targets = thin_targets(Y, n_rows)
+    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     began = time.monotonic()
     # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
     choose_engine = flights.lacks_thrust and isinstance(regressors, str)
-    X, without_effect = pipeline.fit_regressors(table, targets, choose_engine=choose_engine)
-    # without vanes regressors lack gusts, and beyond a band these and coefficients lack all
-    if has_values(table, *VANES) and np.isinf(pipeline.band_):
-        pipeline.fast_motion_ = _fast_motion(flights, corrected, smoothing, Y, X)
-        targets = targets + pipeline.fast_motion_.added(X, corrected)
-    pipeline.fit_coefficients(table, X, targets, without_effect)
+    X = pipeline.fit_returning_regressors(table, targets, choose_engine=choose_engine)
     is_target = targets.notna()
     training = TrainingRecord(
         samples=int(is_target.any(axis=1).sum()),
@@ -182,28 +168,6 @@ def learn(
         aircraft=aircraft,
         fit=fit,
         options=_options(flights, pipeline, training.samples, horizons),
-    )
-
-
-def _fast_motion(
-    flights: PreparedFlights,
-    table: pd.DataFrame,
-    smoothing: FittedFilter,
-    coefficients: pd.DataFrame,
-    regressors: Matrix,
-) -> FastMotion:
-    """Return the linear terms of what the smoothing of the coefficients removes."""
-    band = smoothing_band(table)
-    noisy = aerodynamic_coefficients(
-        table, flights.aircraft, cutoff=band_filter(band), **flights.loads
-    )
-    return FastMotion.of_flights(
-        part_of_coefficients(smoothing, table),
-        coefficients.to_numpy(),
-        noisy.to_numpy(),
-        regressors,
-        table,
-        band,
     )
 
 

@@ -31,7 +31,6 @@ from skdgp.estimation import (
 )
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._engine import engine_regressors
-from skdgp.identification._fast_motion import FastMotion
 from skdgp.inference import KnownSlopes
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -234,9 +233,6 @@ class FlightPipeline(Pipeline):
     airspeed_scale_ : float
         Relative error of the airspeed that is removed from flights; zero where those of the fit
         do not show one.
-    fast_motion_ : FastMotion or None
-        Linear terms of what ``coefficient_filter_`` removes, with which coefficients of other
-        flights are like those of the fit; set by :func:`identify`.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -248,7 +244,6 @@ class FlightPipeline(Pipeline):
     band_: float = np.inf
     coefficient_filter_: FittedFilter | str = "auto"
     airspeed_scale_: float = 0.0
-    fast_motion_: FastMotion | None = None
     calibration_: RegressionCalibration | None = None
 
     @property
@@ -263,9 +258,7 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
-        # unknown of coefficients that are given
-        self.coefficient_filter_ = "auto"
-        self.fast_motion_ = None
+        self.coefficient_filter_ = "auto"  # unknown of coefficients that are given
         self.learn_errors_of_log(X)
         if get_config()["enable_metadata_routing"]:
             self.band_ = np.inf  # scikit-learn's own fit leaves no place for a band
@@ -274,34 +267,22 @@ class FlightPipeline(Pipeline):
             super().fit(X, y, **params)
             self._learn_turbulence(X)
         else:
-            regressors, _ = self.fit_regressors(X, y)
-            self.fit_coefficients(X, regressors, y, **params)
+            self.fit_returning_regressors(X, y, **params)
         return self
 
-    def fit_regressors(
-        self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False
-    ) -> tuple[Matrix, Matrix | None]:
-        """Fit all steps but the last; return the regressors (n, d), and which are of no use to an output (P, d).
+    def fit_returning_regressors(
+        self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False, **params: Any
+    ) -> Matrix:
+        """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.
 
         Behind `learn_errors_of_log`. ``choose_engine``: of throttle and airspeed the set of regressors
-        gets those of `engine_regressors`. Otherwise the second is None.
+        gets those of `engine_regressors`.
         """
-        X = self.corrected(X)
-        regressors, without_effect = self._fit_transforms(X, y, choose_engine)
-        return band_limited(regressors, X, self.band_), without_effect
-
-    def fit_coefficients(
-        self,
-        X: pd.DataFrame,
-        regressors: Matrix,
-        y: Any,
-        without_effect: Matrix | None = None,
-        **params: Any,
-    ) -> None:
-        """Fit the last step with its ``params`` to coefficients y (n, P), behind `fit_regressors`."""
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         X = self.corrected(X)
+        regressors, without_effect = self._fit_transforms(X, y, choose_engine)
+        regressors = band_limited(regressors, X, self.band_)
         of_air = self._slopes_of_air(regressors, y)
         slopes = self._known_slopes(of_air, without_effect)
         last.fit(regressors, y, **slopes | self._clock(X) | parameters)
@@ -312,6 +293,7 @@ class FlightPipeline(Pipeline):
                 regressors, residuals, without_effect
             )
         self._learn_turbulence(X)
+        return regressors
 
     def learn_errors_of_log(self, X: pd.DataFrame) -> AirspeedScale:
         """Set ``airspeed_scale_`` and ``band_`` by flights X; return the error of the airspeed.

@@ -166,7 +166,6 @@ class TestLeastSquares:
         targets = thin_targets(targets, 120)
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
-        targets += result.pipeline.fast_motion_.added(X, train)
         linear = LinearRegression().fit(X[rows], targets[rows])
         measured = aerodynamic_coefficients(test, flights.aircraft)
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
@@ -206,8 +205,7 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
         lags=None,
         regressor=DependentGPRegressor(structure="trend", random_state=0),
     ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
-    X, without_effect = model.fit_regressors(flight, Y, choose_engine=True)
-    model.fit_coefficients(flight, X, Y, without_effect)
+    model.fit_returning_regressors(flight, Y, choose_engine=True)
     chosen = model["regressorselector"].regressors_
     assert {"throttle", "airspeed"} & {*chosen} == expected
     assert len(chosen) == 8 + len(expected)

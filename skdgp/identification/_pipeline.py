@@ -258,7 +258,7 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
-        self.coefficient_filter_ = "auto"  # unknown of coefficients that are given
+        self.coefficient_filter_ = "auto"  # how y was smoothed is unknown
         self.learn_errors_of_log(X)
         if get_config()["enable_metadata_routing"]:
             self.band_ = np.inf  # scikit-learn's own fit leaves no place for a band

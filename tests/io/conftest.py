@@ -5,11 +5,13 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.random import default_rng
 from scipy.spatial.transform import Rotation
 
-from skdgp.io import AUTOPILOTS, read_flight
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp.preprocessing import FlightDataWarning
 
 ULOG_CODES = {
     "float": "f",
@@ -42,6 +44,7 @@ class LogWriter:
     """Collects definitions and data messages with their times; ``bytes()`` puts the data in order of time."""
 
     head = b""
+    suffix = ""
 
     def __init__(self):
         self.definitions = []
@@ -79,6 +82,7 @@ def typed(field, n):
 class ULogWriter(LogWriter):
     """A log of PX4."""
 
+    suffix = ".ulg"
     head = b"ULog\x01\x12\x35\x01" + bytes(8)
 
     def __init__(self, **parameters):
@@ -117,6 +121,8 @@ class ULogWriter(LogWriter):
 class DataFlashWriter(LogWriter):
     """A log of ArduPilot."""
 
+    suffix = ".bin"
+
     def __init__(self, *messages, **parameters):
         super().__init__()
         self.types = {}
@@ -146,13 +152,19 @@ class DataFlashWriter(LogWriter):
         return self
 
     def topic(self, name, time, **fields):
-        """Add a topic; a field is ``(code, values)``."""
+        """Add a topic; a field is floats, or other values with their type ``(code, values)``."""
         columns = [np.round(np.asarray(time) * 1e6).astype(int).tolist()]
-        for code, values in fields.values():
+        codes = "Q"
+        for field in fields.values():
+            code, values = field if isinstance(field, tuple) else ("f", field)
             scaled = np.broadcast_to(values, len(time)) * DATAFLASH_SCALE.get(code, 1)
             columns.append((scaled if code == "f" else np.round(scaled).astype(int)).tolist())
-        codes = "Q" + "".join(code for code, _ in fields.values())
+            codes += code
         return self.rows(name, codes, ",".join(["TimeUS", *fields]), zip(*columns, strict=True))
+
+    def imu(self, time, rate, name="IMU", **fields):
+        """Add gyros that all read the same rate."""
+        return self.topic(name, time, GyrX=rate, GyrY=rate, GyrZ=rate, **fields)
 
 
 @pytest.fixture
@@ -169,26 +181,59 @@ def dataflash():
 
 @pytest.fixture
 def write(tmp_path):
-    """Write a log, or bytes, under a name; return the path."""
+    """Write a log, its bytes, a text or a table, under a name; return the path."""
 
-    def write(log, name="log.ulg"):
-        (tmp_path / name).write_bytes(bytes(log))
-        return tmp_path / name
+    def write(content, name=None):
+        is_table = isinstance(content, (str, pd.DataFrame))
+        suffix = ".csv" if is_table else getattr(content, "suffix", ".ulg")
+        path = tmp_path / (name or f"log{suffix}")
+        if isinstance(content, str):
+            path.write_text(content, encoding="utf-8")
+        elif not is_table:
+            path.write_bytes(bytes(content))
+        elif path.suffix == ".csv":
+            content.to_csv(path, index=False)
+        else:
+            content.to_parquet(path)
+        return path
 
     return write
 
 
 @pytest.fixture
 def read(write):
-    """Write a log under a name, and read its flights."""
-    return lambda log, name="log.ulg", **options: read_flight(write(log, name), **options)
+    """Write a log or a table, and read its flights."""
+    return lambda content, name=None, **options: read_flight(write(content, name), **options)
+
+
+@pytest.fixture
+def refused(read):
+    """Assert that a log or a table is refused in some words; return these."""
+
+    def refused(words, content, name=None, **options):
+        with pytest.raises(FlightReadError, match=words) as error:
+            read(content, name, **options)
+        return str(error.value)
+
+    return refused
+
+
+@pytest.fixture
+def told(read):
+    """Read a log, which a FlightDataWarning tells of."""
+
+    def told(words, log, name=None, **options):
+        with pytest.warns(FlightDataWarning, match=words):
+            return read(log, name, **options)
+
+    return told
 
 
 @pytest.fixture
 def parse(write):
     """Write a log under a name, and return its topics, parameters and controls."""
 
-    def parse(log, name="log.ulg"):
+    def parse(log, name=None):
         path = write(log, name)
         return AUTOPILOTS[path.suffix](path)
 
@@ -356,7 +401,7 @@ def ardupilot(flight):
     add("POS", 10, Alt="altitude")
     add("BARO", 10, I=zero, Press=flight.pressure)
     add("CTUN", 10, factor=100, ThO="throttle")
-    add("RPM", 10, factor=30 / np.pi, rpm1="propeller_speed", rpm2=("f", 0.0))
+    add("RPM", 10, factor=30 / np.pi, rpm1="propeller_speed", rpm2=0.0)
     outputs = {"C1": pulse("aileron"), "C2": pulse("elevator", -1000), "C3": ("H", 1100)}
     add("RCOU", 50, code="H", **outputs, C4=pulse("rudder"))
     return bytes(log)

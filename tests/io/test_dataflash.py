@@ -55,7 +55,7 @@ class TestAsPymavlink:
 
 
 def ticks(log, *times):
-    return log.topic("TICK", [t * 1e-6 for t in times], X=("f", [0.5 * t for t in times]))
+    return log.topic("TICK", [t * 1e-6 for t in times], X=[0.5 * t for t in times])
 
 
 def times(log):
@@ -84,17 +84,13 @@ class TestWhatTheLogSaysOfItself:
     def test_instances(self, read, dataflash):
         log = dataflash()
         for n in (0, 1, 2):
-            log.topic(
-                "BARO", [0.1 * (3 * k + n) for k in range(4)], I=("B", n), Alt=("f", 10.0 * n)
-            )
+            log.topic("BARO", [0.1 * (3 * k + n) for k in range(4)], I=("B", n), Alt=10.0 * n)
         topics = read(log).topics
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
         assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
     def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
-        log = dataflash().topic(
-            "ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=("f", [1, 2, 3, 4])
-        )
+        log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=[1, 2, 3, 4])
         kind = log.types["ABC"][0]
         log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
         assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
@@ -192,7 +188,7 @@ def test_a_parameter_that_changes_counts_as_in_the_middle(read, dataflash):
 
 def test_how_a_file_begins_counts_before_its_suffix(write, dataflash, tmp_path):
     log = ticks(dataflash(), *(10**5 * np.arange(100)))
-    log.topic("ARSP", np.arange(0, 10, 0.1), Airspeed=("f", 20.0))
+    log.topic("ARSP", np.arange(0, 10, 0.1), Airspeed=20.0)
     table = read_flight(write(log, "binary.log"), airborne=False)
     assert_allclose(table.airspeed, 20.0)
     lines = ["FMT, 130, 23, ARSP, Qf, TimeUS,Airspeed"]

@@ -177,12 +177,9 @@ def test_a_bench_of_a_vtol(vtol_bench):
 def bench(write, dataflash):
     """Return a log of a bench: the safety switch is on, so no pulses go out; nothing blows into the pitot tube."""
     time = 0.04 * np.arange(500)
-    level = {f"Gyr{axis}": ("f", 0.0) for axis in "XYZ"} | {
-        f"Acc{axis}": ("f", 0.0) for axis in "XYZ"
-    }
     log = dataflash("ArduPlane V4.0.6 (abcdef01)", SERVO2_FUNCTION=19.0)
-    log.topic("IMU", time, I=("B", 0), **level | {"AccZ": ("f", -9.8)})
-    log.topic("ARSP", time, I=("B", 0), Airspeed=("f", 1.0), H=("B", 0), U=("B", 1))
+    log.imu(time, 0.0, I=("B", 0), AccX=0.0, AccY=0.0, AccZ=-9.8)
+    log.topic("ARSP", time, I=("B", 0), Airspeed=1.0, H=("B", 0), U=("B", 1))
     log.topic("AETR", time, Elev=("h", 4500 * np.sin(time)))
     log.topic("RCOU", time, C2=("H", 0))
     return write(log, "bench.bin")

@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from skdgp.io import FlightReadError
-from skdgp.preprocessing import FlightDataWarning
-
 T = 10 + np.arange(1500) / 50.0
 SLOW = T[::5]
 # rotors lift until then
@@ -13,6 +10,7 @@ TRANSITION = 20.0
 HOVERS = SLOW < TRANSITION
 PLANE = "ArduPlane V4.5.1 (abcdef01)"
 MOTORS = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
+RUNNING = dict.fromkeys(("C5", "C6", "C7", "C8"), ("H", 1500))
 
 
 @pytest.fixture
@@ -21,8 +19,8 @@ def vtol(dataflash):
 
     def vtol(**parameters):
         log = dataflash(PLANE, Q_ENABLE=1.0, **parameters)
-        log.topic("IMU", T, **{f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"})
-        log.topic("ARSP", SLOW, Airspeed=("f", 18 + np.sin(SLOW)), H=("B", 1))
+        log.imu(T, np.sin(T))
+        log.topic("ARSP", SLOW, Airspeed=18 + np.sin(SLOW), H=("B", 1))
         modes = ("B", np.where(HOVERS, 18, 5))
         return log.topic("MODE", SLOW, Mode=("M", 0), ModeNum=modes)
 
@@ -35,17 +33,15 @@ def is_in_forward_flight_alone(table):
 
 @pytest.mark.parametrize("is_reversed", [0.0, 1.0])
 @pytest.mark.parametrize("function", [41.0, 45.0, 75.0])
-def test_motors_that_all_tilt(read, vtol, function, is_reversed):
+def test_motors_that_all_tilt(told, vtol, function, is_reversed):
     """They run throughout; the servo that tilts them goes to the end of its range."""
     tilt = {"SERVO9_FUNCTION": function, "SERVO9_REVERSED": is_reversed}
     ends = {"SERVO9_MIN": 1000.0, "SERVO9_MAX": 2000.0}
     log = vtol(Q_TILT_MASK=15.0, **MOTORS, **tilt, **ends)
     fraction = np.where(HOVERS, 0.4, 1.0)
     pulse = 2000 - 1000 * fraction if is_reversed else 1000 + 1000 * fraction
-    running = dict.fromkeys(("C5", "C6", "C7", "C8"), ("H", 1500))
-    log.topic("RCOU", SLOW, **running, C9=("H", pulse))
-    with pytest.warns(FlightDataWarning, match="rotors lift"):
-        table = read(log, "log.bin")
+    log.topic("RCOU", SLOW, **RUNNING, C9=("H", pulse))
+    table = told("rotors lift", log)
     assert is_in_forward_flight_alone(table)
 
 
@@ -58,29 +54,26 @@ def test_motors_that_all_tilt(read, vtol, function, is_reversed):
     ],
     ids=["tailsitter", "tailsitter with motors of a copter", "motors on other outputs"],
 )
-def test_the_mode_counts_where_no_output_tells(read, vtol, parameters, outputs):
+def test_the_mode_counts_where_no_output_tells(told, vtol, parameters, outputs):
     log = vtol(**parameters)
     log.topic("RCOU", SLOW, **dict.fromkeys(outputs.split(), ("H", 1500)))
-    with pytest.warns(FlightDataWarning, match="rotors lift"):
-        table = read(log, "log.bin")
+    table = told("rotors lift", log)
     assert is_in_forward_flight_alone(table)
 
 
-def test_a_flight_in_which_rotors_lift_throughout(read, vtol):
+def test_a_flight_in_which_rotors_lift_throughout(refused, vtol):
     log = vtol(**MOTORS)
-    running = dict.fromkeys(("C5", "C6", "C7", "C8"), ("H", 1500))
-    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **running)
-    with pytest.raises(FlightReadError, match=r"rotors lift the VTOL.* in 100 %") as refusal:
-        read(log, "log.bin")
-    assert "all above" not in str(refusal.value)
-    assert "never stays above" not in str(refusal.value)
+    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **RUNNING)
+    said = refused(r"rotors lift the VTOL.* in 100 %", log)
+    assert "all above" not in said
+    assert "never stays above" not in said
 
 
 def test_a_mode_that_flies_on_wings_at_first(read, vtol):
     """QRTL returns in forward flight: the motors count, which are idle."""
     log = vtol(**MOTORS)
     log.topic("MODE", SLOW + 1e-3, Mode=("M", 0), ModeNum=("B", 21))
-    idle = dict.fromkeys(("C5", "C6", "C7", "C8"), ("H", 1000))
+    idle = dict.fromkeys(RUNNING, ("H", 1000))
     log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **idle)
-    table = read(log, "log.bin")
+    table = read(log)
     assert len(table) > 0.98 * len(T)

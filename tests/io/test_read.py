@@ -23,37 +23,17 @@ def table(n=50, **columns):
     return pd.DataFrame({**data, **columns})
 
 
-@pytest.fixture
-def write(tmp_path):
-    """Write a table or text under a name; return the path."""
-
-    def to(name, content):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        if isinstance(content, str):
-            path.write_text(content, encoding="utf-8")
-        elif path.suffix == ".csv":
-            content.to_csv(path, index=False)
-        else:
-            content.to_parquet(path)
-        return path
-
-    return to
+def test_flight_column_and_argument(read):
+    two = pd.concat([table(flight="a"), table(flight="b")])
+    assert read(two).flight.unique().tolist() == ["a", "b"]
+    assert read(table(flight=7)).flight.unique().tolist() == ["7"]
+    assert read(table(), flight="named").flight.unique().tolist() == ["named"]
 
 
-def test_flight_column_and_argument(write):
-    path = write("two.csv", pd.concat([table(flight="a"), table(flight="b")]))
-    assert read_flight(path).flight.unique().tolist() == ["a", "b"]
-    assert read_flight(write("one.csv", table(flight=7))).flight.unique().tolist() == ["7"]
-    assert read_flight(write("one.csv", table()), flight="named").flight.unique().tolist() == [
-        "named"
-    ]
-
-
-def test_stated_units_are_converted(write):
+def test_stated_units_are_converted(read):
     header = "time [ms],alpha [deg],q (deg/s),airspeed [kt],wind speed [kt]"
     text = f"{header}\n0,90,180,10,1\n20,45,90,20,2\n"
-    flight = read_flight(write("log.csv", text))
+    flight = read(text)
     assert_allclose(flight.time, [0, 0.02])
     assert_allclose(flight.alpha, [np.pi / 2, np.pi / 4])
     assert_allclose(flight.q, [np.pi, np.pi / 2])
@@ -62,61 +42,45 @@ def test_stated_units_are_converted(write):
 
 
 @pytest.mark.parametrize("unit", ["furlong", "deg"])
-def test_unit_that_does_not_fit(write, unit):
-    with pytest.raises(
-        FlightReadError, match=f"Got unit '{unit}' for column 'airspeed', but expected one of"
-    ):
-        read_flight(write("log.csv", f"time,airspeed [{unit}]\n0,1\n1,2\n"))
+def test_unit_that_does_not_fit(refused, unit):
+    refused(
+        f"Got unit '{unit}' for column 'airspeed', but expected one of",
+        f"time,airspeed [{unit}]\n0,1\n1,2\n",
+    )
 
 
 class TestUnitsThatNumbersGiveAway:
     @pytest.mark.parametrize(
         "name", ["alpha", "beta", "theta", "phi", "elevator", "aileron", "rudder", "elevon_left"]
     )
-    def test_degrees(self, write, name):
+    def test_degrees(self, read, refused, name):
         values = 12 * np.sin(np.arange(50))
-        with pytest.raises(
-            FlightReadError, match=f"'{name}'.*look like degrees. Convert them with numpy.deg2rad"
-        ):
-            read_flight(write("log.csv", table(**{name: values})))
-        read_flight(write("log.csv", table(**{name: np.deg2rad(values)})))
+        refused(
+            f"'{name}'.*look like degrees. Convert them with numpy.deg2rad", table(**{name: values})
+        )
+        read(table(**{name: np.deg2rad(values)}))
 
-    def test_values_of_another_column(self, write):
+    def test_values_of_another_column(self, refused):
         """A name is missing in the header, so the airspeed stands under alpha."""
         rows = table(alpha=0.05)[["time", "airspeed", "alpha", "q"]]
         shifted = rows.set_axis(["time", "alpha", "q", "extra"], axis="columns")
-        with pytest.raises(FlightReadError, match="look like the values of another column"):
-            read_flight(write("log.csv", shifted))
+        refused("look like the values of another column", shifted)
 
-    def test_heading(self, write):
+    def test_heading(self, refused):
         degrees = np.linspace(300, 420, 50) % 360
-        with pytest.raises(FlightReadError, match=r"'psi'.*degrees"):
-            read_flight(write("log.csv", table(psi=degrees)))
-        with pytest.raises(FlightReadError, match=r"'psi'.*wrapped by numpy.angle"):
-            read_flight(write("log.csv", table(psi=np.linspace(0, 40, 50))))
+        refused(r"'psi'.*degrees", table(psi=degrees))
+        refused(r"'psi'.*wrapped by numpy.angle", table(psi=np.linspace(0, 40, 50)))
 
-    def test_one_bad_sample_is_not_a_unit(self, write):
+    def test_one_bad_sample_is_not_a_unit(self, read):
         alpha = np.full(500, 0.05)
         alpha[100] = 3.0
-        assert (
-            len(
-                read_flight(
-                    write("log.csv", pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha}))
-                )
-            )
-            == 500
-        )
+        assert len(read(pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha}))) == 500
 
-    def test_per_cent_g_and_milliseconds(self, write):
-        with pytest.raises(FlightReadError, match="expected 0 to 1: divide it"):
-            read_flight(write("log.csv", table(throttle=55.0)))
-        with pytest.raises(FlightReadError, match="looks like g"):
-            read_flight(write("log.csv", table(ax=0.02, ay=0.0, az=-1.01)))
-        with pytest.raises(FlightReadError, match="looks like milliseconds"):
-            read_flight(write("log.csv", table(time=20.0 * np.arange(50))))
-        assert read_flight(
-            write("log.csv", table(ax=0.2, ay=0.0, az=-9.9))
-        ).az.mean() == pytest.approx(-9.9)
+    def test_per_cent_g_and_milliseconds(self, read, refused):
+        refused("expected 0 to 1: divide it", table(throttle=55.0))
+        refused("looks like g", table(ax=0.02, ay=0.0, az=-1.01))
+        refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
+        assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)
 
 
 class TestRefusals:
@@ -135,7 +99,7 @@ class TestRefusals:
         ],
     )
     def test_says_what_is_wrong(self, write, name, content, message):
-        path = write(name, content)
+        path = write(content, name)
         with pytest.raises(FlightReadError, match=message) as error:
             read_flight(path)
         assert str(path) in str(error.value)
@@ -152,45 +116,43 @@ class TestRefusals:
             read_flight(tmp_path / "gone.csv")
 
     def test_parquet_without_its_extra(self, write, monkeypatch):
-        path = write("log.parquet", table())
+        path = write(table(), "log.parquet")
         monkeypatch.setitem(sys.modules, "pyarrow", None)
         with pytest.raises(ImportError, match=r"pip install 'skdgp\[parquet\]'"):
             read_flight(path)
 
 
 class TestRemarks:
-    def test_misspelt_names(self, write):
-        path = write("log.csv", table(Beta=0.0, trottle=0.2, my_sensor=1.0))
-        with pytest.warns(
-            UserWarning,
-            match=r"'Beta' \(did you mean 'beta' \[rad\]\?\), 'trottle' \(did you mean 'throttle'\?\)",
-        ):
-            assert read_flight(path).attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
+    def test_misspelt_names(self, read):
+        words = r"'Beta' \(did you mean 'beta' \[rad\]\?\), 'trottle' \(did you mean 'throttle'\?\)"
+        with pytest.warns(UserWarning, match=words):
+            flight = read(table(Beta=0.0, trottle=0.2, my_sensor=1.0))
+        assert flight.attrs["unknown_columns"] == ["Beta", "trottle", "my_sensor"]
 
-    def test_infinities_are_missing(self, write):
+    def test_infinities_are_missing(self, read):
         rows = table()
         rows.loc[3, "q"] = np.inf
         with pytest.warns(UserWarning, match=r"\['q'\] are read as missing"):
-            assert np.isnan(read_flight(write("log.parquet", rows)).q[3])
+            assert np.isnan(read(rows, "log.parquet").q[3])
 
-    def test_dates_become_seconds(self, write):
+    def test_dates_become_seconds(self, read):
         rows = table(
             time=pd.Timestamp("2024-05-01") + pd.to_timedelta(0.02 * np.arange(50), unit="s")
         )
-        assert_allclose(read_flight(write("log.parquet", rows)).time, 0.02 * np.arange(50))
+        assert_allclose(read(rows, "log.parquet").time, 0.02 * np.arange(50))
 
 
 class TestRename:
     NAMES = {"de": "elevator", "ias": "airspeed"}
 
-    def test_names_and_units(self, write):
+    def test_names_and_units(self, read):
         text = "time,de [deg],ias\n0,18,20\n0.02,9,21\n"
-        flight = read_flight(write("log.csv", text), rename=self.NAMES)
+        flight = read(text, rename=self.NAMES)
         assert_allclose(flight.elevator, [np.pi / 10, np.pi / 20])
         assert flight.airspeed.tolist() == [20, 21]
         expected = table().rename(columns={"elevator": "de", "airspeed": "ias"})
-        for path in (write("a.parquet", expected), write("b.csv", expected)):
-            assert {"elevator", "airspeed"} <= set(read_flight(path, rename=self.NAMES))
+        for name in ("a.parquet", "b.csv"):
+            assert {"elevator", "airspeed"} <= set(read(expected, name, rename=self.NAMES))
 
     @pytest.mark.parametrize(
         ("rename", "message"),
@@ -200,10 +162,9 @@ class TestRename:
             ({"de": "alpha"}, r"repeated columns \['alpha'\]"),
         ],
     )
-    def test_refusals(self, write, rename, message):
-        path = write("a.parquet", table().rename(columns={"elevator": "de"}))
-        with pytest.raises(FlightReadError, match=message):
-            read_flight(path, rename=rename)
+    def test_refusals(self, refused, rename, message):
+        named = table().rename(columns={"elevator": "de"})
+        refused(message, named, "a.parquet", rename=rename)
 
 
 def test_accelerations_that_were_never_sampled_are_no_warning(tmp_path):

@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from skdgp.io import inspect_log
-from skdgp.preprocessing import FlightDataWarning
 
 POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 PLACE = (0.12, -0.03, 0.05)
@@ -20,9 +19,8 @@ def parameters(name, place=PLACE):
 
 def inertial(log, number=0):
     """Add an IMU of ArduPilot."""
-    rates = {f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"}
-    force = {f"Acc{axis}": ("f", values) for axis, values in zip("XYZ", FORCE.T, strict=True)}
-    return log.topic("IMU", T + number * 1e-3, I=("B", number), **rates, **force)
+    ax, ay, az = FORCE.T
+    return log.imu(T + number * 1e-3, np.sin(T), I=("B", number), AccX=ax, AccY=ay, AccZ=az)
 
 
 def test_of_ardupilot(read, write, dataflash):
@@ -34,13 +32,12 @@ def test_of_ardupilot(read, write, dataflash):
     assert summary.columns.loc["sensor_position_z", "source"] == "INS_POS1_X _Y _Z"
 
 
-def test_of_the_imu_that_the_autopilot_used(read, dataflash):
+def test_of_the_imu_that_the_autopilot_used(told, dataflash):
     log = dataflash(**parameters("INS_POS1", (1.0, 1.0, 1.0)), **parameters("INS_POS2"))
     for number in range(2):
         inertial(log, number)
     log.topic("XKF4", T[::5], PI=("B", 1))
-    with pytest.warns(FlightDataWarning, match=r"IMU#1 \(as XKF4.PI"):
-        table = read(log, "log.bin", airborne=False)
+    table = told(r"IMU#1 \(as XKF4.PI", log, "log.bin", airborne=False)
     assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
 
 
@@ -83,9 +80,9 @@ def test_zeros_state_nothing(read, dataflash, place):
 def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):
     """Without accelerometers, wherever these would be."""
     log = dataflash(**parameters("INS_POS1"))
-    log.topic("IMU", T, **{f"Gyr{axis}": ("f", np.sin(T)) for axis in "XYZ"})
-    log.topic("ATT", T, Roll=("f", np.sin(T)), Pitch=("f", np.cos(T)), Yaw=("f", 10.0))
-    log.topic("XKF1", T, **{name: ("f", np.sin(T)) for name in ("VN", "VE", "VD")})
+    log.imu(T, np.sin(T))
+    log.topic("ATT", T, Roll=np.sin(T), Pitch=np.cos(T), Yaw=10.0)
+    log.topic("XKF1", T, **{name: np.sin(T) for name in ("VN", "VE", "VD")})
     table = read(log, "log.bin", airborne=False)
     assert table["az"].notna().any()
     assert_allclose(table[POSITION], 0.0)

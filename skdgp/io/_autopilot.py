@@ -53,7 +53,7 @@ from skdgp.io._log import (
     reversed_of,
     with_throws,
 )
-from skdgp.io._resets import RESETS, ResetSettings
+from skdgp.io._resets import RESETS
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import HEADER, read_ulog
@@ -75,15 +75,6 @@ BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-NOT_FLYING_ON_WINGS = (
-    "multicopter",
-    "helicopter",
-    "rover",
-    "boat",
-    "submarine",
-    "airship",
-    "antenna tracker",
-)
 # fields that say whether motors may run, and their value then
 ARMED = (
     ("actuator_armed", "armed", 1.0),
@@ -142,6 +133,11 @@ class Part(NamedTuple):
 
     log: Log
     table: pd.DataFrame
+    # of each row: speed [m/s]; whether it is reported as landed; whether rotors lift a VTOL
+    speed: Vector
+    landed: Mask
+    lifted: Mask
+    # rows of each flight
     segments: list[slice]
     # times [s] of all resets that cannot be corrected
     cuts: Vector
@@ -162,18 +158,6 @@ class FlightLog(NamedTuple):
     def longest(self) -> Part:
         """The part with most rows."""
         return max(self.parts, key=lambda part: len(part.table))
-
-    @property
-    def highest_speed(self) -> float:
-        """Highest speed [m/s] of the longest part, minus infinity where there is none."""
-        return float(np.nanmax(_speed(self.longest.table, self.log), initial=-np.inf))
-
-    @property
-    def highest_speed_on_wings(self) -> float:
-        """Highest speed [m/s] of the longest part while no rotor lifts, minus infinity where there is none."""
-        table, log = self.longest.table, self.longest.log
-        speed = _speed(table, log)[~log.lifts(table["time"].to_numpy())]
-        return float(np.nanmax(speed, initial=-np.inf))
 
 
 def is_log(path: object) -> bool:
@@ -248,24 +232,27 @@ def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
         return None
     table, origin = to_table(sources)
     table, origin = with_stated_position(table, origin, sources, log)
-    segments = find_segments(table, log, speed, believes_landed=isinstance(airborne, bool))
+    time = table["time"].to_numpy()
+    speeds = _speed(table, log)
+    landed = log.lands(time)
+    lifted = log.lifts(time)
+    # a speed that is given counts whatever the autopilot reports
+    on_ground = landed & isinstance(airborne, bool)
+    segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
     remarks = []
     if airborne is not False:
-        fraction = log.lifts(table["time"].to_numpy()).mean()
-        if fraction:
+        if lifted.any():
             remarks.append(
-                f"{100 * fraction:.0f} % of the rows are left out of flights: rotors lift the "
+                f"{100 * lifted.mean():.0f} % of the rows are left out of flights: rotors lift the "
                 "VTOL, or it is in transition"
             )
         if segments:
             remarks += _against_flight(log)
     cuts = np.unique([cut for source in sources for cut in source.cuts])
-    return Part(log, table, segments, cuts, origin, remarks + useless)
+    return Part(log, table, speeds, landed, lifted, segments, cuts, origin, remarks + useless)
 
 
-def find_sources(
-    log: Log, controls: Mapping[str, Control], settings: TableSettings = TABLE
-) -> tuple[list[Source], list[str]]:
+def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source], list[str]]:
     """Return the source of each group of columns, and remarks on sources that are of no use."""
     chosen: dict[tuple[str, ...], Source] = {}
     useless = []
@@ -278,8 +265,8 @@ def find_sources(
             useless.append(problem)
             continue
         first = chosen.setdefault(rule.columns, source)
-        least = min(settings.least_rate, settings.least_ratio * first.rate)
-        if first.rate < settings.least_rate and source.rate >= least:
+        least = min(TABLE.least_rate, TABLE.least_ratio * first.rate)
+        if first.rate < TABLE.least_rate and source.rate >= least:
             chosen[rule.columns] = source
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
     useless += [source.remark for source in sources if source.remark]
@@ -357,11 +344,9 @@ def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
     )
 
 
-def to_table(
-    sources: list[Source], settings: TableSettings = TABLE
-) -> tuple[pd.DataFrame, dict[str, Origin]]:
+def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
-    columns, origin = _on_clock(sources, settings)
+    columns, origin = _on_clock(sources)
     if "density" not in columns and "altitude" in columns:
         columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
@@ -372,17 +357,17 @@ def to_table(
     table = pd.DataFrame(columns)
     table = table.where(np.isfinite(table))
     if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
-        table, origin = with_specific_force(table, origin, settings)
+        table, origin = with_specific_force(table, origin)
     table = _in_order(table)
     return table, {name: origin[name] for name in table if name in origin}
 
 
 def _on_clock(
-    sources: list[Source], settings: TableSettings
+    sources: list[Source],
 ) -> tuple[dict[str, Vector], dict[str, Origin]]:
     """Return the columns of the sources on the clock of one of them, and where each is from."""
     leader = _leader(sources)
-    rate = float(f"{min(settings.highest_rate, leader.rate):.3g}")
+    rate = float(f"{min(TABLE.highest_rate, leader.rate):.3g}")
     clock = uniform_clock(leader.time, rate)
     columns: dict[str, Vector] = {"time": clock}
     origin: dict[str, Origin] = {}
@@ -441,7 +426,7 @@ def _attitude(source: Source, clock: Vector, rate: float) -> Matrix:
 
 
 def with_specific_force(
-    table: pd.DataFrame, origin: dict[str, Origin], settings: TableSettings = TABLE
+    table: pd.DataFrame, origin: dict[str, Origin]
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g).
 
@@ -453,7 +438,7 @@ def with_specific_force(
     try:
         # rows that stand alone have no rate of change
         with without_warnings():
-            change = differentiate(velocity, table["time"], cutoff=settings.velocity_cutoff * rate)
+            change = differentiate(velocity, table["time"], cutoff=TABLE.velocity_cutoff * rate)
     # the clock of the log is not sound, which coefficients refuse themselves
     except ValueError:
         return table, origin
@@ -470,9 +455,7 @@ def with_specific_force(
 # -- flights in a log
 
 
-def flight_table(
-    flown: FlightLog, name: str, *, airborne: Any, settings: FlightSettings = FLIGHT
-) -> pd.DataFrame:
+def flight_table(flown: FlightLog, name: str, *, airborne: Any) -> pd.DataFrame:
     """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
     pieces = []
     for part in flown.parts:
@@ -481,122 +464,124 @@ def flight_table(
             continue
         for rows in part.segments:
             for piece in _cut(part.table.iloc[rows], part.cuts):
-                pieces.append(_trimmed(piece, settings))
+                pieces.append(_trimmed(piece))
     flights: list[pd.DataFrame] = []
     for piece in pieces:
         if len(piece):
             flight = f"{name}#{len(flights) + 1}" if flights else name
             flights.append(piece.assign(flight=flight))
-    if not flights or flown.log.vehicle in NOT_FLYING_ON_WINGS:
+    if not flights or not flown.log.has_wings:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
             f"({no_flight_because(flown)}), but expected a fixed wing in the air"
-            f"{_remedies(flown, settings)}."
+            f"{_remedies(flown)}."
         )
     return pd.concat(flights, ignore_index=True)
 
 
-def _cut(table: pd.DataFrame, cuts: Vector, settings: ResetSettings = RESETS) -> list[pd.DataFrame]:
+def _cut(table: pd.DataFrame, cuts: Vector) -> list[pd.DataFrame]:
     """Return the pieces of a table between resets, whose neighbouring rows are left out."""
     time = table["time"].to_numpy()
     pieces = []
     edges = [-np.inf, *cuts.tolist(), np.inf]
     for begin, end in pairwise(edges):
-        rows = (time >= begin + settings.margin) & (time < end - settings.margin)
+        rows = (time >= begin + RESETS.margin) & (time < end - RESETS.margin)
         if rows.any():
             pieces.append(table[rows])
     return pieces
 
 
-def _airborne_speed(log: Log, settings: FlightSettings = FLIGHT) -> float:
+def _airborne_speed(log: Log) -> float:
     """Return the airspeed [m/s] above which an aircraft flies, by the autopilot's parameters."""
     for name in SLOWEST_AIRSPEED:
         speed = log.parameters.get(name, np.nan)
         if 0 < speed < 200:
-            return settings.airborne_fraction * speed
-    return settings.airborne_speed
+            return FLIGHT.airborne_fraction * speed
+    return FLIGHT.airborne_speed
 
 
-def find_segments(
-    table: pd.DataFrame,
-    log: Log,
-    speed: float,
-    settings: FlightSettings = FLIGHT,
-    *,
-    believes_landed: bool = True,
-) -> list[slice]:
-    """Return the rows of each flight: airspeed above a speed, and not reported as landed.
+def _segments(table: pd.DataFrame, is_flight: Mask, on_ground: Mask) -> list[slice]:
+    """Return the rows of each flight, of rows (n,) that are fast and not reported as landed.
 
-    Without an airspeed the speed over ground is used, unless the vehicle has no wings. What rolls
-    on its wheels after it was reported as landed does not fly yet.
+    What rolls on its wheels after it was reported as landed does not fly yet.
     """
     time = table["time"].to_numpy()
-    landed = log.lands(time) & believes_landed
-    is_flight = (_speed(table, log) > speed) & ~landed & ~log.lifts(time)
     rows = np.flatnonzero(is_flight)
-    pauses = np.flatnonzero(np.diff(time[rows]) >= settings.longest_dip) + 1
+    pauses = np.flatnonzero(np.diff(time[rows]) >= FLIGHT.longest_dip) + 1
     segments = []
     for part in np.split(rows, pauses):
         if len(part):
-            first = _lift_off(table, landed, part[0], part[-1], settings)
-            if time[part[-1]] - time[first] >= settings.shortest:
+            first = _lift_off(table, on_ground, part[0], part[-1])
+            if time[part[-1]] - time[first] >= FLIGHT.shortest:
                 segments.append(slice(first, int(part[-1]) + 1))
     return segments
 
 
-def _lift_off(
-    table: pd.DataFrame, landed: Mask, first: int, last: int, settings: FlightSettings
-) -> int:
+def _lift_off(table: pd.DataFrame, on_ground: Mask, first: int, last: int) -> int:
     """Return the first row of a flight that is clear of the ground on which it was reported as landed before."""
-    before = np.flatnonzero(landed[:first])
+    before = np.flatnonzero(on_ground[:first])
     if not len(before) or "down" not in table:
         return int(first)
     down = table["down"].to_numpy()
     height = down[before[-1]] - down[first : last + 1]
     # the first row where it is never clear: the height is not to be believed
-    return int(first + (height > settings.clear_height).argmax())
+    return int(first + (height > FLIGHT.clear_height).argmax())
 
 
-def _trimmed(flight: pd.DataFrame, settings: FlightSettings) -> pd.DataFrame:
+def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     """Return a flight without rows at its ends, at most a second, where slow channels have no value."""
     time = flight["time"].to_numpy()
     sampled = flight.notna().to_numpy()
     sampled = sampled[:, sampled.any(axis=0)]
     begins = time[sampled.argmax(axis=0)]
     ends = time[::-1][sampled[::-1].argmax(axis=0)]
-    begin = begins[begins <= time[0] + settings.longest_edge].max()
-    end = ends[ends >= time[-1] - settings.longest_edge].min()
+    begin = begins[begins <= time[0] + FLIGHT.longest_edge].max()
+    end = ends[ends >= time[-1] - FLIGHT.longest_edge].min()
     return flight[(time >= begin) & (time <= end)]
 
 
-def _remedies(flown: FlightLog, settings: FlightSettings) -> str:
+def _remedies(flown: FlightLog) -> str:
     """Return what reads more of a log: all of it, or a speed that finds a flight, which overrides "landed".
 
     It is empty for a vehicle without wings, and has no speed where nothing moves.
     """
-    if flown.log.vehicle in NOT_FLYING_ON_WINGS:
+    if not flown.log.has_wings:
         return ""
     remedy = ": airborne=False (--airborne all) reads all of it"
-    highest = settings.airborne_fraction * flown.highest_speed_on_wings
+    highest = FLIGHT.airborne_fraction * _highest(flown.longest.speed[~flown.longest.lifted])
     if not highest >= 1.0:
         return remedy
     speed = f"{min(flown.speed, highest):.2g}"
     return f"{remedy}, airborne={speed} (--airborne {speed}) all above {speed} m/s"
 
 
+def _highest(speed: Vector) -> float:
+    """Return the highest speed, minus infinity where there is none."""
+    return float(np.nanmax(speed, initial=-np.inf))
+
+
 def no_flight_because(flown: FlightLog) -> str:
     """Return why a log holds no flight."""
-    vehicle = flown.log.vehicle
-    if vehicle in NOT_FLYING_ON_WINGS:
-        return f"a {vehicle}: not for this program; if it has wings, correct the vehicle type on the autopilot"
-    log = flown.longest.log
-    excluded = [*_landed_throughout(flown.longest), *_lifted_throughout(flown.longest)]
-    reasons = [*_unarmed(log), *excluded, *_unmoved(log)]
+    if not flown.log.has_wings:
+        return (
+            f"a {flown.log.vehicle}: not for this program; if it has wings, correct the vehicle "
+            "type on the autopilot"
+        )
+    part = flown.longest
+    excluded = []
+    if part.landed.all():
+        ((name, field, value, _),) = part.log.landed
+        excluded.append(
+            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
+        )
+    if part.lifted.all():
+        excluded.append("rotors lift the VTOL, or it is in transition, in 100 % of the rows")
+    reasons = [*_unarmed(part.log), *excluded, *_unmoved(part.log)]
     channel = "airspeed"
-    if "airspeed" not in flown.longest.table:
+    if "airspeed" not in part.table:
         channel = "ground speed"
         reasons.append("there is no valid airspeed")
-    highest = flown.highest_speed
+    highest = _highest(part.speed)
     is_fast = highest > flown.speed
     if np.isfinite(highest) and not (excluded and is_fast):
         reasons.append(
@@ -605,7 +590,7 @@ def no_flight_because(flown: FlightLog) -> str:
     return ", ".join(reasons)
 
 
-def _unarmed(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
+def _unarmed(log: Log) -> list[str]:
     """Return that the autopilot was never armed, with the field that says so, if it was not.
 
     What is disarmed after the beginning was armed before.
@@ -614,14 +599,14 @@ def _unarmed(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
         topic = log.topics.get(name, NOTHING)
         if field in topic:
             first = min(each.time[0] for each in log.topics.values() if len(each))
-            was_disarmed = name in ARMING_EVENTS and topic.time[0] > first + settings.longest_edge
+            was_disarmed = name in ARMING_EVENTS and topic.time[0] > first + FLIGHT.longest_edge
             if was_disarmed or (topic[field] == armed).any():
                 return []
             return [f"the autopilot was never armed: {name}.{field} is never {armed:g}"]
     return []
 
 
-def _unmoved(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
+def _unmoved(log: Log) -> list[str]:
     """Return that no output moves, with the largest range, if none does."""
     ranges = []
     for output in log.outputs:
@@ -630,7 +615,7 @@ def _unmoved(log: Log, settings: FlightSettings = FLIGHT) -> list[str]:
                 finite = values[np.isfinite(values)].astype(float)
                 scale = PULSE_RANGE if np.abs(finite).max(initial=0.0) > NO_PULSE else 1.0
                 ranges.append(np.ptp(finite) / scale if finite.size else 0.0)
-    if ranges and max(ranges) < settings.least_motion:
+    if ranges and max(ranges) < FLIGHT.least_motion:
         return [f"no output moves by more than {100 * max(ranges):.2g} % of its range"]
     return []
 
@@ -646,22 +631,6 @@ def _against_flight(log: Log) -> list[str]:
     ]
 
 
-def _landed_throughout(part: Part) -> list[str]:
-    """Return that the autopilot itself says to be on the ground in all rows, with the number, if it does."""
-    log = part.log
-    if not log.lands(part.table["time"].to_numpy()).all():
-        return []
-    ((name, field, value, _),) = log.landed
-    return [f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"]
-
-
-def _lifted_throughout(part: Part) -> list[str]:
-    """Return that rotors lift a VTOL in all rows, if they do."""
-    if not part.log.lifts(part.table["time"].to_numpy()).all():
-        return []
-    return ["rotors lift the VTOL, or it is in transition, in 100 % of the rows"]
-
-
 def _speed(table: pd.DataFrame, log: Log) -> Vector:
     """Return the airspeed (n,), where there is none of a vehicle with wings the speed over ground, else NaN.
 
@@ -670,7 +639,7 @@ def _speed(table: pd.DataFrame, log: Log) -> Vector:
     airspeed = np.full(len(table), np.nan)
     if "airspeed" in table:
         airspeed = table["airspeed"].to_numpy()
-    if not {"v_north", "v_east"} <= {*table} or log.vehicle in NOT_FLYING_ON_WINGS:
+    if not {"v_north", "v_east"} <= {*table} or not log.has_wings:
         return airspeed
     ground_speed = np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
     is_dead = np.nanmax(airspeed, initial=-np.inf) == np.nanmin(airspeed, initial=np.inf)

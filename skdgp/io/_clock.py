@@ -52,18 +52,16 @@ STAMPS = StampSettings()
 RESAMPLING = ResamplingSettings()
 
 
-def clock_parts(
-    topics: dict[str, Topic], settings: StampSettings = STAMPS
-) -> tuple[list[dict[str, Topic]], list[str]]:
+def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
     """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
     order, time = _in_file_order(topics)
-    restarts = _restarts(time, settings)
+    restarts = _restarts(time)
     parts = []
     n_wrong: Counter[str] = Counter()
     n_disordered = 0
     for run in slices(restarts, len(time)):
         first, last = order[run][[0, -1]]
-        low, high = _valid_times(time[run], settings)
+        low, high = _valid_times(time[run])
         part = {}
         for name, topic in topics.items():
             logged = topic.select((topic.order >= first) & (topic.order <= last))
@@ -73,7 +71,19 @@ def clock_parts(
             if len(valid):
                 part[name] = _increasing(valid)
         parts.append(part)
-    remarks = _restart_remarks(time, restarts)
+    return parts, _remarks(time, restarts, n_wrong, n_disordered)
+
+
+def _remarks(
+    time: Vector, restarts: list[int], n_wrong: Counter[str], n_disordered: int
+) -> list[str]:
+    """Return remarks on restarts of a clock, of these the first, on wrong times and on disorder."""
+    remarks = []
+    if restarts:
+        steps = [f"from {time[row - 1]:.1f} s to {time[row]:.1f} s" for row in restarts[:4]]
+        remarks.append(
+            f"the clock was set back {len(restarts)} times ({', '.join(steps)}): each time a new flight begins"
+        )
     if n_wrong.total():
         name, most = n_wrong.most_common(1)[0]
         remarks.append(
@@ -81,23 +91,13 @@ def clock_parts(
         )
     if n_disordered:
         remarks.append(f"{n_disordered} messages stand out of order in time, and were sorted")
-    return parts, remarks
+    return remarks
 
 
 def _increasing(topic: Topic) -> Topic:
     """Return the messages in order of time, each time once."""
     _, rows = np.unique(topic.time, return_index=True)
     return topic.select(rows)
-
-
-def _restart_remarks(time: Vector, restarts: list[int]) -> list[str]:
-    """Return a remark on the first restarts of a clock, none without one."""
-    if not restarts:
-        return []
-    steps = [f"from {time[row - 1]:.1f} s to {time[row]:.1f} s" for row in restarts[:4]]
-    return [
-        f"the clock was set back {len(restarts)} times ({', '.join(steps)}): each time a new flight begins"
-    ]
 
 
 def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
@@ -108,12 +108,12 @@ def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
     return order[rows], time[rows]
 
 
-def _restarts(time: Vector, settings: StampSettings) -> list[int]:
+def _restarts(time: Vector) -> list[int]:
     """Return the first messages of clocks that were set back."""
-    size = settings.block_size
-    steady = _steady(time, size)
+    size = STAMPS.block_size
+    steady = _steady(time)
     restarts = set()
-    falls = np.flatnonzero(np.diff(steady) < -settings.restart_step)
+    falls = np.flatnonzero(np.diff(steady) < -STAMPS.restart_step)
     for block in falls.tolist():
         start = max(block - 3, 0) * size
         window = time[start : (block + 5) * size]
@@ -124,17 +124,17 @@ def _restarts(time: Vector, settings: StampSettings) -> list[int]:
     return sorted(restarts - {len(time)})
 
 
-def _valid_times(time: Vector, settings: StampSettings) -> tuple[float, float]:
+def _valid_times(time: Vector) -> tuple[float, float]:
     """Return the earliest and the latest time that messages of a part may have."""
-    steady = _steady(time, settings.block_size)
+    steady = _steady(time)
     step = np.abs(np.diff(steady)).max(initial=0.0)
-    margin = settings.margin + min(step, settings.largest_step)
+    margin = STAMPS.margin + min(step, STAMPS.largest_step)
     return steady.min() - margin, steady.max() + margin
 
 
-def _steady(time: Vector, block_size: int) -> Vector:
+def _steady(time: Vector) -> Vector:
     """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
-    size = min(block_size, len(time))
+    size = min(STAMPS.block_size, len(time))
     n_blocks = len(time) // size
     blocks = time[: n_blocks * size].reshape(n_blocks, size)
     medians = np.pad(np.median(blocks, axis=1), 2, mode="edge")
@@ -143,21 +143,21 @@ def _steady(time: Vector, block_size: int) -> Vector:
     return np.median(sliding_window_view(medians, 5), axis=1)
 
 
-def usual_step(step: Vector, settings: ResamplingSettings = RESAMPLING) -> float:
+def usual_step(step: Vector) -> float:
     """Return the usual step of a clock: the median, or the mean where messages come in bursts.
 
     In bursts, steps longer than gaps are frequent and make up most of the time.
     """
     median = np.median(step)
     gap = step > CLOCK.gap * median
-    are_bursts = gap.mean() > settings.most_gaps and step[gap].sum() > 0.5 * step.sum()
+    are_bursts = gap.mean() > RESAMPLING.most_gaps and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
 
-def uniform_clock(time: Vector, rate: float, settings: ResamplingSettings = RESAMPLING) -> Vector:
+def uniform_clock(time: Vector, rate: float) -> Vector:
     """Return the multiples of 1 / rate [s] within the runs of a channel."""
     step = np.diff(time)
-    pause = max(settings.pause_seconds, settings.pause_steps * np.median(step))
+    pause = max(RESAMPLING.pause_seconds, RESAMPLING.pause_steps * np.median(step))
     ticks = []
     for run in _runs(time, pause):
         first = np.ceil(time[run][0] * rate - 1e-6)
@@ -172,46 +172,35 @@ def _runs(time: Vector, gap: float) -> list[slice]:
     return slices(starts, len(time))
 
 
-def resample(
-    time: Vector,
-    values: Matrix,
-    clock: Vector,
-    rate: float,
-    settings: ResamplingSettings = RESAMPLING,
-) -> Matrix:
-    """Return channels (n, k), sampled at increasing times (n,) [s], on another clock (m,) of ``rate`` [Hz], (m, k).
+def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix:
+    """Return finite channels (n, k) at increasing times (n,) [s] on another clock (m,) of ``rate`` [Hz], (m, k).
 
-    Rows that are not finite count as not sampled; gaps, and rows before the first and after the
-    last sample, are NaN. Each run of samples without a gap (2.5 usual steps) is taken by itself. If
-    it is faster than the new rate it passes a Butterworth low-pass forwards and backwards, which
-    has no delay (Gustafsson 1996, Determining the initial states in forward-backward filtering);
-    then it is interpolated linearly.
+    Gaps, and rows before the first and after the last sample, are NaN. Each run of samples without
+    a gap (2.5 usual steps) is taken by itself. If it is faster than the new rate it passes a
+    Butterworth low-pass forwards and backwards, which has no delay (Gustafsson 1996, Determining
+    the initial states in forward-backward filtering); then it is interpolated linearly.
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
-    sampled = np.isfinite(values).all(axis=1)
-    time, values = time[sampled], values[sampled]
-    if len(time) < 2:
-        return result
-    gap = CLOCK.gap * usual_step(np.diff(time), settings)
+    gap = CLOCK.gap * usual_step(np.diff(time))
     tolerance = 1e-6 / rate
     for run in _runs(time, gap):
         run_time = time[run]
         begin = np.searchsorted(clock, run_time[0] - tolerance)
         end = np.searchsorted(clock, run_time[-1] + tolerance, side="right")
         if len(run_time) > 1 and end > begin:
-            passed = _low_passed(run_time, values[run], rate, settings)
+            passed = _low_passed(run_time, values[run], rate)
             result[begin:end] = interpolated(clock[begin:end], run_time, passed)
     return result
 
 
-def _low_passed(time: Vector, values: Matrix, rate: float, settings: ResamplingSettings) -> Matrix:
+def _low_passed(time: Vector, values: Matrix, rate: float) -> Matrix:
     """Return a run without the frequencies that the new rate cannot carry."""
     n = len(time)
     old_rate = (n - 1) / (time[-1] - time[0])
-    if old_rate < settings.least_ratio * rate:
+    if old_rate < RESAMPLING.least_ratio * rate:
         return values
     even = np.linspace(time[0], time[-1], n)
-    sections = butter(settings.filter_order, settings.cutoff * rate, fs=old_rate, output="sos")
+    sections = butter(RESAMPLING.filter_order, RESAMPLING.cutoff * rate, fs=old_rate, output="sos")
     padding = min(n - 1, round(4 * old_rate / rate) + 27)
     passed = sosfiltfilt(sections, interpolated(even, time, values), axis=0, padlen=padding)
     return interpolated(time, even, passed)

@@ -25,6 +25,9 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 EQUIVALENT = "equivalent_airspeed"
 # pulses shorter than this [us] move no servo: an output that is switched off
 NO_PULSE = 500.0
+NOT_FLYING_ON_WINGS = (
+    "multicopter", "helicopter", "rover", "boat", "submarine", "airship", "antenna tracker",
+)  # fmt: skip
 # mean speed of an engine that runs, over that of the fastest; a guess
 LEAST_SPEED = 0.1
 
@@ -288,6 +291,11 @@ class Log:
     lifting: States = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
     sensor_positions: Mapping[int, StatedPosition] = field(default_factory=dict)
+
+    @property
+    def has_wings(self) -> bool:
+        """Whether the vehicle may fly on wings: only other kinds are excluded."""
+        return self.vehicle not in NOT_FLYING_ON_WINGS
 
     def instances(self, name: str, least: int = 2) -> list[Instance]:
         """Return the instances of a topic that have so many messages, by number."""

@@ -40,7 +40,6 @@ def correct_resets(
     counter: Vector,
     deltas: Matrix,
     is_attitude: bool,
-    settings: ResetSettings = RESETS,
 ) -> Resets:
     """Return the values (n, k) on the scale after the last reset, and the times where this is unknown.
 
@@ -51,23 +50,19 @@ def correct_resets(
         values = without_sign_changes(values)
     values = values.copy()
     sizes = np.linalg.norm(np.diff(values, axis=0), axis=1)
-    largest = settings.jump * np.quantile(sizes, 0.95) if len(sizes) else 0.0
+    largest = RESETS.jump * np.quantile(sizes, 0.95) if len(sizes) else 0.0
     corrected = []
     cuts = []
     for k in (np.flatnonzero(np.diff(counter)) + 1).tolist():
         if sizes[k - 1] <= largest:
             continue
-        before = values[:k]
-        if np.isfinite(deltas[k]).all():
-            moved = _turned(before, deltas[k]) if is_attitude else before + deltas[k]
-            step = np.linalg.norm(values[k] - moved[-1])
-            if is_attitude:
-                step = min(step, np.linalg.norm(values[k] + moved[-1]))
-            if step <= largest:
-                values[:k] = moved
-                corrected.append(float(time[k]))
-                continue
-        cuts.append(float(time[k]))
+        moved = _turned(values[:k], deltas[k]) if is_attitude else values[:k] + deltas[k]
+        # a change that is not logged is NaN
+        if _distance(values[k], moved[-1], is_attitude) <= largest:
+            values[:k] = moved
+            corrected.append(float(time[k]))
+        else:
+            cuts.append(float(time[k]))
     remarks = []
     if corrected:
         remarks.append(f"corrected by its logged changes at {_seconds(corrected)}")
@@ -75,6 +70,12 @@ def correct_resets(
         remarks.append(f"not logged with a change, so a new flight begins, at {_seconds(cuts)}")
     remark = f"{columns}: resets of the estimator, {'; '.join(remarks)}" if remarks else ""
     return Resets(values, cuts, remark)
+
+
+def _distance(a: Vector, b: Vector, is_attitude: bool) -> float:
+    """Return the distance of two vectors, or of two quaternions of either sign."""
+    distance = np.linalg.norm(a - b)
+    return float(min(distance, np.linalg.norm(a + b)) if is_attitude else distance)
 
 
 def place_of_jump(time: Vector, values: Matrix, begin: float, end: float) -> int:
@@ -89,9 +90,11 @@ def place_of_jump(time: Vector, values: Matrix, begin: float, end: float) -> int
 
 
 def _turned(quaternions: Matrix, delta: Vector) -> Matrix:
-    """Return quaternions (w, x, y, z) turned by another one."""
+    """Return quaternions (w, x, y, z) turned by another one, NaN if it is not known."""
     if not delta.any():
         return quaternions
+    if not np.isfinite(delta).all():
+        return np.full_like(quaternions, np.nan)
     turn = Rotation.from_quat(np.roll(delta, -1))
     turned = turn * Rotation.from_quat(np.roll(quaternions, -1, axis=1))
     return np.roll(turned.as_quat(), 1, axis=1)

@@ -181,15 +181,17 @@ def dataflash():
 
 @pytest.fixture
 def write(tmp_path):
-    """Write a log, its bytes, a text or a table, under a name; return the path."""
+    """Write a log, its bytes, telemetry, a text or a table, under a name; return the path."""
+    suffixes = {str: ".csv", pd.DataFrame: ".csv", list: ".tlog", bytes: ".ulg"}
 
     def write(content, name=None):
-        is_table = isinstance(content, (str, pd.DataFrame))
-        suffix = ".csv" if is_table else getattr(content, "suffix", ".ulg")
+        suffix = suffixes.get(type(content)) or content.suffix
         path = tmp_path / (name or f"log{suffix}")
         if isinstance(content, str):
             path.write_text(content, encoding="utf-8")
-        elif not is_table:
+        elif isinstance(content, list):
+            path.write_bytes(b"".join(content))
+        elif not isinstance(content, pd.DataFrame):
             path.write_bytes(bytes(content))
         elif path.suffix == ".csv":
             content.to_csv(path, index=False)
@@ -303,6 +305,17 @@ class Flight:
         """Return channels at some times, (n, k)."""
         return np.column_stack([self[name](np.asarray(time)) for name in names])
 
+    def fields(self, time, fields, factor=1.0):
+        """Return fields of a message at some times: channels by name times a factor, functions, values as they are."""
+        made = {}
+        for key, value in fields.items():
+            if isinstance(value, str):
+                values = factor * self.at(time, *value.split())
+                made[key] = values if " " in value else values[:, 0]
+            else:
+                made[key] = value(time) if callable(value) else value
+        return made
+
     def equivalent_airspeed(self, t):
         return self["airspeed"](t) * np.sqrt(self["density"](t) / 1.225)
 
@@ -323,17 +336,9 @@ def px4(flight):
     log = ULogWriter(MAV_TYPE=1, FW_AIRSPD_MIN=12.0)
 
     def add(name, rate, *, delay=0.0, factor=1.0, **fields):
-        """Add a topic; a field is channels of the flight, or a function of time."""
-        t, made = flight.time(rate, delay=delay), {}
-        for key, value in fields.items():
-            if callable(value):
-                made[key] = value(t)
-            elif not isinstance(value, str):
-                made[key] = value
-            else:
-                values = factor * flight.at(t, *value.split())
-                made[key] = values if " " in value else values[:, 0]
-        log.topic(name, t, **made)
+        """Add a topic."""
+        t = flight.time(rate, delay=delay)
+        log.topic(name, t, **flight.fields(t, fields, factor))
 
     def quaternion(t):
         """Return (w, x, y, z), by SciPy."""
@@ -378,12 +383,11 @@ def ardupilot(flight):
     zero = ("B", 0)
 
     def add(name, rate, *, delay=0.0, code="f", factor=1.0, **fields):
-        """Add a topic; a field is a channel of the flight, a function of time, or values with their type."""
-        t, made = flight.time(rate, delay=delay), {}
-        for key, value in fields.items():
-            channel = flight[value] if isinstance(value, str) else value
-            made[key] = (code, channel(t) * factor) if callable(channel) else channel
-        log.topic(name, t, **made)
+        """Add a topic of fields of a type, if they have none of their own."""
+        t = flight.time(rate, delay=delay)
+        made = flight.fields(t, fields, factor)
+        typed = {key: v if isinstance(v, tuple) else (code, v) for key, v in made.items()}
+        log.topic(name, t, **typed)
 
     def pulse(channel, factor=1000):
         return lambda t: 1500 + factor * flight[channel](t)

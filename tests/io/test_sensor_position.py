@@ -66,7 +66,7 @@ def test_of_telemetry(tlog, read):
     for name, value in parameters("INS_POS1").items():
         message = mavlink.MAVLink_param_value_message(name.encode(), value, 9, 2, 0)
         messages.append(tlog[0][:8] + message.pack(plane))
-    table = read(b"".join([*messages, *tlog]), "log.tlog")
+    table = read([*messages, *tlog])
     assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
 
 

@@ -105,7 +105,7 @@ class FaultSettings:
     missing: float = 1.5
 
 
-SETTINGS = FaultSettings()
+FAULTS = FaultSettings()
 NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE)
 
 
@@ -135,19 +135,17 @@ class _Rows(NamedTuple):
     numbers: dict[str, Any]
 
 
-def find_faults(
-    flights: FlightTable, ignore: Iterable[str] = (), settings: FaultSettings = SETTINGS
-) -> list[Fault]:
+def find_faults(flights: FlightTable, ignore: Iterable[str] = ()) -> list[Fault]:
     """Return the faults of each flight; some columns are ignored."""
     ignored = {*ignore}
     names = [name for name in POSSIBLE if name not in ignored]
     # texts count times from the first row of a clock that counts from 1970
     start = float(flights.time[0])
-    origin = start if abs(start) > settings.epoch else 0.0
+    origin = start if abs(start) > FAULTS.epoch else 0.0
     faults = []
     for flight, rows in flights.clock.rows.items():
         part = flights.part(rows)
-        for fault in _faults_of_flight(part, names, settings):
+        for fault in _faults_of_flight(part, names):
             times = part.time[fault.rows]
             begin = float(times[0])
             end = float(times[-1])
@@ -169,9 +167,7 @@ def without_faults(table: pd.DataFrame, faults: Iterable[Fault]) -> pd.DataFrame
     return table
 
 
-def _faults_of_flight(
-    flight: FlightTable, names: list[str], settings: FaultSettings
-) -> Iterator[_Rows]:
+def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[_Rows]:
     """Yield each fault of a flight: gaps in time, then channel by channel, then dead sensors."""
     steps = np.diff(flight.time)
     step = float(np.median(steps)) if len(steps) else 1.0
@@ -181,39 +177,37 @@ def _faults_of_flight(
         yield _Rows("time", Code.GAP, gaps, numbers)
     channels = flight.numeric_channels(names)
     for name, values in channels.items():
-        yield from _faults_of_channel(name, values, step, settings)
-    yield from _dead(channels, settings)
+        yield from _faults_of_channel(name, values, step)
+    yield from _dead(channels)
 
 
-def _faults_of_channel(
-    name: str, values: Vector, step: float, settings: FaultSettings
-) -> Iterator[_Rows]:
+def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[_Rows]:
     """Yield each fault of a channel; faulty values become NaN."""
-    yield from _missing(name, values, step, settings)
+    yield from _missing(name, values, step)
     values[~np.isfinite(values)] = np.nan
-    yield from _impossible(name, values, settings)
+    yield from _impossible(name, values)
     if name not in SENSORS:
         return
-    for rows in stuck_rows(values, step, settings):
+    for rows in stuck_rows(values, step):
         value = float(values[rows[0]])
         yield _Rows(name, Code.STUCK, rows, {"value": value})
         values[rows] = np.nan
-    marks = mark_rows(values, settings)
+    marks = mark_rows(values)
     values[marks] = np.nan
-    rows = spike_rows(values, angle=name in WRAPPED, settings=settings)
+    rows = spike_rows(values, angle=name in WRAPPED)
     rows = np.union1d(marks, rows)
     if rows.size:
         yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
 
 
-def _missing(name: str, values: Vector, step: float, settings: FaultSettings) -> Iterator[_Rows]:
+def _missing(name: str, values: Vector, step: float) -> Iterator[_Rows]:
     """Yield the gaps, together, of a channel that usually has values there."""
     is_missing = ~np.isfinite(values)
     if is_missing.all():
         yield _Rows(name, Code.MISSING, np.arange(len(values)), {})
         return
     # as many rows are missing between samples of a sensor that is slower than the table
-    usual = settings.missing * usual_spacing(values) - 1
+    usual = FAULTS.missing * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
     if gaps:
         places = np.arange(len(values))
@@ -223,28 +217,28 @@ def _missing(name: str, values: Vector, step: float, settings: FaultSettings) ->
         yield _Rows(name, Code.MISSING, rows, numbers)
 
 
-def _impossible(name: str, values: Vector, settings: FaultSettings) -> Iterator[_Rows]:
+def _impossible(name: str, values: Vector) -> Iterator[_Rows]:
     """Yield the values that no aircraft has, if they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
     n_sampled = np.isfinite(values).sum()
-    if 0 < rows.size <= settings.rare * n_sampled:
+    if 0 < rows.size <= FAULTS.rare * n_sampled:
         numbers = {"value": float(values[rows[0]])}
         values[rows] = np.nan
         yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
 
 
-def dead_channels(flights: FlightTable, settings: FaultSettings = SETTINGS) -> list[str]:
+def dead_channels(flights: FlightTable) -> list[str]:
     """Return the sensors that have one value in all flights while others of their kind move."""
-    return [dead.channel for dead in _dead(flights.numeric_channels(POSSIBLE), settings)]
+    return [dead.channel for dead in _dead(flights.numeric_channels(POSSIBLE))]
 
 
-def _dead(channels: dict[str, Vector], settings: FaultSettings) -> Iterator[_Rows]:
+def _dead(channels: dict[str, Vector]) -> Iterator[_Rows]:
     """Yield sensors that have one value throughout while others of their kind move, else their witnesses."""
     ranges = {}
     for name, values in channels.items():
         sampled = values[np.isfinite(values)]
-        if len(sampled) >= settings.enough:
+        if len(sampled) >= FAULTS.enough:
             ranges[name] = np.ptp(sampled)
     for names in (("airspeed",), *SIBLINGS):
         moving = [name for name in names if ranges.get(name, 0) > 0]
@@ -279,28 +273,28 @@ class _Runs(NamedTuple):
         return cls(rows, start, length, readings[start])
 
 
-def stuck_rows(values: Vector, step: float, settings: FaultSettings = SETTINGS) -> list[Indices]:
+def stuck_rows(values: Vector, step: float) -> list[Indices]:
     """Return the rows of each run where a sensor repeats its last value, improbably often."""
     runs = _Runs.of(values)
-    if len(runs.rows) < settings.enough or np.ptp(runs.value) == 0:
+    if len(runs.rows) < FAULTS.enough or np.ptp(runs.value) == 0:
         return []
-    is_stuck = _is_improbable(runs.length, settings)
-    is_stuck &= runs.length * step >= settings.least_hold
+    is_stuck = _is_improbable(runs.length)
+    is_stuck &= runs.length * step >= FAULTS.least_hold
 
     # a channel that turns back repeats its value, and leaves it by one quantum
     leap = np.abs(np.diff(runs.value, append=np.nan))
     steps = leap[:-1]
-    if _never_recovers(runs.length, step, settings):
+    if _never_recovers(runs.length, step):
         leap[-1] = np.inf
     held = runs.value[runs.length > 1]
-    quantum = max(np.quantile(steps, 0.01), _resolution(held, settings))
+    quantum = max(np.quantile(steps, 0.01), _resolution(held))
     is_stuck &= ~(leap <= 3 * quantum)
 
     # a channel without noise has long runs: it is stuck only if it jumps after the run
     usual_step = np.median(steps)
     largest_usual = np.quantile(steps, 0.99)
-    is_coarse = usual_step <= settings.missing * quantum
-    if is_coarse or _bend(runs.value) < settings.smooth * usual_step:
+    is_coarse = usual_step <= FAULTS.missing * quantum
+    if is_coarse or _bend(runs.value) < FAULTS.smooth * usual_step:
         is_stuck &= leap > largest_usual
 
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
@@ -316,21 +310,21 @@ def stuck_rows(values: Vector, step: float, settings: FaultSettings = SETTINGS) 
     return stuck
 
 
-def _never_recovers(length: Indices, step: float, settings: FaultSettings) -> bool:
+def _never_recovers(length: Indices, step: float) -> bool:
     """Return whether the last run is far longer than all others, so that no step after it is needed."""
     longest_other = length[:-1].max(initial=1)
-    is_long = length[-1] * step >= settings.frozen_seconds
-    return bool(is_long and length[-1] >= settings.frozen_runs * longest_other)
+    is_long = length[-1] * step >= FAULTS.frozen_seconds
+    return bool(is_long and length[-1] >= FAULTS.frozen_runs * longest_other)
 
 
-def _is_improbable(length: Indices, settings: FaultSettings) -> Mask:
+def _is_improbable(length: Indices) -> Mask:
     """Return which of the runs are longer than chance makes one of them."""
     usual = np.median(length)
     n_long = np.sum(length >= 1.5 * usual)
     p = (1 + n_long) / (1 + len(length))
     k = np.floor(length / usual)
     expected = len(length) * p ** (k - 1)
-    return expected < settings.improbable
+    return expected < FAULTS.improbable
 
 
 def _bend(values: Vector) -> float:
@@ -340,20 +334,20 @@ def _bend(values: Vector) -> float:
     return float(np.median(np.abs(np.diff(values, 2))))
 
 
-def _resolution(held: Vector, settings: FaultSettings) -> float:
+def _resolution(held: Vector) -> float:
     """Return the common step of held values, from any origin; 0 if there is none."""
     levels = np.unique(held)
-    if len(levels) < settings.fewest_held:
+    if len(levels) < FAULTS.fewest_held:
         return 0.0
     step = np.diff(levels).min()
     middle = levels[len(levels) // 2]
     multiples = (levels - middle) / step
     distance = np.abs(multiples - np.rint(multiples))
-    on_step = distance < settings.off_step
-    return float(step) if on_step.mean() > settings.most_on_step else 0.0
+    on_step = distance < FAULTS.off_step
+    return float(step) if on_step.mean() > FAULTS.most_on_step else 0.0
 
 
-def mark_rows(values: Vector, settings: FaultSettings = SETTINGS) -> Indices:
+def mark_rows(values: Vector) -> Indices:
     """Return the rows of one value that stands for missing samples, such as zero.
 
     A sensor leaps to it and back, which changes what it reads far less, and repeats no other value
@@ -361,12 +355,12 @@ def mark_rows(values: Vector, settings: FaultSettings = SETTINGS) -> Indices:
     """
     runs = _Runs.of(values)
     nothing = np.empty(0, int)
-    if len(runs.rows) < settings.enough:
+    if len(runs.rows) < FAULTS.enough:
         return nothing
     levels, level, counts = np.unique(runs.value, return_inverse=True, return_counts=True)
     place = counts.argmax()
     most_other = np.delete(counts, place).max(initial=1)
-    if counts[place] < max(settings.fewest_marks, settings.marks_ratio * most_other):
+    if counts[place] < max(FAULTS.fewest_marks, FAULTS.marks_ratio * most_other):
         return nothing
 
     mark = levels[place]
@@ -379,17 +373,17 @@ def mark_rows(values: Vector, settings: FaultSettings = SETTINGS) -> Indices:
     if others.min() < mark < others.max():
         usual = max(usual, np.abs(others - mark).min())
     leap = np.median(np.abs(mark - (before + after) / 2))
-    if leap <= settings.mark_leap * usual:
+    if leap <= FAULTS.mark_leap * usual:
         return nothing
     is_row = np.repeat(is_mark, runs.length)
     return runs.rows[is_row]
 
 
-def spike_rows(values: Vector, *, angle: bool, settings: FaultSettings = SETTINGS) -> Indices:
+def spike_rows(values: Vector, *, angle: bool) -> Indices:
     """Return the rows of a few samples that leap from their neighbours and back."""
     runs = _Runs.of(values)
     rows = np.empty(0, int)
-    if len(runs.value) < settings.enough:
+    if len(runs.value) < FAULTS.enough:
         return rows
     readings = np.unwrap(runs.value) if angle else runs.value
     padded = np.pad(readings, 2, mode="reflect")
@@ -398,12 +392,12 @@ def spike_rows(values: Vector, *, angle: bool, settings: FaultSettings = SETTING
     usual = np.quantile(out, 0.995)
     ends = np.append(runs.start, len(runs.rows))
     last = len(readings) - 1
-    for run in true_runs(out > settings.spike * usual):
+    for run in true_runs(out > FAULTS.spike * usual):
         before = readings[max(run.start - 1, 0)]
         after = readings[min(run.stop, last)]
         height = out[run].max()
         returns = abs(after - before) < height / 2
-        if n_rows(run) <= settings.widest_spike and returns:
+        if n_rows(run) <= FAULTS.widest_spike and returns:
             spike = runs.rows[ends[run.start] : ends[run.stop]]
             rows = np.append(rows, spike)
     return rows

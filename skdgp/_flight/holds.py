@@ -58,9 +58,7 @@ class Hold(NamedTuple):
     repeated: Mask  # (n,) rows that repeat a sample
 
 
-def find_holds(
-    flights: FlightTable, groups: Iterable[Sequence[str]], settings: HoldSettings = HOLDS
-) -> list[Hold]:
+def find_holds(flights: FlightTable, groups: Iterable[Sequence[str]]) -> list[Hold]:
     """Return the channels that repeat their samples, group by group."""
     holds = []
     for group in groups:
@@ -71,9 +69,9 @@ def find_holds(
         repeated = np.zeros(len(values), dtype=bool)
         rates = []
         for run in flights.segments:
-            fresh = fresh_rows(values[run], settings)
+            fresh = fresh_rows(values[run])
             seconds = float(np.ptp(flights.time[run]))
-            if fresh is None or seconds > settings.longest_period * len(fresh):
+            if fresh is None or seconds > HOLDS.longest_period * len(fresh):
                 continue
             repeated[run] = True
             repeated[run.start + fresh] = False
@@ -83,7 +81,7 @@ def find_holds(
     return holds
 
 
-def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None:
+def fresh_rows(values: Matrix) -> Indices | None:
     """Return the rows of fresh samples of channels (n, k) of one clock, None unless they repeat samples.
 
     The channels change after multiples of a steady period of two or more rows. A sample may equal
@@ -92,24 +90,24 @@ def fresh_rows(values: Matrix, settings: HoldSettings = HOLDS) -> Indices | None
     is_sampled = np.isfinite(values).any(axis=0)
     values = values[:, is_sampled]
     whole = np.isfinite(values).all(axis=1)
-    if not is_sampled.any() or whole.mean() < settings.sampled:
+    if not is_sampled.any() or whole.mean() < HOLDS.sampled:
         return None
     changes = 1 + np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
-    return clock_rows(changes, len(values), settings)
+    return clock_rows(changes, len(values))
 
 
-def clock_rows(changes: Indices, n: int, settings: HoldSettings = HOLDS) -> Indices | None:
+def clock_rows(changes: Indices, n: int) -> Indices | None:
     """Return the rows of n of a steady clock that shows in the rows of changes, None if there is none."""
-    if len(changes) < settings.least_changes:
+    if len(changes) < HOLDS.least_changes:
         return None
     gaps = np.diff(changes)
     usual = np.median(gaps)
-    period = gaps[np.abs(gaps - usual) <= max(1.0, settings.jitter * usual)].mean()
-    if period < settings.least_period:
+    period = gaps[np.abs(gaps - usual) <= max(1.0, HOLDS.jitter * usual)].mean()
+    if period < HOLDS.least_period:
         return None
     n_periods = np.maximum(np.rint(gaps / period), 1)
-    on_clock = np.abs(gaps - n_periods * period) <= settings.jitter * period + 0.1
-    if on_clock.mean() < settings.on_clock or np.mean(n_periods == 1) < settings.successive:
+    on_clock = np.abs(gaps - n_periods * period) <= HOLDS.jitter * period + 0.1
+    if on_clock.mean() < HOLDS.on_clock or np.mean(n_periods == 1) < HOLDS.successive:
         return None
     before = np.arange(changes[0] - period, -0.5, -period)[::-1]
     between = [
@@ -120,9 +118,7 @@ def clock_rows(changes: Indices, n: int, settings: HoldSettings = HOLDS) -> Indi
     return np.unique(np.rint(np.concatenate([before, *between, after])).astype(int))
 
 
-def interpolated_rows(
-    time: Vector, values: Vector, settings: HoldSettings = HOLDS
-) -> Indices | None:
+def interpolated_rows(time: Vector, values: Vector) -> Indices | None:
     """Return the rows of the samples of a channel that is a cubic spline between these, None if it is not.
 
     Divided differences of fourth order are zero where no sample lies inside of five rows, so samples
@@ -135,10 +131,10 @@ def interpolated_rows(
     for order in range(1, 5):
         differences = np.diff(differences) / (time[order:] - time[:-order])
     step = float(np.median(np.diff(time)))
-    is_bend = np.abs(differences) * step**4 > settings.rounding * scale
+    is_bend = np.abs(differences) * step**4 > HOLDS.rounding * scale
     # the last but one of the five rows
     samples = 4 + np.flatnonzero(is_bend[1:] & ~is_bend[:-1])
-    return clock_rows(samples, len(time), settings)
+    return clock_rows(samples, len(time))
 
 
 def error_between_samples(time: Vector, values: Vector, samples: Indices) -> Vector:

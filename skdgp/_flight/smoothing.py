@@ -219,7 +219,6 @@ def motion_band(
     time: ArrayLike,
     *,
     flight: ArrayLike | None = None,
-    settings: SmoothingSettings = SMOOTHING,
 ) -> float:
     """Return the frequency [Hz] below which lies nearly all power of each channel (n, k), in each flight.
 
@@ -229,7 +228,7 @@ def motion_band(
     for _, spectrum in _spectra(values, time, flight):
         is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
         sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
-        places = np.argmax(sums >= settings.motion_power * sums[-1], axis=0)
+        places = np.argmax(sums >= SMOOTHING.motion_power * sums[-1], axis=0)
         bands += spectrum.frequency[places].tolist()
     return max(bands, default=np.inf)
 
@@ -371,15 +370,13 @@ class Spectrum(NamedTuple):
         return np.einsum("mii->mi", self.power).real
 
 
-def _flight_spectrum(
-    columns: Matrix, time: Vector, runs: list[slice], settings: SmoothingSettings = SMOOTHING
-) -> Spectrum | None:
+def _flight_spectrum(columns: Matrix, time: Vector, runs: list[slice]) -> Spectrum | None:
     """Return the spectrum of the runs of a flight's channels (n, k); None where none is long enough.
 
     Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
     longest = max(map(n_rows, runs))
-    if longest < settings.least_samples:
+    if longest < SMOOTHING.least_samples:
         return None
     step = median_step(time, runs)
     half = min(_window_rows(step), longest // 4) // 2
@@ -408,9 +405,9 @@ def _flight_spectrum(
     )
 
 
-def _window_rows(step: float, settings: SmoothingSettings = SMOOTHING) -> int:
+def _window_rows(step: float) -> int:
     """Return the most rows of a periodogram."""
-    return int(max(settings.window_seconds / step, settings.shortest_window))
+    return int(max(SMOOTHING.window_seconds / step, SMOOTHING.shortest_window))
 
 
 def _windows(segment: Matrix, size: int) -> Array:
@@ -428,9 +425,7 @@ def white_noise(spectrum: Spectrum) -> Vector:
     return np.where(floor > spectrum.rounding, floor, 0.0)
 
 
-def _noise_floor(
-    frequency: Vector, power: Vector, averages: float, settings: SmoothingSettings = SMOOTHING
-) -> float:
+def _noise_floor(frequency: Vector, power: Vector, averages: float) -> float:
     """Return the flat part of the upper half of a spectrum, without the falling part.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
@@ -448,7 +443,7 @@ def _noise_floor(
     weights, misfit = _fit_weights(shapes, observed)
     _, misfit_without = _fit_weights(shapes[:, 1:], observed)
     gain = averages * (misfit_without - misfit)
-    return weights[0] if gain > settings.evidence else 0.0
+    return weights[0] if gain > SMOOTHING.evidence else 0.0
 
 
 def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
@@ -468,12 +463,10 @@ def _separate_gain(spectrum: Spectrum, shrinks: NDArray[np.bool_]) -> Matrix:
     return np.where(shrinks | _is_beyond(gain), gain, 1.0)
 
 
-def _wiener_gain(
-    spectrum: Spectrum, floor: Vector, settings: SmoothingSettings = SMOOTHING
-) -> Matrix:
+def _wiener_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
     """Return Wiener's smoother of each channel alone, (m, k)."""
     log_power = np.log(spectrum.channel_power + TINY)
-    width = max(1.0, settings.averages / spectrum.averages)
+    width = max(1.0, SMOOTHING.averages / spectrum.averages)
     smoothed = ndimage.gaussian_filter1d(log_power, width, axis=0, mode="nearest")
     steady = np.exp(smoothed)
     # h = max(0, 1 - N / P)

@@ -109,7 +109,7 @@ def _how_to_wrap(*names: str) -> str:
     return " Unwrapped roll and heading can be wrapped by numpy.angle(numpy.exp(1j * psi))."
 
 
-def is_unwrapped(table: pd.DataFrame, name: str, settings: UnitSettings = UNITS) -> bool:
+def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     """Return whether roll or heading beyond a turn is in radians without jumps, and not in degrees.
 
     It does not jump by 360, and changes over a second by no more than the gyros turn; degrees
@@ -122,18 +122,18 @@ def is_unwrapped(table: pd.DataFrame, name: str, settings: UnitSettings = UNITS)
     angle = flights.column(name)
     change = np.abs(_over_a_second(flights, angle))
     jumps_by_degrees = ((change > 300) & (change < 361)).any()
-    if np.isfinite(change).sum() < settings.enough or jumps_by_degrees:
+    if np.isfinite(change).sum() < UNITS.enough or jumps_by_degrees:
         return False
     fastest = _quantile(change, 0.9)
     if has_values(table, *GYROS[name]) and fastest > 0:
         turns = [_turn_in_a_second(flights, rate) for rate in GYROS[name]]
         turned = _quantile(np.linalg.norm(turns, axis=0), 0.9)
-        most = max(settings.clearly_faster * turned, settings.no_turn)
+        most = max(UNITS.clearly_faster * turned, UNITS.no_turn)
         return fastest <= min(most, FASTEST_TURN[name])
     first = table[name].groupby(flights.clock.flight).first()
     begins_within_a_turn = first.abs().max() <= 2 * np.pi + ANGLE_NOISE
     n_turns = _quantile(np.abs(angle), 0.99) / (2 * np.pi)
-    is_slow = fastest <= settings.slow_turn and n_turns <= settings.most_turns
+    is_slow = fastest <= UNITS.slow_turn and n_turns <= UNITS.most_turns
     return bool(begins_within_a_turn and is_slow)
 
 
@@ -178,20 +178,20 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
     return flights
 
 
-def check_units(flights: FlightTable, settings: UnitSettings = UNITS) -> None:
+def check_units(flights: FlightTable) -> None:
     """Raise ValueError if the numbers of flights are in degrees, per cent, g or milliseconds.
 
     A hundredth of the values may be faults. Warn of surfaces that are probably commands.
     """
-    _check_angles(flights, settings)
+    _check_angles(flights)
     throttle = _quantile(flights.column("throttle"), 0.99)
-    if throttle > settings.most_throttle:
+    if throttle > UNITS.most_throttle:
         raise ValueError(
             f"Got throttle up to {throttle:g}, but expected 0 to 1: divide it by its full range "
             f"(100 for per cent, or 'throttle [%]' in the header)."
         )
     force = _quantile(_size(flights, SPECIFIC_FORCE), 0.5)
-    low, high = settings.force_in_g
+    low, high = UNITS.force_in_g
     if low < force < high:
         raise ValueError(
             f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near "
@@ -199,16 +199,16 @@ def check_units(flights: FlightTable, settings: UnitSettings = UNITS) -> None:
             f"in 'az [g]'; if gravity was removed, add it (az is -9.8 in level flight)."
         )
     step = _quantile(np.diff(flights.time), 0.5)
-    if step > settings.longest_step:
+    if step > UNITS.longest_step:
         raise ValueError(
             f"Got a median time step of {step:g}, but expected seconds: this looks like "
             f"milliseconds or microseconds. Divide time by 1e3 or 1e6, or say the unit in the "
             f"header, as in 'time [ms]'."
         )
-    _warn_of_commands(flights, settings)
+    _warn_of_commands(flights)
 
 
-def _check_angles(flights: FlightTable, settings: UnitSettings) -> None:
+def _check_angles(flights: FlightTable) -> None:
     """Raise ValueError if angles or rates are in degrees."""
     degrees: dict[str, float] = {}
     shifted: dict[str, float] = {}
@@ -218,7 +218,7 @@ def _check_angles(flights: FlightTable, settings: UnitSettings) -> None:
         if top > usual and not is_unwrapped(flights.table, name):
             degrees[name] = round(top, 1)
             middle = _quantile(sizes, 0.5)
-            if middle > settings.largest_middle and name not in WRAPPED:
+            if middle > UNITS.largest_middle and name not in WRAPPED:
                 shifted[name] = round(middle, 1)
     if shifted:
         raise ValueError(
@@ -234,13 +234,13 @@ def _check_angles(flights: FlightTable, settings: UnitSettings) -> None:
         )
 
 
-def _warn_of_commands(flights: FlightTable, settings: UnitSettings) -> None:
+def _warn_of_commands(flights: FlightTable) -> None:
     """Warn of surfaces that are probably commands from -1 to 1: large, or at 1 exactly."""
     large = {}
     for name in ALL_SURFACES:
         angles = np.abs(flights.column(name))
         top = _quantile(angles, 0.99)
-        if top > settings.largest_deflection or (angles == 1).sum() > 1:
+        if top > UNITS.largest_deflection or (angles == 1).sum() > 1:
             large[name] = top
     if large:
         report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}), stacklevel=4)

@@ -22,8 +22,7 @@ from skdgp._flight.channels import (
     SENSOR_POSITION,
     SPECIFIC_FORCE,
 )
-from skdgp._flight.faults import POSSIBLE
-from skdgp._flight.faults import SETTINGS as FAULTS
+from skdgp._flight.faults import FAULTS, POSSIBLE
 from skdgp._flight.frames import (
     HIGHEST,
     LOWEST,

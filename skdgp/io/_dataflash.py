@@ -302,12 +302,8 @@ def read_dataflash_text(path: Path) -> Log:
         topic = texts[name].topic()
         if topic is None:
             continue
-        number = _instance_field(texts[name].codes, texts[name].columns)
-        if number is None:
-            topics[name] = topic
-            continue
-        for k in np.unique(topic[number][np.isfinite(topic[number])]).astype(int).tolist():
-            topics[instance_name(name, k)] = topic.select(topic[number] == k)
+        field = _instance_field(texts[name].codes, texts[name].columns)
+        topics |= _instances(name, topic, field)
     if not topics:
         raise FlightReadError(
             "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
@@ -370,22 +366,20 @@ def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[
         topic = topics[name]
         suffix = str(numbers[name]).removeprefix("1")
         is_used = np.full(len(topic), parameters.get(f"{IMU_USE}{suffix}", 1.0))
-        imus[name] = Topic(topic.time, topic.order, topic.fields | {IMU_USE: is_used})
+        imus[name] = topic.with_fields(**{IMU_USE: is_used})
     return imus
 
 
 def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
     """Return RCOU with the outputs of the messages that follow each."""
     outputs = topics["RCOU"]
-    fields = dict(outputs.fields)
-    for name in FURTHER_OUTPUTS:
+    fields: dict[str, np.ndarray] = {}
+    for name in FURTHER_OUTPUTS[::-1]:
         further = topics.get(name, NOTHING)
         if len(further):
             following = np.searchsorted(further.order, outputs.order)
-            rows = np.minimum(following, len(further) - 1)
-            for field, values in further.fields.items():
-                fields.setdefault(field, values[rows])
-    return Topic(outputs.time, outputs.order, fields)
+            fields |= further.select(np.minimum(following, len(further) - 1)).fields
+    return outputs.with_fields(**fields | outputs.fields)
 
 
 def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | None:
@@ -399,9 +393,7 @@ def lifting_modes(topic: str, field: str) -> States:
     return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
 
 
-def _lifting(
-    outputs: Topic, parameters: Mapping[str, float], name: str, settings: LiftSettings = LIFT
-) -> States:
+def _lifting(outputs: Topic, parameters: Mapping[str, float], name: str) -> States:
     """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt.
 
     ``name`` is the channel of output n; none where no such output is logged.
@@ -415,9 +407,9 @@ def _lifting(
     for n, function in _functions(outputs, parameters, name).items():
         topic, field = name.format(n).split(".")
         if function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(function) & 1:
-            motors.append((topic, field, low + settings.running * (high - low), np.inf))
+            motors.append((topic, field, low + LIFT.running * (high - low), np.inf))
         if function in TILT_SERVOS and tilted:
-            limits = _pulses_short_of(settings.forward, parameters, n)
+            limits = _pulses_short_of(LIFT.forward, parameters, n)
             tilts.append((topic, field, *limits))
     return tuple(motors or tilts)
 
@@ -478,6 +470,17 @@ def _instance_field(codes: str, columns: list[str]) -> str | None:
         if column in INSTANCES and code in "BM":
             return column
     return None
+
+
+def _instances(name: str, topic: Topic, field: str | None) -> dict[str, Topic]:
+    """Return the messages of each instance by name; all of them if no field numbers instances."""
+    if field is None:
+        return {name: topic}
+    numbers = topic[field]
+    instances = {}
+    for k in np.unique(numbers[np.isfinite(numbers)]).astype(int).tolist():
+        instances[instance_name(name, k)] = topic.select(numbers == k)
+    return instances
 
 
 class _Messages:
@@ -583,15 +586,9 @@ class _File:
             is_timed = messages.starts and messages.is_kind("TimeUS", "iu")
             if messages.name in DEFINITIONS or not is_timed:
                 continue
-            records = messages.read(self.data)
-            topic = messages.topic(records)
+            topic = messages.topic(messages.read(self.data))
             field = messages.instance_field(units.get(number, ""))
-            if field is None:
-                topics.setdefault(messages.name, topic)
-                continue
-            for k in np.unique(records[field]).tolist():
-                name = instance_name(messages.name, k)
-                topics.setdefault(name, topic.select(records[field] == k))
+            topics = _instances(messages.name, topic, field) | topics
         return dict(sorted(topics.items()))
 
 

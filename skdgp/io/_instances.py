@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,8 +65,8 @@ class Source(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """The usual rate [Hz], NaN of less than two samples."""
-        return 1.0 / usual_step(np.diff(self.time)) if len(self.time) > 1 else np.nan
+        """The usual rate [Hz] of two samples or more."""
+        return 1.0 / usual_step(np.diff(self.time))
 
     @property
     def origin(self) -> Origin:
@@ -93,8 +93,13 @@ class Readings(NamedTuple):
     def health(self) -> tuple[bool, float, bool, float]:
         """Order of instances: valid readings, the autopilot's flag, readings that move."""
         share = float(self.valid.mean())
-        moves = bool(np.ptp(self.values[self.valid]) > 0) if self.valid.any() else False
-        return share > 0, round(share, 2), moves, float(self.preferred.mean())
+        moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
+        return share > 0, round(share, 2), bool(moves), float(self.preferred.mean())
+
+    @property
+    def step(self) -> float:
+        """The usual step [s], infinite of a single reading."""
+        return usual_step(np.diff(self.time)) if len(self.time) > 1 else np.inf
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:
@@ -134,6 +139,11 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if rule.columns == COMMANDS:
         readings = readings[:1]
     readings.sort(key=lambda each: each.health, reverse=True)
+    return _source_of(log, rule, readings)
+
+
+def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
+    """Return the source by the chosen readings of instances, best first."""
     times = np.unique(np.concatenate([each.time for each in readings]))
     used, use = _used(log, rule, readings, times)
     chosen = _chosen(readings, used, times, any(each.is_measurement for each in rule.used))
@@ -148,12 +158,22 @@ def choose(log: Log, rule: Rule) -> Source | None:
             rule.words, time, values, counter, deltas, is_attitude
         )
         remarks.append(remark)
-    remark = "; ".join(filter(None, remarks))
-    names = _names(readings, chosen)
     most = int(np.argmax(np.bincount(chosen[chosen != NONE], minlength=1)))
-    number = readings[most].instance.number
-    note = _note(readings, use)
-    return _source(rule, names, time, values, note, remark, tuple(cuts), number)
+    return Source(
+        columns=rule.columns,
+        name=_words(rule, _names(readings, chosen)),
+        time=time,
+        values=values,
+        note=_joined(", ", rule.note, _note(readings, use)),
+        remark=_joined("; ", *remarks),
+        cuts=tuple(cuts),
+        instance=readings[most].instance.number,
+    )
+
+
+def _joined(separator: str, *texts: str) -> str:
+    """Return the texts that are not empty, joined."""
+    return separator.join(filter(None, texts))
 
 
 def _merged(
@@ -170,13 +190,9 @@ def _merged(
     return time[order], values[order], counter[order], deltas[order]
 
 
-def _source(
-    rule: Rule, names: list[str], time: Vector, values: Matrix, note: str, *others: Any
-) -> Source:
-    """Return the source of a rule's columns, named by its instances and fields."""
-    words = f"{' and '.join(names[:3])}.{_field_words(rule.fields)}"
-    notes = ", ".join(filter(None, (rule.note, note)))
-    return Source(rule.columns, words, time, values, notes, *others)
+def _words(rule: Rule, names: list[str]) -> str:
+    """Return the name of a source: its instances and fields."""
+    return f"{' and '.join(names[:3])}.{_field_words(rule.fields)}"
 
 
 def _field_words(fields: tuple[str, ...]) -> str:
@@ -190,32 +206,44 @@ def _field_words(fields: tuple[str, ...]) -> str:
 def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     """Return the root mean square of the engines that drive: thrusts go with the square of the speed."""
     readings = [each for each in readings if each.valid.any()] or readings[:1]
-    speeds = []
-    for each in readings:
-        drives = each.valid & ~log.lifts(each.time)
-        speeds.append(float(np.mean(np.abs(each.values[drives]))) if drives.any() else 0.0)
-    least = LEAST_SPEED * max(speeds)
-    runs = [speed > least for speed in speeds]
+    speeds = np.array([_speed_in_flight(log, each) for each in readings])
+    runs = speeds > LEAST_SPEED * speeds.max()
     running = list(compress(readings, runs)) or readings[:1]
     time = running[0].time[running[0].valid]
-    squares = np.zeros(len(time))
+    squares = []
     for each in running:
         speed = each.values[each.valid, 0]
-        squares += np.interp(time, each.time[each.valid], speed) ** 2
-    names = [each.instance.name for each in running]
-    mean = np.sqrt(squares / len(running))[:, None]
+        squares.append(np.interp(time, each.time[each.valid], speed) ** 2)
+    mean = np.sqrt(np.sum(squares, axis=0) / len(running))
     note = engines_note(len(running))
-    speeds = list(compress(speeds, runs))
-    apart = max(speeds, default=0.0) - min(speeds, default=0.0)
-    remark = ""
-    if apart > LARGEST_APART * sum(speeds) / len(running):
-        commanded = "the part that was not commanded (differential_throttle)"
-        lost = commanded if "differential_throttle" in log.commands else "their yawing moment"
-        remark = (
-            f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: {lost} "
-            "is in no column"
-        )
-    return _source(rule, names, time, mean, note, remark)
+    return Source(
+        columns=rule.columns,
+        name=_words(rule, [each.instance.name for each in running]),
+        time=time,
+        values=mean[:, None],
+        note=_joined(", ", rule.note, note),
+        remark=_remark_of_engines(log, note, speeds[runs]),
+    )
+
+
+def _speed_in_flight(log: Log, engine: Readings) -> float:
+    """Return the mean speed of an engine while no rotor lifts the aircraft [rad/s]."""
+    drives = engine.valid & ~log.lifts(engine.time)
+    return float(np.mean(np.abs(engine.values[drives]))) if drives.any() else 0.0
+
+
+def _remark_of_engines(log: Log, note: str, speeds: Vector) -> str:
+    """Return a remark on engines whose mean speeds [rad/s] differ, nothing where they do not."""
+    apart = np.ptp(speeds) if len(speeds) else 0.0
+    if apart <= LARGEST_APART * np.sum(speeds) / max(len(speeds), 1):
+        return ""
+    lost = "their yawing moment"
+    if "differential_throttle" in log.commands:
+        lost = "the part that was not commanded (differential_throttle)"
+    return (
+        f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: {lost} "
+        "is in no column"
+    )
 
 
 def _readings(instance: Instance, rule: Rule) -> Readings:
@@ -295,8 +323,7 @@ def _chosen(
     for place, each in enumerate(readings):
         last = last_before(each.time, times)
         age = times - each.time[last]
-        step = usual_step(np.diff(each.time)) if len(each.time) > 1 else np.inf
-        is_fresh = np.abs(age) <= CLOCK.gap * step
+        is_fresh = np.abs(age) <= CLOCK.gap * each.step
         scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + (each.preferred[last] > 0)
         if used is not None:
             scores[place] += USED_WEIGHT * (used == place)
@@ -323,17 +350,18 @@ def _note(readings: list[Readings], use: str) -> str:
 
 def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule, use: str) -> str:
     """Return a remark where the chosen instance is not the first one throughout."""
+    is_chosen = chosen != NONE
+    chosen, times = chosen[is_chosen], times[is_chosen]
+    starts = np.flatnonzero(np.diff(chosen, prepend=NONE))
+    instances = [readings[place].instance for place in chosen[starts]]
     first = min(each.instance.number for each in readings)
-    chosen, times = chosen[chosen != NONE], times[chosen != NONE]
-    changes = [0, *(np.flatnonzero(np.diff(chosen)) + 1).tolist()]
-    if not len(chosen):
+    if all(instance.number == first for instance in instances):
         return ""
-    numbers = [readings[chosen[k]].instance.number for k in changes]
-    if len(readings) < 2 or numbers == [first]:
-        return ""
-    names = [readings[chosen[k]].instance.name for k in changes]
-    parts = [f"{name} from {times[k]:.1f} s" for name, k in zip(names, changes, strict=True)]
-    text = names[0] if len(parts) == 1 else ", ".join(parts[:4])
+    parts = [instance.name for instance in instances]
+    if len(parts) > 1:
+        begins = times[starts].tolist()
+        parts = [f"{name} from {t:.1f} s" for name, t in zip(parts, begins, strict=True)]
+    text = ", ".join(parts[:4])
     if len(parts) > 4:
         text += f" and {len(parts) - 4} more changes"
     reason = f"as {use} says, where it is healthy" if use else "the healthiest"
@@ -350,15 +378,14 @@ def _disagreement(readings: list[Readings], times: Vector, rule: Rule) -> str:
     together = np.all(valid, axis=0)
     if not together.any():
         return ""
-    means = []
-    parts = []
+    means = {}
     for each, last in zip(readings, rows, strict=True):
-        mean = float(each.values[last[together]].mean())
-        means.append(mean)
-        parts.append(f"{each.instance.name} {mean:.3g} m/s")
-    if max(means) - min(means) <= LARGEST_DISAGREEMENT * max(means):
+        means[each.instance.name] = float(each.values[last[together]].mean())
+    most = max(means.values())
+    if most - min(means.values()) <= LARGEST_DISAGREEMENT * most:
         return ""
-    return f"airspeeds differ on average ({', '.join(parts)}): not all of them are right"
+    parts = ", ".join(f"{name} {mean:.3g} m/s" for name, mean in means.items())
+    return f"airspeeds differ on average ({parts}): not all of them are right"
 
 
 def _unmeasured(readings: Readings, rule: Rule) -> str:

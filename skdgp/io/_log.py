@@ -76,6 +76,10 @@ class Topic:
         """Return fields side by side, (n, k)."""
         return np.column_stack([self[name] for name in names])
 
+    def with_fields(self, **fields: np.ndarray) -> Topic:
+        """Return the messages with further fields."""
+        return Topic(self.time, self.order, self.fields | fields)
+
     def select(self, rows: Indices | Mask) -> Topic:
         """Return the messages of some rows."""
         fields = {name: values[rows] for name, values in self.fields.items()}

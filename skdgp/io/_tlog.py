@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter, defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -140,32 +141,16 @@ def read_tlog(path: Path) -> Log:
     """Return a telemetry log; raise FlightReadError if it is none, ImportError without pymavlink."""
     mavlink = extra("pymavlink.dialects.v20.ardupilotmega", "logs")
     messages, skipped = _messages(path.read_bytes(), mavlink)
-    flown = [each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE"]
-    if not flown:
-        raise FlightReadError(
-            "Got a file without a message ATTITUDE of MAVLink, but expected the "
-            "telemetry of an aircraft: is it empty, or of another kind?"
-        )
-    systems = Counter(flown)
-    system, _ = systems.most_common(1)[0]
-    others: tuple[str, ...] = ()
-    if len(systems) > 1:
-        others = (
-            f"of the vehicles {sorted(systems)} number {system} is read, with most attitudes",
-        )
+    system, others = _system(messages)
     by_name = _by_name(messages, system)
     beats = by_name.get("HEARTBEAT", {}).values()
     is_px4 = any(beat.autopilot == PX4 for beat in beats)
     vehicles = [MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES]
+    sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
-    attitude = _clock(by_name["ATTITUDE"])
-    topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
-    if "HEARTBEAT" in topics:
-        topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
-    if {"VFR_HUD", "SYS_STATUS"} <= topics.keys():
-        topics["VFR_HUD"] = _with_pitot(topics["VFR_HUD"], topics["SYS_STATUS"])
+    topics = _topics(by_name)
     outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
     vehicle = _vehicle(topics, vehicles, parameters)
     lifting: States = ()
@@ -173,7 +158,7 @@ def read_tlog(path: Path) -> Log:
         modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
         lifting = (HOVER, *(outputs.lifting or modes))
     rules = _rules(topics, lifting)
-    sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
+    positions = PX4_IMU_POSITIONS if is_px4 else IMU_POSITIONS
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
@@ -189,10 +174,36 @@ def read_tlog(path: Path) -> Log:
         aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
-        sensor_positions=stated_positions(
-            parameters, PX4_IMU_POSITIONS if is_px4 else IMU_POSITIONS, sits_on_tail
-        ),
+        sensor_positions=stated_positions(parameters, positions, sits_on_tail),
     )
+
+
+def _system(messages: list[Any]) -> tuple[int, list[str]]:
+    """Return the number of the vehicle with most attitudes, and a remark on others, if there are any.
+
+    Raises FlightReadError if there is no attitude.
+    """
+    flown = Counter(each.get_srcSystem() for each in messages if each.get_type() == "ATTITUDE")
+    if not flown:
+        raise FlightReadError(
+            "Got a file without a message ATTITUDE of MAVLink, but expected the "
+            "telemetry of an aircraft: is it empty, or of another kind?"
+        )
+    system, _ = flown.most_common(1)[0]
+    if len(flown) == 1:
+        return system, []
+    return system, [f"of the vehicles {sorted(flown)} number {system} is read, with most attitudes"]
+
+
+def _topics(by_name: Mapping[str, dict[int, Any]]) -> dict[str, Topic]:
+    """Return the topics, with fields on whether the autopilot was armed and a sensor measured the airspeed."""
+    attitude = _clock(by_name["ATTITUDE"])
+    topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
+    if "HEARTBEAT" in topics:
+        topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
+    if {"VFR_HUD", "SYS_STATUS"} <= topics.keys():
+        topics["VFR_HUD"] = _with_pitot(topics["VFR_HUD"], topics["SYS_STATUS"])
+    return topics
 
 
 def _vehicle(
@@ -219,7 +230,7 @@ def _with_armed(beats: Topic) -> Topic:
     """Return the heartbeats with a field that says whether the autopilot was armed."""
     modes = beats.fields["base_mode"].astype(int)
     is_armed = (modes & ARMED) > 0
-    return Topic(beats.time, beats.order, beats.fields | {"armed": is_armed})
+    return beats.with_fields(armed=is_armed)
 
 
 def _with_pitot(hud: Topic, status: Topic) -> Topic:
@@ -229,7 +240,7 @@ def _with_pitot(hud: Topic, status: Topic) -> Topic:
     has_sensor = np.ones(len(hud), dtype=bool)
     for name in SENSOR_SETS:
         has_sensor &= (status.fields[name][rows].astype(int) & PRESSURE_SENSOR) > 0
-    return Topic(hud.time, hud.order, hud.fields | {PITOT: has_sensor})
+    return hud.with_fields(**{PITOT: has_sensor})
 
 
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:

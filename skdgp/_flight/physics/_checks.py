@@ -13,7 +13,7 @@ import numpy as np
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
-from skdgp._flight.physics._settings import PhysicsSettings
+from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.physics._signals import Signals
 
 
@@ -60,7 +60,7 @@ class Relation:
         slopes: dict[float, Slope] = {}
         for lag in self.lags:
             regression = Regression(y, signals.ahead(x, -lag), others)
-            slope = estimated_slope(regression, signals.settings)
+            slope = estimated_slope(regression)
             if slope is not None:
                 slopes[lag] = slope
         return slopes
@@ -122,27 +122,26 @@ class Equality:
 
     def judge(self, signals: Signals) -> Contradiction | Confirmation | None:
         """Return what flights say of the relation, None if they decide nothing."""
-        settings = signals.settings
         slopes = self.relation.slopes(signals)
-        best = _best(slopes, self.noise, settings)
+        best = _best(slopes, self.noise)
         if best is None or 0.0 not in slopes:
             return None
         distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
-        is_equal = distance_inside > settings.least_t * best.std
-        late = self._late(slopes, settings)
-        if late is not None and (is_equal or best.correlation > settings.lagged_correlation):
+        is_equal = distance_inside > PHYSICS.least_t * best.std
+        late = self._late(slopes)
+        if late is not None and (is_equal or best.correlation > PHYSICS.lagged_correlation):
             return late
         if is_equal:
             return Confirmation(self.relation.channels)
         return self._of_wrong_scale(slopes[0.0], best.size, signals)
 
-    def _late(self, slopes: dict[float, Slope], settings: PhysicsSettings) -> Contradiction | None:
+    def _late(self, slopes: dict[float, Slope]) -> Contradiction | None:
         """Return the contradiction of a best lag that is longer than usual, if it is."""
-        usual_lag = settings.usual_lag
-        least_t = settings.least_t
+        usual_lag = PHYSICS.usual_lag
+        least_t = PHYSICS.least_t
         if self.gusts_lead:
-            usual_lag = settings.usual_airspeed_lag
-            least_t = settings.least_airspeed_t
+            usual_lag = PHYSICS.usual_airspeed_lag
+            least_t = PHYSICS.least_airspeed_t
         best_lag, best = max(slopes.items(), key=lambda item: item[1].explained)
         if abs(best_lag) <= usual_lag:
             return None
@@ -171,7 +170,7 @@ class Equality:
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
         least = EQUAL.least * (1 - (self.noise / size) ** 2)
         t = slope.t(least, EQUAL.most)
-        if abs(t) < signals.settings.least_t:
+        if abs(t) < PHYSICS.least_t:
             return None
         is_attenuated = self.vibrates and 0 < slope.value < least
         if is_attenuated and self._is_reverse_equal(signals):
@@ -185,11 +184,10 @@ class Equality:
         changes both.
         """
         y, x, others = self.relation.regression(signals)
-        settings = signals.settings
-        reverse = estimated_slope(Regression(x, y, others), settings)
-        if reverse is None or reverse.std > settings.reverse_std:
+        reverse = estimated_slope(Regression(x, y, others))
+        if reverse is None or reverse.std > PHYSICS.reverse_std:
             return False
-        return abs(reverse.t(EQUAL.least, EQUAL.most)) < settings.reverse_t
+        return abs(reverse.t(EQUAL.least, EQUAL.most)) < PHYSICS.reverse_t
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,13 +206,12 @@ class Sign:
 
     def judge(self, signals: Signals) -> Contradiction | None:
         """Return the contradiction of a wrong sign, if it is one."""
-        settings = signals.settings
         slopes = self.relation.slopes(signals)
-        if _best(slopes, self.noise, settings) is None:
+        if _best(slopes, self.noise) is None:
             return None
         slope = self._judged_slope(slopes, signals)
         t = slope.t(self.admissible.least, self.admissible.most)
-        if _is_weak(slope, t, settings):
+        if _is_weak(slope, t):
             return None
         if self.witness is not None and self.witness.judge(signals) is None:
             return None
@@ -226,12 +223,11 @@ class Sign:
         Under feedback a late servo turns the sign at lag zero. Where the angle was not measured, the
         earliest lag: the angle answers to a surface, with the other sign.
         """
-        settings = signals.settings
         best = max(slope.explained for slope in slopes.values())
         if self.angle is not None and self.angle not in signals:
-            enough = settings.possible_lag_without_angle * best
+            enough = PHYSICS.possible_lag_without_angle * best
             return slopes[min(lag for lag, slope in slopes.items() if slope.explained >= enough)]
-        enough = settings.possible_lag * best
+        enough = PHYSICS.possible_lag * best
         possible = [slope for slope in slopes.values() if slope.explained >= enough]
         least, most, _ = self.admissible
         return min(possible, key=lambda slope: abs(slope.t(least, most)))
@@ -252,7 +248,7 @@ class Alternative(NamedTuple):
         right = self.right.slopes(signals)
         t = best.t(NONE.least, NONE.most)
         explained = _most_explained(right).explained if right else 0.0
-        if _is_weak(best, t, signals.settings) or best.explained <= explained:
+        if _is_weak(best, t) or best.explained <= explained:
             return None
         return _of_slope(self.wrong, NONE, best, t)
 
@@ -276,19 +272,19 @@ def _most_explained(slopes: dict[float, Slope]) -> Slope:
     return max(slopes.values(), key=lambda slope: slope.explained)
 
 
-def _best(slopes: dict[float, Slope], noise: float, settings: PhysicsSettings) -> Slope | None:
+def _best(slopes: dict[float, Slope], noise: float) -> Slope | None:
     """Return the slope at the best lag, None if x hardly moves or too few samples are independent."""
     if not slopes:
         return None
     best = _most_explained(slopes)
-    if best.size <= noise or best.n_effective < settings.least_samples:
+    if best.size <= noise or best.n_effective < PHYSICS.least_samples:
         return None
     return best
 
 
-def _is_weak(slope: Slope, t: float, settings: PhysicsSettings) -> bool:
+def _is_weak(slope: Slope, t: float) -> bool:
     """Return whether a slope outside of its interval by t is too weak an effect, or not surely outside."""
-    return abs(slope.correlation) < settings.least_correlation or abs(t) < settings.least_t
+    return abs(slope.correlation) < PHYSICS.least_correlation or abs(t) < PHYSICS.least_t
 
 
 def _of_slope(relation: Relation, admissible: Interval, slope: Slope, t: float) -> Contradiction:

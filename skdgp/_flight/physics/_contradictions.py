@@ -12,15 +12,13 @@ from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import dead_channels
 from skdgp._flight.physics._checks import Confirmation, Contradiction, Exchange, Sign
 from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, SIGNS
-from skdgp._flight.physics._settings import PHYSICS_SETTINGS, PhysicsSettings
+from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 
 
-def find_contradictions(
-    flights: FlightTable, settings: PhysicsSettings = PHYSICS_SETTINGS
-) -> list[Contradiction]:
+def find_contradictions(flights: FlightTable) -> list[Contradiction]:
     """Return the relations that flights contradict.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
@@ -29,19 +27,19 @@ def find_contradictions(
     """
     measured = flights.table.drop(columns=dead_channels(flights))
     flights = replace(flights, table=at_centre_of_gravity(measured))
-    contradictions = _contradictions_of(flights, settings)
+    contradictions = _contradictions_of(flights)
     if contradictions or len(flights.clock.names) < 2:
         return contradictions
     for name, flight in flights.flights.items():
-        if np.ptp(flight.time) >= settings.long_flight:
-            for contradiction in _contradictions_of(flight, settings):
+        if np.ptp(flight.time) >= PHYSICS.long_flight:
+            for contradiction in _contradictions_of(flight):
                 contradictions.append(replace(contradiction, flight=name))
     return contradictions
 
 
-def _contradictions_of(flights: FlightTable, settings: PhysicsSettings) -> list[Contradiction]:
+def _contradictions_of(flights: FlightTable) -> list[Contradiction]:
     """Return the contradictions of all rows together."""
-    signals = signals_of(flights, CHANNELS, settings)
+    signals = signals_of(flights, CHANNELS)
     judgements = [check.judge(signals) for check in EQUALITIES]
     unequal = [item for item in judgements if isinstance(item, Contradiction)]
     confirmed: set[str] = set()

@@ -12,6 +12,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.physics._regression import Regression
+from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.physics._signals import Signals
 
 # -- attitude and position
@@ -111,7 +112,7 @@ def gravity(flight: Signals) -> Regression:
     The force is the response: without gravity in it, it hardly varies with x.
     """
     change, impulse = _level_terms(flight, 2, flight.vector(SPECIFIC_FORCE))
-    window = flight.step * flight.window_rows(flight.settings.kinematic_window)
+    window = flight.step * flight.window_rows(PHYSICS.kinematic_window)
     return Regression(impulse, change - STANDARD_GRAVITY * window, [])
 
 
@@ -124,7 +125,7 @@ def _level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vec
     impulse = flight.integral(_in_earth_axes(flight, force))
     if axis == 2:
         return change[:, 2], impulse[:, 2]
-    middle = flight.settings.kinematic_window / 2
+    middle = PHYSICS.kinematic_window / 2
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
     return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
@@ -155,7 +156,7 @@ def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression
     measured, all are changes from one window to the next, in which it hardly moves. A specific force
     would not stand for it: ahead of the centre of gravity it holds the angular acceleration.
     """
-    window = flight.settings.response_window
+    window = PHYSICS.response_window
     airspeed = flight["airspeed"]
     columns = []
     for effect in effects:

@@ -18,7 +18,7 @@ import numpy as np
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Vector
-from skdgp._flight.physics._settings import PHYSICS_SETTINGS, PhysicsSettings
+from skdgp._flight.physics._settings import PHYSICS
 
 
 class Regression(NamedTuple):
@@ -55,14 +55,12 @@ class Slope(NamedTuple):
         return outside / max(self.std, 1e-9 * abs(self.value))
 
 
-def estimated_slope(
-    regression: Regression, settings: PhysicsSettings = PHYSICS_SETTINGS
-) -> Slope | None:
+def estimated_slope(regression: Regression) -> Slope | None:
     """Return the slope of y over x beside the other regressors, None if undetermined by the rows."""
     rows = np.column_stack([*regression.others, regression.x, regression.y])
     rows = rows[np.isfinite(rows).all(axis=1)]
     n = len(rows)
-    if n < settings.least_rows:
+    if n < PHYSICS.least_rows:
         return None
     others = rows[:, :-2]
     xy = rows[:, -2:]

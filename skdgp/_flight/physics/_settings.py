@@ -63,5 +63,5 @@ class Lags:
     surface: tuple[float, ...] = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
 
 
-PHYSICS_SETTINGS = PhysicsSettings()
+PHYSICS = PhysicsSettings()
 LAGS = Lags()

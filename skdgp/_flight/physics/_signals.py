@@ -11,7 +11,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, by_elevons
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import euler_to_matrix
-from skdgp._flight.physics._settings import PhysicsSettings
+from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.tables import FlightTable
 
 COMMANDED = (*ALL_SURFACES, "throttle")
@@ -25,7 +25,6 @@ class Signals:
     channels: dict[str, Vector]
     segment: Indices
     step: float  # [s]
-    settings: PhysicsSettings
 
     def __getitem__(self, name: str) -> Vector:
         return self.channels[name]
@@ -51,19 +50,16 @@ class Signals:
         """Return the steps of a window, at least one."""
         return max(round(seconds / self.step), 1)
 
-    def change(self, values: Array, seconds: float | None = None) -> Array:
-        """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end.
-
-        A window has the length of the settings for kinematics, unless ``seconds`` are given.
-        """
-        length = self.window_rows(self.settings.kinematic_window if seconds is None else seconds)
+    def change(self, values: Array, seconds: float = PHYSICS.kinematic_window) -> Array:
+        """Return the changes of values (n, ...) over windows that begin at each row, NaN at a segment's end."""
+        length = self.window_rows(seconds)
         is_inside = self.segment[length:] == self.segment[:-length]
         difference = values[length:] - values[:-length]
         change = np.full(values.shape, np.nan)
         change[:-length][is_inside] = difference[is_inside]
         return change
 
-    def integral(self, values: Array, seconds: float | None = None) -> Array:
+    def integral(self, values: Array, seconds: float = PHYSICS.kinematic_window) -> Array:
         """Return the integrals over these windows by the trapezoidal rule, NaN where a value is missing."""
         is_missing = ~np.isfinite(values)
         filled = np.where(is_missing, 0.0, values)
@@ -85,17 +81,17 @@ class Signals:
         return ahead
 
 
-def signals_of(flights: FlightTable, names: Iterable[str], settings: PhysicsSettings) -> Signals:
-    """Return channels of flights at about ``settings.rate``, without the rows on the ground.
+def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
+    """Return channels of flights at about ``PHYSICS.rate``, without the rows on the ground.
 
     With elevons, elevator and aileron follow from them.
     """
     time = flights.time
     segments = [rows for rows in flights.segments if n_rows(rows) > 1]
     if not segments:
-        return Signals({}, np.empty(0, int), 1.0, settings)
+        return Signals({}, np.empty(0, int), 1.0)
     usual_step = median_step(time, segments)
-    n_averaged = max(1, int(1 / usual_step // settings.rate))
+    n_averaged = max(1, int(1 / usual_step // PHYSICS.rate))
     step = usual_step * n_averaged
     clocks = [_block_clock(time[rows], step) for rows in segments]
     lengths = [len(clock) for clock in clocks]
@@ -103,15 +99,15 @@ def signals_of(flights: FlightTable, names: Iterable[str], settings: PhysicsSett
     for name, values in flights.numeric_channels(names).items():
         parts = []
         for rows, clock in zip(segments, clocks, strict=True):
-            time_of_samples, samples = _samples(name, time[rows], values[rows], settings)
+            time_of_samples, samples = _samples(name, time[rows], values[rows])
             parts.append(_averaged(time_of_samples, samples, clock))
         channel = np.concatenate(parts)
         if np.isfinite(channel).any():
             channels[name] = channel
     if {*ELEVONS} <= channels.keys():
         channels |= by_elevons(channels)
-    channels = _in_flight(channels, settings)
-    return Signals(channels, np.repeat(np.arange(len(segments)), lengths), step, settings)
+    channels = _in_flight(channels)
+    return Signals(channels, np.repeat(np.arange(len(segments)), lengths), step)
 
 
 def _block_clock(time: Vector, step: float) -> Matrix:
@@ -126,9 +122,7 @@ def _block_clock(time: Vector, step: float) -> Matrix:
     return np.minimum(points, time[-1]).reshape(-1, size)
 
 
-def _samples(
-    name: str, time: Vector, values: Vector, settings: PhysicsSettings
-) -> tuple[Vector, Vector]:
+def _samples(name: str, time: Vector, values: Vector) -> tuple[Vector, Vector]:
     """Return time and value of the samples of a channel, angles without jumps.
 
     A sensor that repeats its value holds it: only the first is a sample, as the others are late.
@@ -140,7 +134,7 @@ def _samples(
         rows = rows[is_first]
     samples = values[rows]
     if rows.size and name in EULER:
-        is_degrees = np.abs(samples).max() > settings.largest_radians
+        is_degrees = np.abs(samples).max() > PHYSICS.largest_radians
         samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
     return time[rows], samples
 
@@ -153,10 +147,10 @@ def _averaged(time: Vector, samples: Vector, clock: Matrix) -> Vector:
     return sampled.mean(axis=1)
 
 
-def _in_flight(channels: dict[str, Vector], settings: PhysicsSettings) -> dict[str, Vector]:
+def _in_flight(channels: dict[str, Vector]) -> dict[str, Vector]:
     """Return the channels without rows on the ground."""
     if "airspeed" not in channels:
         return channels
     airspeed = channels["airspeed"]
-    on_ground = airspeed < settings.flying * np.nanmedian(airspeed)
+    on_ground = airspeed < PHYSICS.flying * np.nanmedian(airspeed)
     return {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}

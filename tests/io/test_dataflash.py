@@ -146,12 +146,6 @@ class TestDamage:
         assert times(read(b"".join([parts[0], bad, *parts[1:]]))) == [1, 2, 3]
 
 
-@pytest.mark.parametrize("content", [b"", b"\xa3", b"ULog", b"TimeUS,X\n"])
-def test_what_is_no_dataflash_log(read, content):
-    with pytest.raises(FlightReadError, match="does not begin as a DataFlash log does"):
-        read(content)
-
-
 def test_a_log_in_text(tmp_path):
     """Ground stations write scaled numbers; the second sensor is the primary one."""
     path = tmp_path / "sortie.log"

@@ -115,11 +115,36 @@ class TestRefusals:
         with pytest.raises(FileNotFoundError, match="no such file"):
             read_flight(tmp_path / "gone.csv")
 
-    def test_parquet_without_its_extra(self, write, monkeypatch):
-        path = write(table(), "log.parquet")
-        monkeypatch.setitem(sys.modules, "pyarrow", None)
-        with pytest.raises(ImportError, match=r"pip install 'skdgp\[parquet\]'"):
-            read_flight(path)
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [
+            ("log.bin", b"", "does not begin as a DataFlash log does"),
+            ("log.bin", b"\xa3", "does not begin as a DataFlash log does"),
+            ("log.bin", b"time,alpha\n", "does not begin as a DataFlash log does"),
+            ("log.ulg", b"", "does not begin as a ULog does"),
+            ("log.ulg", b"ULog", "does not begin as a ULog does"),
+            ("log.ulg", b"time,alpha\n", "does not begin as a ULog does"),
+            ("log.tlog", b"", "without a message ATTITUDE"),
+            ("log.tlog", b"text", "without a message ATTITUDE"),
+            ("log.tlog", bytes(1000), "without a message ATTITUDE"),
+        ],
+    )
+    def test_logs_of_another_kind(self, refused, name, content, message):
+        pytest.importorskip("pymavlink")
+        refused(message, content, name)
+
+    @pytest.mark.parametrize(
+        ("name", "module", "extra"),
+        [
+            ("log.parquet", "pyarrow", "parquet"),
+            ("log.ulg", "pyulog", "logs"),
+            ("log.tlog", "pymavlink.dialects.v20.ardupilotmega", "logs"),
+        ],
+    )
+    def test_formats_without_their_extra(self, read, monkeypatch, name, module, extra):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(ImportError, match=rf"pip install 'skdgp\[{extra}\]'"):
+            read(b"", name)
 
 
 class TestRemarks:

@@ -2,7 +2,6 @@
 
 import math
 import struct
-import sys
 
 import pytest
 from numpy.testing import assert_allclose
@@ -157,15 +156,3 @@ def test_engines_by_their_controllers(read, mavlink, with_sent):
     sent = mavlink.MAVLink_esc_telemetry_1_to_4_message(four, four, four, four, rpm, four)
     table = read(with_sent("ATTITUDE", lambda _: [sent]))
     assert_allclose(table.propeller_speed.dropna(), 200 * math.pi, rtol=1e-6)
-
-
-@pytest.mark.parametrize("content", [b"", b"text", bytes(1000)])
-def test_no_telemetry(content, refused):
-    pytest.importorskip("pymavlink")
-    refused("without a message ATTITUDE", content, "log.tlog")
-
-
-def test_without_its_extra(tlog, read, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.ardupilotmega", None)
-    with pytest.raises(ImportError, match=r"pip install 'skdgp\[logs\]'"):
-        read(tlog)

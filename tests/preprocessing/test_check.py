@@ -12,7 +12,6 @@ from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import (
     FlightCheck,
     FlightDataWarning,
@@ -243,14 +242,6 @@ class TestBridging:
 
 
 class TestClock:
-    def test_rows_in_disorder_are_refused(self, tmp_path):
-        table = log().sample(frac=1.0, random_state=0)
-        with pytest.raises(ValueError, match="expected time to increase strictly within a flight"):
-            FlightCheck().fit(table)
-        table.to_csv(tmp_path / "a.csv", index=False)
-        with pytest.raises(FlightReadError, match="sort by time"):
-            read_flight(tmp_path / "a.csv")
-
     @pytest.mark.parametrize(("steps", "found"), [(2.4, []), (2.6, [["time", "gap"]])])
     def test_a_jump_forward_is_listed_and_silent(self, steps, found):
         """By more than 2.5 steps."""

@@ -135,7 +135,7 @@ CASES = {
         ["time,alpha,flight\n0,.1,007\n.02,.2, 007 \n"],
         {**RIGHT, "flight": ["007", "007"]},
     ),
-    "not UTF-8": (["utf-16", "latin-1"], "expected a CSV in UTF-8"),
+    "not UTF-8": (["utf-16", "latin-1"], "not text .* expected a CSV in UTF-8"),
 }
 
 

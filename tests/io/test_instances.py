@@ -28,6 +28,13 @@ def px4(ulog):
     return lambda **values: ulog(**values).topic("vehicle_angular_velocity", T, xyz=rates)
 
 
+def as_vtol(log, state):
+    """Return the log of a VTOL in 18 m/s, with its state at each time."""
+    log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
+    log.topic("vehicle_status", SLOW, is_vtol=True)
+    return log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=("uint8_t", state))
+
+
 @pytest.fixture
 def surfaces(read):
     """Read the surfaces of a log in parts of their full throw, without its ends."""
@@ -221,10 +228,7 @@ class TestVehicles:
         thrust = np.zeros((len(T), 3))
         thrust[:, axis] = sign * 0.55
         log.topic("vehicle_thrust_setpoint", T, xyz=thrust)
-        log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
-        log.topic("vehicle_status", SLOW, is_vtol=True)
-        state = ("uint8_t", np.where(SLOW < 20, 1, 4))
-        log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=state)
+        as_vtol(log, np.where(SLOW < 20, 1, 4))
         table = told("rotors lift", log)
         assert table.time.min() >= 19.9
         assert_allclose(table.throttle, 0.55, rtol=1e-6)
@@ -304,11 +308,7 @@ class TestVehicles:
 
     def test_the_motor_that_drives_a_vtol_of_px4(self, told, px4):
         lifts = SLOW < 20
-        log = px4()
-        log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
-        log.topic("vehicle_status", SLOW, is_vtol=True)
-        state = ("uint8_t", np.where(lifts, 3, 4))
-        log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=state)
+        log = as_vtol(px4(), np.where(lifts, 3, 4))
         lift, push = [0.5] * 8 + [np.nan], [np.nan] * 8 + [0.7]
         commands = np.where(lifts[:, None], lift, push)
         log.topic("actuator_motors", SLOW, control=commands)

@@ -122,17 +122,6 @@ class TestFullThrow:
         table = read(log, servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
-    def test_a_v_tail_of_ardupilot(self, read, dataflash):
-        """left = elevator + rudder, right = elevator - rudder, of commands that pitch up and yaw right."""
-        functions = {"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 79.0, "SERVO4_FUNCTION": 80.0}
-        log = dataflash(**functions, SERVO4_REVERSED=1.0)
-        t = np.arange(0, 10, 0.05)
-        aileron, left, right = 1500 + 400 * np.array([ROLL, PITCH + YAW, YAW - PITCH])
-        log.topic("RCOU", t, C1=("H", aileron), C2=("H", left), C4=("H", right))
-        log.topic("ARSP", t, Airspeed=20.0, H=("B", 1))
-        table = read(log, servos="full throw", airborne=False)
-        assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
-
     def test_full_throws_are_no_large_angles(self, read, dataflash):
         t = np.arange(0, 10, 0.05)
         log = dataflash(SERVO1_FUNCTION=4.0).topic("RCOU", t, C1=("H", np.where(t < 5, 1900, 1500)))

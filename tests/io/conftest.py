@@ -117,6 +117,11 @@ class ULogWriter(LogWriter):
             self.data.append((t, ulog_message("D", payload)))
         return self
 
+    def gyros(self, time, rate, **fields):
+        """Add gyros that all read the same rate."""
+        rates = np.broadcast_to(rate, (3, len(time))).T
+        return self.topic("vehicle_angular_velocity", time, xyz=rates, **fields)
+
 
 class DataFlashWriter(LogWriter):
     """A log of ArduPilot."""
@@ -162,7 +167,7 @@ class DataFlashWriter(LogWriter):
             codes += code
         return self.rows(name, codes, ",".join(["TimeUS", *fields]), zip(*columns, strict=True))
 
-    def imu(self, time, rate, name="IMU", **fields):
+    def gyros(self, time, rate, name="IMU", **fields):
         """Add gyros that all read the same rate."""
         return self.topic(name, time, GyrX=rate, GyrY=rate, GyrZ=rate, **fields)
 

@@ -82,18 +82,13 @@ class TestEveryChannelComesBack:
         assert sources["airspeed"] == "ARSP.Airspeed (equivalent; true by density)"
 
 
-def equal(*values):
-    """Return three equal columns, as of x, y and z."""
-    return np.column_stack(3 * values)
-
-
 class TestChoices:
     t = 1.0 + np.arange(600) / 50.0
 
     @pytest.fixture
     def log(self, ulog):
         """Return a log of gyros."""
-        return ulog().topic("vehicle_angular_velocity", self.t, xyz=equal(np.sin(self.t)))
+        return ulog().gyros(self.t, np.sin(self.t))
 
     def test_samples_that_are_not_valid_are_missing(self, whole, log):
         t = self.t
@@ -106,7 +101,7 @@ class TestChoices:
         assert table.p.notna().all()
 
     def test_another_instance_where_the_first_is_not_there(self, whole, ulog):
-        log = ulog().topic("vehicle_angular_velocity", self.t, instance=2, xyz=equal(self.t))
+        log = ulog().gyros(self.t, self.t, instance=2)
         assert whole(log).attrs["sources"]["p"].startswith("vehicle_angular_velocity#2.")
 
     def test_density_of_the_standard_atmosphere_where_only_altitude_is_known(self, whole, log):
@@ -123,7 +118,7 @@ class TestChoices:
         """The message comes 40 ms later; what was sent to a servo counts from when it was sent."""
         t = self.t
         late = {"timestamp_sample": ("uint64_t", np.round((t - 0.04) * 1e6))}
-        log = ulog().topic("vehicle_angular_velocity", t, **late, xyz=equal(np.sin(t - 0.04)))
+        log = ulog().gyros(t, np.sin(t - 0.04), **late)
         log.topic("actuator_motors", t, **late, control=("float[1]", np.sin(t) ** 2))
         table = whole(log).iloc[10:-10]
         assert_allclose(table.p, np.sin(table.time), atol=1e-3)
@@ -155,7 +150,7 @@ class TestFlights:
         """Return a function to a log of gyros and airspeed."""
 
         def log(airspeed=20.0, t=self.t, **parameters):
-            log = ulog(**parameters).topic("vehicle_angular_velocity", t, xyz=equal(t) % 1)
+            log = ulog(**parameters).gyros(t, t % 1)
             return log.topic("airspeed", t, true_airspeed_m_s=np.broadcast_to(airspeed, len(t)))
 
         return log
@@ -228,7 +223,7 @@ class TestRefusals:
     t = np.arange(0, 30, 0.02)
 
     def test_a_bench_log(self, refused, ulog):
-        log = ulog().topic("vehicle_angular_velocity", self.t, xyz=np.zeros((1500, 3)))
+        log = ulog().gyros(self.t, 0.0)
         log.topic("airspeed", self.t, true_airspeed_m_s=0.5)
         words = r"airspeed never stays above 8 m/s in the air \(highest 0.5 m/s\)"
         refused(words, log)
@@ -265,7 +260,7 @@ class TestWithoutAnAccelerometer:
         attitude = Rotation.from_euler("ZX", np.column_stack([self.OMEGA * t, phi]))
         north, east, _ = self.SPEED * attitude.as_matrix()[:, :, 0].T
         log = ulog().topic("airspeed", t, true_airspeed_m_s=self.SPEED)
-        log.topic("vehicle_angular_velocity", t, xyz=np.zeros((t.size, 3)))
+        log.gyros(t, 0.0)
         log.topic("vehicle_attitude", t, q=np.roll(attitude.as_quat(), 1, axis=1))
         return log.topic("vehicle_local_position", t, vx=north, vy=east, vz=np.zeros(t.size))
 
@@ -331,7 +326,7 @@ def recorded(whole, dataflash):
     """Return a function from times and a gyro's values, in the order of the file, to the table of the log."""
 
     def recorded(time, p):
-        log = dataflash().imu(time, p)
+        log = dataflash().gyros(time, p)
         return whole(b"".join([*log.definitions, *(message for _, message in log.data)]), "log.bin")
 
     return recorded
@@ -404,7 +399,7 @@ class TestOnTheGround:
     @pytest.fixture
     def log(self, ulog):
         log = ulog().topic("airspeed", self.t, true_airspeed_m_s=20.0)
-        log.topic("vehicle_angular_velocity", self.t, xyz=equal(np.sin(self.t)))
+        log.gyros(self.t, np.sin(self.t))
         log.topic("vehicle_land_detected", [0.0, 15.0], landed=("bool", [1, 1]))
         return log.topic("actuator_armed", [0.0, 15.0], armed=("bool", [0, 0]))
 
@@ -418,7 +413,7 @@ class TestOnTheGround:
         """ArduPilot logs changes alone."""
         log = dataflash("ArduPlane V4.5.1").topic("ARM", [time], ArmState=("B", 0))
         log.topic("ARSP", self.t, Airspeed=20.0 + np.sin(self.t))
-        log.imu(self.t, np.sin(self.t))
+        log.gyros(self.t, np.sin(self.t))
         if was_armed:
             read(log)
         else:

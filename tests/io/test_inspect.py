@@ -60,7 +60,7 @@ class TestSummary:
     def test_a_multicopter_is_called_one(self, write, ulog):
         t = np.arange(0, 20, 0.02)
         log = ulog(MAV_TYPE=2)
-        quad = write(log.topic("vehicle_angular_velocity", t, xyz=np.sin(np.outer(t, [1, 1, 1]))))
+        quad = write(log.gyros(t, np.sin(t)))
         refusal = inspect_log(quad).remarks[-1]
         assert "multicopter: not for this program" in refusal
         assert "airborne" not in refusal
@@ -178,7 +178,7 @@ def bench(write, dataflash):
     """Return a log of a bench: the safety switch is on, so no pulses go out; nothing blows into the pitot tube."""
     time = 0.04 * np.arange(500)
     log = dataflash("ArduPlane V4.0.6 (abcdef01)", SERVO2_FUNCTION=19.0)
-    log.imu(time, 0.0, I=("B", 0), AccX=0.0, AccY=0.0, AccZ=-9.8)
+    log.gyros(time, 0.0, I=("B", 0), AccX=0.0, AccY=0.0, AccZ=-9.8)
     log.topic("ARSP", time, I=("B", 0), Airspeed=1.0, H=("B", 0), U=("B", 1))
     log.topic("AETR", time, Elev=("h", 4500 * np.sin(time)))
     log.topic("RCOU", time, C2=("H", 0))

@@ -18,14 +18,13 @@ FLAPERONS |= {"CA_SV_CS1_FLAP": 0.5, "CA_SV_CS0_TRQ_R": -0.5, "CA_SV_CS1_TRQ_R":
 @pytest.fixture
 def plane(dataflash):
     """Return a function to a log of ArduPilot's gyros, with messages and parameters."""
-    return lambda *messages, **values: dataflash(*messages, **values).imu(T, np.sin(T))
+    return lambda *messages, **values: dataflash(*messages, **values).gyros(T, np.sin(T))
 
 
 @pytest.fixture
 def px4(ulog):
     """Return a function to a log of PX4's gyros, with parameters."""
-    rates = np.outer(np.sin(T), [1, 1, 1])
-    return lambda **values: ulog(**values).topic("vehicle_angular_velocity", T, xyz=rates)
+    return lambda **values: ulog(**values).gyros(T, np.sin(T))
 
 
 def as_vtol(log, state):
@@ -118,7 +117,7 @@ class TestArduPilot:
         """The mask 0b110 has lanes on IMU 1 and IMU 2 alone; the second lane is used."""
         log = dataflash(**{f"{ekf}_IMU_MASK": 6.0})
         for number in range(3):
-            log.imu(T + number * 1e-3, np.sin(T) + number, I=("B", number))
+            log.gyros(T + number * 1e-3, np.sin(T) + number, I=("B", number))
         log.topic(name, SLOW, PI=("B", 1))
         table = told(rf"p q r of 3 instances: IMU#2 \(as {name}.PI", log, "log.bin", airborne=False)
         assert_wave(table[10:-10], "p", 1.0, mean=2.0)
@@ -450,7 +449,7 @@ class TestInertialSensors:
         log = dataflash(INS_USE=0.0, INS_USE2=1.0)
         for number in range(2):
             instance = {"I": ("B", number)} if name == "IMU" else {}
-            log.imu(T + number * 1e-4, number, name if number else "IMU", **instance)
+            log.gyros(T + number * 1e-4, number, name if number else "IMU", **instance)
         table = told("of 2 instances", log, airborne=False)
         assert_allclose(table.p, 1.0)
 

@@ -19,7 +19,7 @@ def vtol(dataflash):
 
     def vtol(**parameters):
         log = dataflash(PLANE, Q_ENABLE=1.0, **parameters)
-        log.imu(T, np.sin(T))
+        log.gyros(T, np.sin(T))
         log.topic("ARSP", SLOW, Airspeed=18 + np.sin(SLOW), H=("B", 1))
         modes = ("B", np.where(HOVERS, 18, 5))
         return log.topic("MODE", SLOW, Mode=("M", 0), ModeNum=modes)

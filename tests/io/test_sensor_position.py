@@ -20,7 +20,7 @@ def parameters(name, place=PLACE):
 def inertial(log, number=0):
     """Add an IMU of ArduPilot."""
     ax, ay, az = FORCE.T
-    return log.imu(T + number * 1e-3, np.sin(T), I=("B", number), AccX=ax, AccY=ay, AccZ=az)
+    return log.gyros(T + number * 1e-3, np.sin(T), I=("B", number), AccX=ax, AccY=ay, AccZ=az)
 
 
 def test_of_ardupilot(read, write, dataflash):
@@ -80,7 +80,7 @@ def test_zeros_state_nothing(read, dataflash, place):
 def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):
     """Without accelerometers, wherever these would be."""
     log = dataflash(**parameters("INS_POS1"))
-    log.imu(T, np.sin(T))
+    log.gyros(T, np.sin(T))
     log.topic("ATT", T, Roll=np.sin(T), Pitch=np.cos(T), Yaw=10.0)
     log.topic("XKF1", T, **{name: np.sin(T) for name in ("VN", "VE", "VD")})
     table = read(log, "log.bin", airborne=False)

@@ -192,11 +192,7 @@ def name_of(path: Path) -> str:
 
 def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
-    is_speed = isinstance(airborne, Real) and float(airborne) > 0
-    if not (isinstance(airborne, bool) or is_speed):
-        raise FlightReadError(
-            f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
-        )
+    speed = _least_speed(log, airborne)
     turned = reversed_of(servos)
     entries = read_servos(servos) if turned is None else {}
     # damaged messages may hold any number
@@ -204,7 +200,6 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
         controls = {**log.commands, **controls}
         _check_channels(log, controls)
-        speed = _airborne_speed(log) if isinstance(airborne, bool) else float(airborne)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
         for topics in topics_of_parts:
@@ -262,10 +257,7 @@ def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source
         problem = _problem(source, log, rule)
         if problem:
             useless.append(problem)
-            continue
-        first = chosen.setdefault(rule.columns, source)
-        least = min(TABLE.least_rate, TABLE.least_ratio * first.rate)
-        if first.rate < TABLE.least_rate and source.rate >= least:
+        elif rule.columns not in chosen or _is_clearly_faster(source, chosen[rule.columns]):
             chosen[rule.columns] = source
     sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
     useless += [source.remark for source in sources if source.remark]
@@ -276,6 +268,12 @@ def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source
         else:
             useless.append(f"{surface.name} sends no pulse, so there is no {name}")
     return sources, useless
+
+
+def _is_clearly_faster(source: Source, first: Source) -> bool:
+    """Return whether a source is preferred to one further up that is slow."""
+    least = min(TABLE.least_rate, TABLE.least_ratio * first.rate)
+    return first.rate < TABLE.least_rate and source.rate >= least
 
 
 def _problem(source: Source, log: Log, rule: Rule) -> str:
@@ -350,9 +348,9 @@ def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:
         columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
         origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
     if EQUIVALENT in columns:
-        pitot = origin.pop(EQUIVALENT)
+        words, rate = origin.pop(EQUIVALENT)
         columns["airspeed"], note = _true_airspeed(columns.pop(EQUIVALENT), columns.get("density"))
-        origin["airspeed"] = Origin(f"{pitot.words} ({note})", pitot.rate)
+        origin["airspeed"] = Origin(f"{words} ({note})", rate)
     table = pd.DataFrame(columns)
     table = table.where(np.isfinite(table))
     if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
@@ -490,8 +488,14 @@ def _cut(table: pd.DataFrame, cuts: Vector) -> list[pd.DataFrame]:
     return pieces
 
 
-def _airborne_speed(log: Log) -> float:
-    """Return the airspeed [m/s] above which an aircraft flies, by the autopilot's parameters."""
+def _least_speed(log: Log, airborne: Any) -> float:
+    """Return the airspeed [m/s] above which an aircraft flies: as given, or by the autopilot's parameters."""
+    if not isinstance(airborne, bool):
+        if isinstance(airborne, Real) and float(airborne) > 0:
+            return float(airborne)
+        raise FlightReadError(
+            f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
+        )
     for name in SLOWEST_AIRSPEED:
         speed = log.parameters.get(name, np.nan)
         if 0 < speed < 200:

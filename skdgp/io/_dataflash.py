@@ -46,6 +46,7 @@ from skdgp.io._log import (
     in_force,
     instance_name,
     numeric_fields,
+    scaled,
     stated_positions,
     whole,
 )
@@ -280,18 +281,22 @@ def _read_texts(path: Path) -> dict[str, Texts]:
     """Return the messages of a DataFlash log in text, by name."""
     texts: dict[str, Texts] = {}
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
-        name, *cells = (cell.strip() for cell in line.split(","))
+        name, *cells = _cells(line)
         if name == "FMT" and len(cells) > 4:
             texts[cells[2]] = Texts(cells[3], cells[4:], [], [])
         elif name in texts:
-            width = len(texts[name].columns)
+            messages = texts[name]
             # a text at the end may hold commas
-            if len(cells) > width:
-                cells[width - 1 :] = [",".join(cells[width - 1 :])]
-            if len(cells) == width:
-                texts[name].rows.append(cells)
-                texts[name].places.append(place)
+            _, *cells = _cells(line, len(messages.columns))
+            if len(cells) == len(messages.columns):
+                messages.rows.append(cells)
+                messages.places.append(place)
     return {name: messages for name, messages in texts.items() if messages.rows}
+
+
+def _cells(line: str, most: int = -1) -> list[str]:
+    """Return the cells of a line, split at the first commas at most."""
+    return [cell.strip() for cell in line.split(",", most)]
 
 
 def read_dataflash_text(path: Path) -> Log:
@@ -300,10 +305,9 @@ def read_dataflash_text(path: Path) -> Log:
     topics: dict[str, Topic] = {}
     for name in sorted(texts.keys() - {*DEFINITIONS}):
         topic = texts[name].topic()
-        if topic is None:
-            continue
-        field = _instance_field(texts[name].codes, texts[name].columns)
-        topics |= _instances(name, topic, field)
+        if topic is not None:
+            field = _instance_field(texts[name].codes, texts[name].columns)
+            topics |= _instances(name, topic, field)
     if not topics:
         raise FlightReadError(
             "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
@@ -692,25 +696,27 @@ def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> d
     """
     if not servos.keys() >= {*OUTER}:
         return {}
-    left, right = (servos[function] for function in OUTER)
-    aileron = [(-0.5, left), (0.5, right)]
-    controls: dict[str, Control] = {}
     options = SpoilerOption(whole(parameters.get("DSPOILER_OPTS", 3.0)))
-    is_full_span = SpoilerOption.FULL_SPAN in options
+    outer = _against_each_other(servos, OUTER)
+    controls: dict[str, Control] = {"aileron": outer}
     if servos.keys() >= {*INNER}:
-        factor = 0.5 if is_full_span else 1.0
-        inner_left, inner_right = (servos[function] for function in INNER)
-        aileron += [(-0.5, inner_left), (0.5, inner_right)]
-        aileron = [(factor * weight, servo) for weight, servo in aileron]
-        if is_full_span:
-            yaw = [(0.5, left), (-0.5, right), (-0.5, inner_left), (0.5, inner_right)]
+        inner = _against_each_other(servos, INNER)
+        if SpoilerOption.FULL_SPAN in options:
+            controls["aileron"] = scaled((*outer, *inner), 0.5)
+            controls["rudder"] = (*scaled(outer, -1.0), *inner)
         else:
-            yaw = [(-1.0, inner_left), (1.0, inner_right)]
-        controls["rudder"] = tuple(yaw)
-    controls["aileron"] = tuple(aileron)
+            controls["aileron"] = (*outer, *inner)
+            controls["rudder"] = scaled(inner, 2.0)
     if SpoilerOption.FLYING_WING in options:
+        (_, left), (_, right) = outer
         controls["elevator"] = ((-0.5, left), (-0.5, right))
     return controls
+
+
+def _against_each_other(servos: Mapping[int, Servo], pair: tuple[int, int]) -> Control:
+    """Return half of the right less half of the left servo of a pair of functions."""
+    left, right = pair
+    return ((-0.5, servos[left]), (0.5, servos[right]))
 
 
 def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int) -> Servo:

@@ -554,7 +554,7 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     throws = {}
     disordered = []
     for name, control in log.controls.items():
-        throws[name] = _scaled(control, -1.0) if name in turned else control
+        throws[name] = scaled(control, -1.0) if name in turned else control
         for _, servo in control:
             if not _increases(servo.inputs):
                 disordered.append(f"{name} on {servo.channel} {servo.inputs}")
@@ -600,11 +600,11 @@ def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Cont
             f"the log name, {sorted(named)}: give the channel of the others."
         )
     for name, angle in throws.items():
-        controls[name] = _scaled(named[name], angle)
+        controls[name] = scaled(named[name], angle)
     return controls
 
 
-def _scaled(control: Control, factor: float) -> Control:
+def scaled(control: Control, factor: float) -> Control:
     """Return a control with weights times a factor."""
     return tuple((factor * weight, servo) for weight, servo in control)
 
@@ -622,24 +622,29 @@ def _servo(name: str, entry: Any) -> Servo | float:
     unknown = sorted(set(entry) - KEYS)
     if unknown:
         raise FlightReadError(f"Got {unknown} for {name}, but expected only {sorted(KEYS)}.")
+    inputs, angles = _checked_points(name, entry).T.tolist()
+    return Servo(entry["channel"], tuple(inputs), tuple(angles))
+
+
+def _checked_points(name: str, entry: Mapping[str, Any]) -> Matrix:
+    """Return the pairs of channel and angle (n, 2) of a surface; raise FlightReadError if they make no sense."""
     points = _points(entry)
     if len(points) < 2:
         raise FlightReadError(
             f"Got {entry} for {name}, but expected points, pairs of numbers "
             "(channel, angle) as in [[1100, -0.35], [1900, 0.35]]."
         )
-    inputs, angles = points.T
-    if not np.isfinite(points).all() or not _increases(inputs):
+    if not np.isfinite(points).all() or not _increases(points[:, 0]):
         raise FlightReadError(
             f"Got {points.tolist()} (channel, angle) for {name}, but expected finite numbers, each value "
             "of the channel once: measure the angle of the surface at these values, in rad."
         )
-    largest = np.abs(angles).max()
+    largest = np.abs(points[:, 1]).max()
     if largest > np.pi / 2:
         raise FlightReadError(
             f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
-    return Servo(entry["channel"], tuple(inputs.tolist()), tuple(angles.tolist()))
+    return points
 
 
 def _points(entry: Mapping[str, Any]) -> Matrix:

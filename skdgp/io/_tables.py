@@ -122,21 +122,26 @@ def to_floats(column: pd.Series) -> np.ndarray:
     values = numbers.to_numpy(dtype=float, na_value=np.nan)
     bad = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
     if bad.size:
-        row = bad[0]
-        cell = column.iloc[row]
-        unit = CHANNELS[base_name(str(column.name))].unit
-        remedy = (
-            "leave missing values empty, write no separators of thousands, and one decimal mark"
-        )
-        if column.name == "time":
-            remedy = "write seconds, dates as 2024-05-03T12:00:00.25 (ISO 8601), times of day as 12:00:00.25"
-        if isinstance(cell, str) and _usual_spelling(cell).lower() in UNITS:
-            remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
-        raise FlightReadError(
-            f"Got {cell!r} in column {column.name!r} at row {row} ({bad.size} rows are not "
-            f"numbers), but expected numbers [{unit}]: {remedy}."
-        )
+        raise _no_numbers(column, bad)
     return values
+
+
+def _no_numbers(column: pd.Series, bad: np.ndarray) -> FlightReadError:
+    """Return the error of a column with rows that are no numbers."""
+    row = bad[0]
+    cell = column.iloc[row]
+    unit = CHANNELS[base_name(str(column.name))].unit
+    remedy = "leave missing values empty, write no separators of thousands, and one decimal mark"
+    if column.name == "time":
+        remedy = (
+            "write seconds, dates as 2024-05-03T12:00:00.25 (ISO 8601), times of day as 12:00:00.25"
+        )
+    if isinstance(cell, str) and _usual_spelling(cell).lower() in UNITS:
+        remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
+    return FlightReadError(
+        f"Got {cell!r} in column {column.name!r} at row {row} ({bad.size} rows are not "
+        f"numbers), but expected numbers [{unit}]: {remedy}."
+    )
 
 
 def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:

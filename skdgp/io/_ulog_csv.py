@@ -52,15 +52,15 @@ def read_ulog_csv(path: Path) -> Log:
             f"{next(iter(anchors.values()))} or move it to a folder of its own."
         )
     log = (match[1] or "") if match else next(iter(anchors))
-    others = [prefix for prefix in anchors if len(prefix) > len(log)]
+    others = tuple(prefix for prefix in anchors if len(prefix) > len(log))
     topics = {}
     for file in sorted(folder.glob(f"{glob.escape(log)}*.csv")):
         found = TOPIC.fullmatch(file.name.removeprefix(log))
-        is_of_other = any(file.name.startswith(prefix) for prefix in others)
-        if found and not is_of_other:
-            topic = _topic(found[1], file)
+        if found and not file.name.startswith(others):
+            name, number = found.groups()
+            topic = _topic(name, file)
             if topic is not None:
-                topics[instance_name(found[1], int(found[2]))] = topic
+                topics[instance_name(name, int(number))] = topic
     converted = px4_log(topics, {}, kind="PX4 ULog as CSV", firmware="PX4")
     return replace(converted, naming=f"{NAMING} (ulog2csv writes no parameters: read the .ulg)")
 

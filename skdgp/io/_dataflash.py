@@ -397,19 +397,16 @@ def lifting_modes(topic: str, field: str) -> States:
     return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
 
 
-def _lifting(outputs: Topic, parameters: Mapping[str, float], name: str) -> States:
-    """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt.
-
-    ``name`` is the channel of output n; none where no such output is logged.
-    """
+def _lifting(outputs: list[Output], parameters: Mapping[str, float]) -> States:
+    """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt."""
     tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
     forward = tilted | whole(parameters.get("Q_TAILSIT_MOTMX", 0.0))
     low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
     high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
     motors = []
     tilts = []
-    for n, function in _functions(outputs, parameters, name).items():
-        topic, field = name.format(n).split(".")
+    for n, channel, function, _ in outputs:
+        topic, field = channel.split(".")
         if function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(function) & 1:
             motors.append((topic, field, low + LIFT.running * (high - low), np.inf))
         if function in TILT_SERVOS and tilted:
@@ -612,17 +609,18 @@ class Outputs(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def outputs_of(outputs: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Outputs:
+def outputs_of(topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Outputs:
     """Return the surfaces by SERVOn_FUNCTION and the mixed ones, the engines of a twin, and motors that lift.
 
     ``name`` is the channel of output n.
     """
-    servos = _servos_of(outputs, parameters, name)
+    outputs = _logged_outputs(topic, parameters, name)
+    servos = _servos_of(outputs, parameters)
     controls = _spoilers(servos, parameters)
     commands: dict[str, Control] = {}
     remarks: tuple[str, ...] = ()
     if servos.keys() >= {*FLAPERONS}:
-        flaperons, remarks = _flaperons(servos, outputs)
+        flaperons, remarks = _flaperons(servos, topic)
         controls |= flaperons
     for function in sorted(servos.keys() & SURFACES):
         controls[SURFACES[function]] = ((1.0, servos[function]),)
@@ -632,28 +630,42 @@ def outputs_of(outputs: Topic, parameters: Mapping[str, float], name: str = "RCO
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
-    return Outputs(controls, commands, _lifting(outputs, parameters, name), remarks)
+    return Outputs(controls, commands, _lifting(outputs, parameters), remarks)
 
 
-def _servos_of(outputs: Topic, parameters: Mapping[str, float], name: str) -> dict[int, Servo]:
+class Output(NamedTuple):
+    """An output that is logged."""
+
+    number: int
+    #: Topic and field
+    channel: str
+    #: SERVOn_FUNCTION
+    function: int
+    #: (n,) [us]
+    pulses: Vector
+
+
+def _logged_outputs(topic: Topic, parameters: Mapping[str, float], name: str) -> list[Output]:
+    """Return the outputs that are fields of a topic."""
+    outputs = []
+    for n in range(1, MOST_SERVOS + 1):
+        channel = name.format(n)
+        _, field = channel.split(".")
+        if field in topic:
+            function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+            outputs.append(Output(n, channel, function, topic[field]))
+    return outputs
+
+
+def _servos_of(outputs: list[Output], parameters: Mapping[str, float]) -> dict[int, Servo]:
     """Return the first logged servo of each SERVOn_FUNCTION, one that gets pulses before one that is off."""
     servos: dict[int, Servo] = {}
     silent: dict[int, Servo] = {}
-    for n, function in _functions(outputs, parameters, name).items():
-        servo = _servo(parameters, n, name.format(n), function)
-        gets_pulses = (outputs[servo.field] >= NO_PULSE).any()
+    for output in outputs:
+        gets_pulses = (output.pulses >= NO_PULSE).any()
         group = servos if gets_pulses else silent
-        group.setdefault(function, servo)
+        group.setdefault(output.function, _servo(parameters, output))
     return silent | servos
-
-
-def _functions(outputs: Topic, parameters: Mapping[str, float], name: str) -> dict[int, int]:
-    """Return SERVOn_FUNCTION of each output n that is logged."""
-    functions = {}
-    for n in range(1, MOST_SERVOS + 1):
-        if name.format(n).split(".")[1] in outputs:
-            functions[n] = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-    return functions
 
 
 def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:
@@ -719,8 +731,9 @@ def _against_each_other(servos: Mapping[int, Servo], pair: tuple[int, int]) -> C
     return ((-0.5, servos[left]), (0.5, servos[right]))
 
 
-def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int) -> Servo:
-    """Return the servo on output n, which moves the surface of its function, -1 to 1 from end to end."""
+def _servo(parameters: Mapping[str, float], output: Output) -> Servo:
+    """Return the servo on an output, which moves the surface of its function, -1 to 1 from end to end."""
+    n, channel, function, _ = output
     inputs = []
     for key, usual in USUAL_PULSES.items():
         inputs.append(parameters.get(f"SERVO{n}_{key}", usual))

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -510,6 +510,47 @@ def _sits_on_tail(topics: Mapping[str, Topic], parameters: Mapping[str, float]) 
     return parameters.get("VT_TYPE") == TAILSITTER
 
 
+class Surface(NamedTuple):
+    """A surface of control allocation, by its parameters CA_SV_CSn_."""
+
+    #: Number n of its output
+    number: int
+    #: TYPE
+    kind: int
+    #: TRQ_R, TRQ_P and TRQ_Y
+    torques: dict[str, float]
+    #: FLAP, None in versions without it
+    flap: float | None
+    #: SPOIL
+    spoiler: float
+    #: Values of its output
+    values: Vector
+
+    def servo(self, inputs: tuple[float, ...], throws: tuple[float, ...]) -> Servo:
+        """Return the servo with deflections at some values of the output."""
+        return Servo(f"actuator_servos.control[{self.number}]", inputs, throws)
+
+
+def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> list[Surface]:
+    """Return the surfaces of control allocation whose outputs are logged."""
+    outputs = topics.get("actuator_servos", NOTHING)
+    count = whole(parameters.get("CA_SV_CS_COUNT", MOST_SURFACES))
+    surfaces = []
+    for n in range(min(count, MOST_SURFACES)):
+        if f"control[{n}]" in outputs:
+            name = f"CA_SV_CS{n}"
+            surface = Surface(
+                number=n,
+                kind=whole(parameters.get(f"{name}_TYPE", 0.0)),
+                torques={axis: parameters.get(f"{name}_TRQ_{axis}", 0.0) for axis in "RPY"},
+                flap=parameters.get(f"{name}_FLAP"),
+                spoiler=parameters.get(f"{name}_SPOIL", 1.0),
+                values=outputs[f"control[{n}]"],
+            )
+            surfaces.append(surface)
+    return surfaces
+
+
 def _controls(
     topics: Mapping[str, Topic], parameters: Mapping[str, float], sits_on_tail: bool
 ) -> dict[str, Control]:
@@ -518,16 +559,10 @@ def _controls(
     The torques of control allocation mix any number of surfaces in any way; elevons are then mixed.
     The fixed rules of tailsitters changed with the version.
     """
-    outputs = topics.get("actuator_servos", NOTHING)
-    types = {}
-    count = whole(parameters.get("CA_SV_CS_COUNT", MOST_SURFACES))
-    for n in range(min(count, MOST_SURFACES)):
-        if f"control[{n}]" in outputs:
-            types[n] = whole(parameters.get(f"CA_SV_CS{n}_TYPE", 0.0))
-    axes = HOVER_TORQUES if sits_on_tail else TORQUES
-    mixed = _mixed_controls(types, parameters, axes)
-    mixed |= _flaps(types, parameters, outputs) | _airbrakes(types, parameters, outputs)
-    controls = _single_controls(types)
+    surfaces = _surfaces(topics, parameters)
+    mixed = _mixed_controls(surfaces, HOVER_TORQUES if sits_on_tail else TORQUES)
+    mixed |= _flaps(surfaces) | _airbrakes(surfaces)
+    controls = _single_controls(surfaces)
     if not controls and not sits_on_tail:
         controls = _fixed_controls(topics)
     if mixed:
@@ -537,34 +572,27 @@ def _controls(
 
 
 def _mixed_controls(
-    types: Mapping[int, int],
-    parameters: Mapping[str, float],
-    axes: Mapping[str, tuple[str, float]],
+    surfaces: list[Surface], axes: Mapping[str, tuple[str, float]]
 ) -> dict[str, Control]:
     """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
-    controls = {}
+    mixed = [surface for surface in surfaces if surface.kind in MIXED_TYPES]
+    controls: dict[str, Control] = {}
     for control, (axis, sign) in axes.items():
-        torques = {}
-        for n, kind in types.items():
-            torque = parameters.get(f"CA_SV_CS{n}_TRQ_{axis}", 0.0)
-            if kind in MIXED_TYPES and torque:
-                torques[n] = torque
-        total = sum(map(abs, torques.values()))
+        total = sum(abs(surface.torques[axis]) for surface in mixed)
         if 0 < total < np.inf:
+            weights = [(sign * surface.torques[axis] / total, surface) for surface in mixed]
             controls[control] = tuple(
-                (sign * torque / total, Servo(f"actuator_servos.control[{n}]", UP, UP))
-                for n, torque in torques.items()
+                (weight, surface.servo(UP, UP)) for weight, surface in weights if weight
             )
     return controls
 
 
-def _single_controls(types: Mapping[int, int]) -> dict[str, Control]:
+def _single_controls(surfaces: list[Surface]) -> dict[str, Control]:
     """Return the controls of one surface each: the first output of a type counts."""
     controls: dict[str, Control] = {}
-    for n, kind in types.items():
-        if kind in SURFACES:
-            servo = Servo(f"actuator_servos.control[{n}]", UP, DOWN)
-            controls.setdefault(SURFACES[kind], ((1.0, servo),))
+    for surface in surfaces:
+        if surface.kind in SURFACES:
+            controls.setdefault(SURFACES[surface.kind], ((1.0, surface.servo(UP, DOWN)),))
     return controls
 
 
@@ -584,79 +612,62 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
     return {}
 
 
-def _flaps(
-    types: Mapping[int, int], parameters: Mapping[str, float], outputs: Topic
-) -> dict[str, Control]:
+def _flaps(surfaces: list[Surface]) -> dict[str, Control]:
     """Return the mean of the flaps, 0 to 1.
 
     Their outputs are (2 f - 1) CA_SV_CSn_FLAP, in versions without this parameter f on the left
     and -f on the right (ActuatorEffectivenessControlSurfaces.cpp). Of flaperons, too, the mean is f,
     as rolling turns them apart; they need the parameter, and version 1.16 moves them by f CA_SV_CSn_FLAP.
     """
-    ends = {}
-    for n, kind in types.items():
-        scale = parameters.get(f"CA_SV_CS{n}_FLAP")
-        is_flaperon = kind in AILERONS and scale is not None and _turn_apart(types, parameters)
-        if scale == 0 or not (kind in FLAPS or is_flaperon):
-            continue
-        ends[n] = (0.0, 1.0) if kind == FLAPS[0] else (0.0, -1.0)
-        if scale is not None:
-            ends[n] = (-scale, scale)
-    are_flaperons = bool(ends) and not any(types[n] in FLAPS for n in ends)
-    return _opening("flap", ends, outputs, may_close_at_zero=are_flaperons)
+    flaperons = [each for each in surfaces if each.kind in AILERONS and each.flap]
+    flaps = [each for each in surfaces if each.kind in FLAPS and each.flap != 0]
+    ends = []
+    for surface in sorted(flaps + (flaperons if _turn_apart(flaperons) else [])):
+        opened = 1.0 if surface.kind == FLAPS[0] else -1.0
+        end = (0.0, opened) if surface.flap is None else (-surface.flap, surface.flap)
+        ends.append((surface, end))
+    return _opening("flap", ends, may_close_at_zero=not flaps)
 
 
-def _airbrakes(
-    types: Mapping[int, int], parameters: Mapping[str, float], outputs: Topic
-) -> dict[str, Control]:
+def _turn_apart(flaperons: list[Surface]) -> bool:
+    """Return whether rolling does not change the mean of the flaperons over their CA_SV_CSn_FLAP."""
+    parts = [surface.torques["R"] / (surface.flap or 1.0) for surface in flaperons]
+    return bool(parts) and abs(sum(parts)) < 1e-3 * sum(map(abs, parts))
+
+
+def _airbrakes(surfaces: list[Surface]) -> dict[str, Control]:
     """Return the mean of airbrakes and spoilers, 0 to 1.
 
     Their outputs are s CA_SV_CSn_SPOIL, and of spoilers since version 1.16 (2 s - 1) CA_SV_CSn_SPOIL.
     """
-    ends = {}
-    for n, kind in types.items():
-        scale = parameters.get(f"CA_SV_CS{n}_SPOIL", 1.0)
-        if kind in SPOILERS and scale:
-            ends[n] = (-scale, scale)
-    return _opening("spoiler", ends, outputs, may_close_at_zero=True)
+    ends = []
+    for surface in surfaces:
+        scale = surface.spoiler
+        if surface.kind in SPOILERS and scale:
+            ends.append((surface, (-scale, scale)))
+    return _opening("spoiler", ends, may_close_at_zero=True)
 
 
 def _opening(
-    surface: str,
-    ends: Mapping[int, tuple[float, float]],
-    outputs: Topic,
-    *,
-    may_close_at_zero: bool,
+    name: str, ends: list[tuple[Surface, tuple[float, float]]], *, may_close_at_zero: bool
 ) -> dict[str, Control]:
-    """Return a surface as the mean of servos with an output each where it is closed and where it is open.
+    """Return a control as the mean of surfaces with an output each where they are closed and where they are open.
 
-    With ``may_close_at_zero`` it is closed at zero in versions whose outputs never go beyond it.
+    With ``may_close_at_zero`` they are closed at zero in versions whose outputs never go beyond it.
     """
     if not ends:
         return {}
+    closes_at_zero = False
     if may_close_at_zero:
-        openings = []
-        for n, (_, opened) in ends.items():
-            openings.append(outputs[f"control[{n}]"] / opened)
+        openings = [surface.values / opened for surface, (_, opened) in ends]
         lowest = np.nanmin(np.mean(openings, axis=0), initial=np.inf)
-        if lowest > -LIMITS.at_zero:
-            ends = {n: (0.0, opened) for n, (_, opened) in ends.items()}
+        closes_at_zero = lowest > -LIMITS.at_zero
     servos = []
-    for n, (closed, opened) in ends.items():
-        throws = OPENING if closed < opened else OPENING[::-1]
-        inputs = (min(closed, opened), max(closed, opened))
-        servos.append(Servo(f"actuator_servos.control[{n}]", inputs, throws))
-    return {surface: tuple((1 / len(servos), servo) for servo in servos)}
-
-
-def _turn_apart(types: Mapping[int, int], parameters: Mapping[str, float]) -> bool:
-    """Return whether rolling does not change the mean of the flaperons over their CA_SV_CSn_FLAP."""
-    parts = []
-    for n, kind in types.items():
-        scale = parameters.get(f"CA_SV_CS{n}_FLAP", 0.0)
-        if kind in AILERONS and scale:
-            parts.append(parameters.get(f"CA_SV_CS{n}_TRQ_R", 0.0) / scale)
-    return bool(parts) and abs(sum(parts)) < 1e-3 * sum(map(abs, parts))
+    for surface, (closed, opened) in ends:
+        inputs = (0.0, opened) if closes_at_zero else (closed, opened)
+        throws = OPENING if opened > 0 else OPENING[::-1]
+        servos.append(surface.servo((min(inputs), max(inputs)), throws))
+    return {name: tuple((1 / len(servos), servo) for servo in servos)}
 
 
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:

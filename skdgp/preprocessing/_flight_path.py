@@ -274,14 +274,8 @@ class FlightPathReconstruction(TableTransformer):
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
             return None
-        couplings = motion.couplings()
-        if motion.converged and couplings:
-            finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
-            report(finding, stacklevel=4)
-        error = motion.position_error()
-        if motion.converged and error is not None:
-            numbers = {"distance": float(np.linalg.norm(error))}
-            report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers), stacklevel=4)
+        if motion.converged:
+            _tell_of_aircraft(motion)
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         names = [flight.name for flight in flights_of(table)]
@@ -341,7 +335,7 @@ class FlightPathReconstruction(TableTransformer):
             new[name] = wrapped_near(new[name], table[name])
         if {*SENSOR_POSITION} <= {*table.columns}:
             # the specific force is that at the centre of gravity
-            new |= {name: np.zeros(len(table)) for name in SENSOR_POSITION}
+            new |= dict.fromkeys(SENSOR_POSITION, np.zeros(len(table)))
         return with_columns(table, new)
 
     def _columns_by_path(self, table: pd.DataFrame) -> dict[str, Vector]:
@@ -404,6 +398,18 @@ class FlightPathReconstruction(TableTransformer):
         if diverged:
             numbers = {"flights": list(dict.fromkeys(diverged))}
             report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers), stacklevel=5)
+
+
+def _tell_of_aircraft(motion: AirMotion) -> None:
+    """Report couplings of the axes, and inertial sensors that are not where they are said to be."""
+    couplings = motion.couplings()
+    if couplings:
+        finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
+        report(finding, stacklevel=5)
+    error = motion.position_error()
+    if error is not None:
+        numbers = {"distance": float(np.linalg.norm(error))}
+        report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers), stacklevel=5)
 
 
 def _in_rows(flights: list[pd.DataFrame]) -> dict[str, Vector]:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.sklearn_compat import StrOptions
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     AIR_DATA,
     ALL_SURFACES,
@@ -155,25 +156,30 @@ class LagCorrector(TableTransformer):
     def _transform_table(self, table):
         check_columns(table, ["time"])
         time = numeric(table, ["time"])[:, 0]
+        flight = table.get("flight")
         lags = self.lags_["applied"]
         fresh = without_repeats(table, (EULER, EARTH_VELOCITY))
         new = {}
         for group, lag in lags[lags != 0].drop("servos", errors="ignore").items():
             for name in present(_columns_of([group]), table):
                 values = unwrapped(fresh, [name])[:, 0]
-                flight = table.get("flight")
                 noisy = name not in CONTROLS
                 repeats = name not in KINEMATIC
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
-            surfaces = present(ALL_SURFACES, table)
-            commands = numeric(with_columns(table, new), surfaces)
-            late = delayed_surfaces(time, commands, lags["servos"], table.get("flight"))
-            late[np.isnan(commands)] = np.nan
-            new |= by_name(surfaces, late)
+            new |= _deflections(with_columns(table, new), time, lags["servos"])
         for name in present(WRAPPED, new):
             new[name] = wrapped_near(new[name], table[name])
         return with_columns(table, new)
+
+
+def _deflections(table: pd.DataFrame, time: Vector, lag: float) -> dict[str, Vector]:
+    """Return the deflections of servos of a first-order lag by their commands, NaN where there is none."""
+    surfaces = present(ALL_SURFACES, table)
+    commands = numeric(table, surfaces)
+    late = delayed_surfaces(time, commands, lag, table.get("flight"))
+    late[np.isnan(commands)] = np.nan
+    return by_name(surfaces, late)
 
 
 def _columns_of(names: Iterable[Any]) -> list[str]:

@@ -45,6 +45,12 @@ def faults(table):
     return inspect_flight(table)[["channel", "kind"]].values.tolist()
 
 
+def checked(table, words=None):
+    """Return a flight without its faults, of which a warning tells."""
+    with pytest.warns(FlightDataWarning, match=words):
+        return FlightCheck().fit_transform(table)
+
+
 def spoilt(channel, rows, value, table=None):
     """Return a flight with other values at some rows of a channel."""
     table = log() if table is None else table.copy()
@@ -68,8 +74,7 @@ def slower(table, *channels):
 def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():
     table = held("alpha", 1500, 1560, held("alpha", 800, 950, held("alpha", 400, 480)))
     match = r"sortie: 3 times, the longest: alpha is stuck at .* \(20.025 to 23.75 s, 150 samples\)"
-    with pytest.warns(FlightDataWarning, match=match):
-        FlightCheck().fit_transform(table)
+    checked(table, match)
 
 
 class TestCleanLogs:
@@ -219,16 +224,14 @@ class TestBridging:
     def test_short_gaps_are_interpolated_and_long_ones_stay(self):
         """9 steps between the samples around, 0.225 s, and 0.275 s."""
         table = spoilt("alpha", [*range(500, 508), *range(900, 910)], np.nan)
-        with pytest.warns(FlightDataWarning, match="alpha has no value 2 times"):
-            out = FlightCheck().fit_transform(table)
+        out = checked(table, "alpha has no value 2 times")
         assert out.index[out.alpha.isna()].tolist() == list(range(900, 910))
         line = np.interp(table.time[500:508], table.time[[499, 508]], table.alpha[[499, 508]])
         assert_allclose(out.alpha[500:508], line)
 
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
         both = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
-        with pytest.warns(FlightDataWarning):
-            out = FlightCheck().fit_transform(spoilt("alpha", [2399, 2400], np.nan, both))
+        out = checked(spoilt("alpha", [2399, 2400], np.nan, both))
         assert out.alpha.isna().sum() == 2
 
     def test_single_lost_samples_leave_no_holes(self):
@@ -237,8 +240,8 @@ class TestBridging:
         for name in LEVELS:
             lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)
             table.loc[lost, name] = np.nan
-        with pytest.warns(FlightDataWarning, match="gaps up to 0.25 s are interpolated"):
-            assert FlightCheck().fit_transform(table).notna().all(axis=None)
+        out = checked(table, "gaps up to 0.25 s are interpolated")
+        assert out.notna().all(axis=None)
 
 
 class TestClock:
@@ -266,8 +269,7 @@ class TestDownstream:
         words = r"100 of 2400 rows .*'alpha': 100.*as FlightCheck gives it"
         with pytest.warns(FlightDataWarning), pytest.raises(ValueError, match=words):
             self.steps.fit_transform(table)
-        with pytest.warns(FlightDataWarning):
-            table = FlightCheck().fit_transform(table)
+        table = checked(table)
         assert len(self.steps.fit_transform(table[np.isfinite(table.alpha)])) == 2300
 
     def test_targets_are_not_observed_where_sensors_were_faulty(self):

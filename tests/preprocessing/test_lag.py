@@ -23,9 +23,17 @@ def latlon(first_minute):
     return train[train.flight == "latlon"].reset_index(drop=True)
 
 
+def corrected(table, lags="auto"):
+    return LagCorrector(lags).fit_transform(table)
+
+
+def lags_of(table):
+    return LagCorrector().fit(table).lags_
+
+
 def late(table, **lags):
     """Return the table with groups of channels late by so many seconds."""
-    return LagCorrector({group: -lag for group, lag in lags.items()}).fit_transform(table)
+    return corrected(table, {group: -lag for group, lag in lags.items()})
 
 
 def linear_aircraft(seed, air=0.0, surfaces=0.0, servos=0.0, seconds=60.0, width=6):
@@ -66,14 +74,14 @@ def linear_aircraft(seed, air=0.0, surfaces=0.0, servos=0.0, seconds=60.0, width
 
 def found_in(table):
     """Return the lags by group; without an attitude the reconstruction, which takes seconds, is left out."""
-    return LagCorrector().fit(table.drop(columns="phi", errors="ignore")).lags_
+    return lags_of(table.drop(columns="phi", errors="ignore"))
 
 
 UNSHOWN = ["not shown by these flights"] * 5
 
 
 def remarks(table):
-    return LagCorrector().fit(table).lags_.remark.tolist()
+    return lags_of(table).remark.tolist()
 
 
 class TestEstimate:
@@ -114,7 +122,7 @@ class TestEstimate:
 
     def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
         spoilt = late(latlon[:2400], attitude=0.06, gps=-0.05)
-        lags = LagCorrector().fit(spoilt).lags_
+        lags = lags_of(spoilt)
         assert abs(lags.lag["attitude"] - 0.06) < 0.005
         assert abs(lags.lag["gps"] + 0.05) < 0.005
         assert lags.remark[["attitude", "gps"]].tolist() == ["removed"] * 2
@@ -130,7 +138,7 @@ class TestEstimate:
         flight = flight.assign(**(flight[["ax", "ay", "az"]] + moved))
         columns = flight.assign(sensor_position_x=0.5, sensor_position_y=0.0, sensor_position_z=0.0)
         of_aircraft = LagCorrector(aircraft=ahead).fit(flight).lags_
-        assert_frame_equal(of_aircraft, LagCorrector().fit(columns).lags_)
+        assert_frame_equal(of_aircraft, lags_of(columns))
         assert of_aircraft.applied["gps"] == 0.0
 
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
@@ -166,23 +174,23 @@ class TestEstimate:
 
     def test_flights_without_inertial_sensors_tell_nothing(self):
         table = linear_aircraft(0).drop(columns="q")
-        assert_frame_equal(LagCorrector().fit_transform(table), table)
+        assert_frame_equal(corrected(table), table)
 
 
 class TestTransform:
     def test_what_was_late_is_on_time_again(self):
-        lags = LagCorrector().fit(linear_aircraft(3, air=0.08, surfaces=0.05)).lags_
+        lags = lags_of(linear_aircraft(3, air=0.08, surfaces=0.05))
         assert lags.remark[["air", "surfaces"]].tolist() == ["removed"] * 2
         spoilt, truth = linear_aircraft(3, surfaces=0.1), linear_aircraft(3)
-        error = LagCorrector().fit_transform(spoilt).elevator - truth.elevator
+        error = corrected(spoilt).elevator - truth.elevator
         assert error[20:-20].std() < 0.1 * (spoilt.elevator - truth.elevator)[20:-20].std()
 
     def test_clean_flights_pass_unchanged(self, latlon):
-        assert_frame_equal(LagCorrector().fit_transform(latlon[:1600]), latlon[:1600])
+        assert_frame_equal(corrected(latlon[:1600]), latlon[:1600])
 
     def test_lags_are_undone(self, latlon):
         there = late(latlon, air=0.08, psi=0.03)
-        back = LagCorrector({"air": 0.08, "psi": 0.03}).fit_transform(there)
+        back = corrected(there, {"air": 0.08, "psi": 0.03})
         inner = slice(20, -20)
         for name in ("alpha", "psi"):  # noise, and turns of 2 pi, as they were
             assert_allclose(back[name][inner], latlon[name][inner], atol=0.02 * latlon[name].std())
@@ -191,14 +199,14 @@ class TestTransform:
 
     def test_attitude_and_position_are_unknown_beyond_the_end_however_named(self, latlon):
         for name, lags in (("psi", {"psi": 0.1}), ("psi", {"attitude": 0.1})):
-            assert np.isnan(LagCorrector(lags).fit_transform(latlon)[name].iloc[-1])
-        assert np.isfinite(LagCorrector({"alpha": 0.1}).fit_transform(latlon)["alpha"].iloc[-1])
+            assert np.isnan(corrected(latlon, lags)[name].iloc[-1])
+        assert np.isfinite(corrected(latlon, {"alpha": 0.1})["alpha"].iloc[-1])
 
     @pytest.mark.parametrize("lag", [0.0675, -0.0675])
     def test_a_line_is_shifted_exactly(self, lag):
         time = np.arange(0, 20, STEP)
         table = pd.DataFrame({"time": time, "alpha": 0.01 * time - 0.1})
-        out = LagCorrector({"alpha": lag}).fit_transform(table)
+        out = corrected(table, {"alpha": lag})
         inside = (time + lag >= time[0]) & (time + lag <= time[-1])
         expected = 0.01 * (time + lag) - 0.1
         assert_allclose(out.alpha[inside], expected[inside], atol=1e-12)
@@ -218,7 +226,7 @@ class TestTransform:
             {"time": time, "flight": ["a"] * 100 + ["b"] * 50, "alpha": np.repeat([1.0, 2, 3], 50)}
         )
         for lag in (0.3, -0.3):
-            out = LagCorrector({"alpha": lag}).fit_transform(table)
+            out = corrected(table, {"alpha": lag})
             assert_allclose(out.alpha, table.alpha)
 
     def test_what_was_not_sampled_stays_so(self):
@@ -226,10 +234,10 @@ class TestTransform:
         table = pd.DataFrame({"time": time, "alpha": np.sin(time - 0.1)})
         table.loc[table.index % 4 != 0, "alpha"] = np.nan
         table.loc[100:200, "alpha"] = np.nan
-        out = LagCorrector({"alpha": 0.1}).fit_transform(table)
+        out = corrected(table, {"alpha": 0.1})
         assert out.alpha.isna().equals(table.alpha.isna())
         commands = table.rename(columns={"alpha": "elevator"})
-        out_of_servos = LagCorrector({"servos": 0.1}).fit_transform(commands)
+        out_of_servos = corrected(commands, {"servos": 0.1})
         assert out_of_servos.elevator.isna().equals(table.alpha.isna())
         known = out.alpha.notna() & ~table.index.isin([*range(92, 100), *range(390, 400)])
         assert_allclose(out.alpha[known], np.sin(time)[known], atol=1e-3)

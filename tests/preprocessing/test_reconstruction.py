@@ -93,11 +93,19 @@ def flown(seconds=60.0, rate=25.0, *, gusts=0.0, seed=0, turn=0.3, loop=0.0):
     return table
 
 
+def fitted(table, **options):
+    return FlightPathReconstruction(**options).fit(table)
+
+
+def path_of(table):
+    return FlightPathReconstruction().fit_transform(table)
+
+
 @cache
 def reconstructed(**options):
     """Return a flight, the reconstruction fitted to it, and what it gives; not to be changed."""
     table = flown(**options)
-    reconstruction = FlightPathReconstruction().fit(table)
+    reconstruction = fitted(table)
     return table, reconstruction, reconstruction.transform(table)
 
 
@@ -138,7 +146,7 @@ class TestRecovery:
         table = flown()
         for name, bias in biases.items():
             table[name] += bias
-        reconstruction = FlightPathReconstruction().fit(table)
+        reconstruction = fitted(table)
         found = reconstruction.calibration_.set_index("constant")
         for name, bias in biases.items():
             estimate, std = found.loc[f"{name}_bias", ["estimate", "std"]]
@@ -149,7 +157,7 @@ class TestRecovery:
     def test_through_the_vertical(self):
         table = flown(40.0, loop=0.5, turn=0.0)
         assert np.abs(table.theta_true).max() > 1.5
-        out = FlightPathReconstruction().fit_transform(table)
+        out = path_of(table)
         truth = Rotation.from_euler("ZYX", table[["psi_true", "theta_true", "phi_true"]])
         found = Rotation.from_euler("ZYX", out[["psi", "theta", "phi"]])
         assert (truth.inv() * found).magnitude().max() < 0.006
@@ -157,7 +165,7 @@ class TestRecovery:
 
     def test_without_vanes(self):
         table = flown(40.0)
-        out = FlightPathReconstruction().fit_transform(table.drop(columns=["alpha", "beta"]))
+        out = path_of(table.drop(columns=["alpha", "beta"]))
         assert_near(table, out, {"alpha": 0.003, "beta": 0.003})
         assert {"alpha", "beta", "alpha_dot", "beta_dot"} <= set(out)
 
@@ -175,13 +183,13 @@ class TestRecovery:
             options["aircraft"] = Aircraft(**SIZES, sensor_position=arm)
         else:
             far[POSITION] = arm
-        reconstruction = FlightPathReconstruction(**options).fit(far)
+        reconstruction = fitted(far, **options)
         out = reconstruction.transform(far)
         assert_near(table, out, shares(0.2) | dict.fromkeys(FORCES, 0.08))
         assert_allclose(out[POSITION], 0.0)
         assert list(reconstruction.get_feature_names_out()) == list(out.columns)
         unplaced = far.drop(columns=POSITION, errors="ignore")
-        wrong = FlightPathReconstruction().fit_transform(unplaced)
+        wrong = path_of(unplaced)
         for name in FORCES:
             assert error(table, wrong, name) > 1.8 * error(table, out, name)
 
@@ -192,14 +200,14 @@ class TestRecovery:
         slow.loc[row % 3 != 0, ["alpha"]] = np.nan
         slow.loc[(row > 700) & (row < 750), [*ATTITUDE, "airspeed"]] = np.nan
         slow.loc[row % 50 == 7, ["p", "ax"]] = np.nan
-        out = FlightPathReconstruction().fit_transform(slow)
+        out = path_of(slow)
         assert out[[*AIR, "p", "ax", "psi", "wind_down"]].notna().all(axis=None)
         assert_near(table, out, shares(0.3))
 
     def test_a_gap_is_not_bridged(self):
         table = flown(50.0)
         parts = table[(table.time < 20) | (table.time > 30)].reset_index(drop=True)
-        assert_near(parts, FlightPathReconstruction().fit_transform(parts), shares(0.25))
+        assert_near(parts, path_of(parts), shares(0.25))
 
 
 class TestHonesty:
@@ -207,7 +215,7 @@ class TestHonesty:
         """Paths differ by little of their error where parts of 1,000 rows meet."""
         table = flown(120.0, gusts=0.5)
         assert len(table) == 3000
-        reconstruction = FlightPathReconstruction().fit(table[:1000])
+        reconstruction = fitted(table[:1000])
         found, peaks = [], []
         for max_rows in (3000, 1000):
             reconstruction.set_params(max_rows=max_rows)
@@ -225,7 +233,7 @@ class TestHonesty:
         noise = default_rng(0).uniform(-3, 3, len(table))
         both = pd.concat([table.assign(flight="a"), table.assign(flight="b", psi=noise)])
         with pytest.warns(UserWarning, match="did not converge: b"):
-            reconstruction = FlightPathReconstruction().fit(both.reset_index(drop=True))
+            reconstruction = fitted(both.reset_index(drop=True))
         assert pickle.loads(pickle.dumps(reconstruction)).converged_ == {"a": True, "b": False}
 
     def test_flights_are_not_mixed(self):
@@ -237,7 +245,7 @@ class TestHonesty:
 
     def test_rates_of_change(self):
         table = flown(40.0)
-        out = FlightPathReconstruction().fit_transform(table)
+        out = path_of(table)
         for name in ("alpha", "beta"):
             truth = CubicSpline(table.time, table[f"{name}_true"])(table.time, 1)
             assert np.std(out[f"{name}_dot"] - truth) < 0.12 * truth.std()  # gyros as they are
@@ -246,18 +254,18 @@ class TestHonesty:
 class TestIncomplete:
     def test_flights_of_fit_that_lack_a_sensor_pass_as_they_are(self):
         flight = flown(20).drop(columns="phi")
-        reconstruction = FlightPathReconstruction(optional=True).fit(flight)
+        reconstruction = fitted(flight, optional=True)
         assert reconstruction.missing_ == ["phi"]
         assert_frame_equal(reconstruction.transform(flight), flight)
 
     def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):
         second = flown(20).assign(flight="two", p=np.nan)
         both = pd.concat([flown(20), second], ignore_index=True)
-        assert FlightPathReconstruction(optional=True).fit(both).missing_ == ["p"]
+        assert fitted(both, optional=True).missing_ == ["p"]
 
     def test_a_later_flight_that_lacks_one_is_smoothed_and_said(self):
         flight = flown(40)
-        reconstruction = FlightPathReconstruction(optional=True).fit(flight)
+        reconstruction = fitted(flight, optional=True)
         with pytest.warns(
             FlightDataWarning, match=r"Got flights without \['phi'\], which those of the fit had"
         ):
@@ -296,7 +304,7 @@ class TestInconsistent:
 
     def test_consistent_flights_are_reconstructed_as_without_the_check(self):
         table, unchecked, out = reconstructed(gusts=0.3)
-        checked = FlightPathReconstruction(optional=True).fit(table)
+        checked = fitted(table, optional=True)
         assert checked.used_
         assert_frame_equal(checked.transform(table), out)
         assert list(checked.get_feature_names_out()) == list(unchecked.get_feature_names_out())
@@ -321,12 +329,12 @@ class TestInconsistent:
     )
     def test_contradictions_are_named_and_the_flights_pass(self, damage, reason):
         table = damage(flown(40.0, gusts=0.1))
-        reconstruction = FlightPathReconstruction(optional=True).fit(table)
+        reconstruction = fitted(table, optional=True)
         assert not reconstruction.used_
         assert reason in reconstruction.reason_
         assert_frame_equal(reconstruction.transform(table), table)
         assert "gust" not in reconstruction.get_feature_names_out()
-        path = FlightPathReconstruction().fit_transform(table)
+        path = path_of(table)
         smooth = FlightSmoother().fit_transform(table)
         assert error(table, path, "alpha") > error(table, smooth, "alpha")
 
@@ -334,23 +342,23 @@ class TestInconsistent:
         table = flown(40.0, gusts=0.1)
         mean = table["airspeed"].rolling(9, center=True, min_periods=1).mean()
         filtered = table.assign(airspeed=mean)
-        reconstruction = FlightPathReconstruction(optional=True).fit(filtered)
+        reconstruction = fitted(filtered, optional=True)
         assert reconstruction.used_
         assert reconstruction.reason_.startswith("although airspeed is smoothed")
         assert [found.sensor for found in reconstruction.contradictions_] == ["airspeed"]
         filtered = filtered.assign(alpha=table["alpha_true"])
-        assert not FlightPathReconstruction(optional=True).fit(filtered).used_
+        assert not fitted(filtered, optional=True).used_
 
     def test_without_a_vane_there_is_no_choice(self):
         table = wandering(flown(20.0), ATTITUDE, 0.05).drop(columns="beta")
-        reconstruction = FlightPathReconstruction(optional=True).fit(table)
+        reconstruction = fitted(table, optional=True)
         assert reconstruction.used_
         assert "although the attitude does not follow the gyros" in reconstruction.reason_
 
 
 def test_gusts_are_told():
     """A piece of half a second has the gusts of the fit."""
-    reconstruction = FlightPathReconstruction().fit(flown(40, gusts=0.4))
+    reconstruction = fitted(flown(40, gusts=0.4))
     fit = reconstruction.gust_std_
     assert fit == pytest.approx(0.4, rel=0.3)
 
@@ -366,26 +374,26 @@ class TestBadInput:
     @pytest.mark.parametrize("name", PATH_CHANNELS)
     def test_missing_column(self, name):
         with pytest.raises(ValueError, match=f"lacks the columns '{name}'"):
-            FlightPathReconstruction().fit(flown(2.0).drop(columns=name))
+            fitted(flown(2.0).drop(columns=name))
 
     def test_silent_sensor_is_named_with_its_flight(self):
         with pytest.raises(ValueError, match="no value of v_east in flight 'one'"):
-            FlightPathReconstruction().fit(flown(2.0).assign(v_east=np.nan))
+            fitted(flown(2.0).assign(v_east=np.nan))
 
     @pytest.mark.parametrize("name", ["phi", "theta"])
     def test_degrees(self, name):
         table = flown(20.0)
         with pytest.raises(ValueError, match=r"numpy\.deg2rad"):
-            FlightPathReconstruction().fit(table.assign(**{name: np.rad2deg(table[name] + 1.0)}))
+            fitted(table.assign(**{name: np.rad2deg(table[name] + 1.0)}))
 
     def test_wrong_sign_shows_in_the_noise(self):
         table, right, _ = reconstructed(seconds=30.0)
-        wrong = FlightPathReconstruction().fit(table.assign(q=-table.q))
+        wrong = fitted(table.assign(q=-table.q))
         assert wrong.noise_std_["gyro"] > 10 * right.noise_std_["gyro"]
 
     @pytest.mark.parametrize("rows", [1, 2, 5])
     def test_very_short_flights(self, rows):
-        out = FlightPathReconstruction().fit_transform(flown(1.0)[:rows])
+        out = path_of(flown(1.0)[:rows])
         out = out.drop(columns=["alpha_dot", "beta_dot"] if rows == 1 else [])
         assert np.isfinite(out.select_dtypes("number").to_numpy()).all()
 

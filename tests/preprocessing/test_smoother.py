@@ -29,6 +29,10 @@ def rms(error):
     return np.sqrt(np.mean(np.square(error), axis=0))
 
 
+def smoothed_table(table, **options):
+    return FlightSmoother(**options).fit_transform(table)
+
+
 def filtered(values, time, flight=None, **options):
     """Return channels (n,) or (n, k) that have nothing to do with each other, smoothed, and their rates of change."""
     columns = np.reshape(values, (len(time), -1))
@@ -36,7 +40,7 @@ def filtered(values, time, flight=None, **options):
     table = pd.DataFrame(columns, columns=names).assign(time=time)
     if flight is not None:
         table["flight"] = flight
-    out = FlightSmoother(columns=names, derivatives=names, **options).fit_transform(table)
+    out = smoothed_table(table, columns=names, derivatives=names, **options)
     rates = [f"{name}_dot" for name in names]
     shape = np.shape(values)
     return out[names].to_numpy().reshape(shape), out[rates].to_numpy().reshape(shape)
@@ -153,8 +157,8 @@ class TestJoint:
     @pytest.mark.parametrize("seed", range(3))
     def test_the_gyro_helps_the_vane(self, seed):
         noisy, truth = self.motion(seed=seed)
-        together = FlightSmoother().fit_transform(noisy)
-        alone = FlightSmoother(joint=False).fit_transform(noisy)
+        together = smoothed_table(noisy)
+        alone = smoothed_table(noisy, joint=False)
         for name, expected in {"alpha": truth["alpha"], "alpha_dot": truth["q"]}.items():
             assert rms(together[name] - expected) < 0.8 * rms(alone[name] - expected)
         assert_allclose(together["q"], alone["q"], atol=1e-12)
@@ -162,15 +166,15 @@ class TestJoint:
     def test_a_cutoff_of_its_own_leaves_the_company(self):
         noisy, _ = self.motion(2400)
         together, alone = (
-            FlightSmoother(cutoff=2.0, joint=joint).fit_transform(noisy) for joint in (True, False)
+            smoothed_table(noisy, cutoff=2.0, joint=joint) for joint in (True, False)
         )
         assert_frame_equal(together, alone)
 
     def test_scale_and_order_of_channels_do_not_matter(self):
         noisy, _ = self.motion(2400)
-        there = FlightSmoother().fit_transform(noisy)
+        there = smoothed_table(noisy)
         other = noisy[["time", "q", "alpha"]] * [1.0, 10.0, 1e-3]
-        back = FlightSmoother().fit_transform(other)
+        back = smoothed_table(other)
         assert_allclose(
             1e3 * back[["alpha", "alpha_dot"]], there[["alpha", "alpha_dot"]], atol=1e-9
         )
@@ -180,15 +184,15 @@ class TestJoint:
         drift = np.cumsum(default_rng(3).normal(size=9600))
         airspeed = drift + default_rng(4).normal(0, 3, 9600)
         both = pd.DataFrame({"time": time, "alpha": alpha, "airspeed": airspeed})
-        change = FlightSmoother().fit_transform(both).alpha - smooth(alpha, time)
+        change = smoothed_table(both).alpha - smooth(alpha, time)
         assert change.std() < 0.1 * alpha.std()
 
     def test_a_partner_sampled_at_other_rows_tells_nothing(self):
         noisy, _ = self.motion(4800)
         silent, elsewhere = noisy.assign(q=np.nan), noisy.copy()
         elsewhere.loc[::2, "q"] = np.nan
-        out = FlightSmoother().fit_transform(elsewhere)
-        assert_allclose(out.alpha, FlightSmoother().fit_transform(silent).alpha)
+        out = smoothed_table(elsewhere)
+        assert_allclose(out.alpha, smoothed_table(silent).alpha)
 
 
 class TestNoiseLevel:
@@ -263,7 +267,7 @@ def test_automatic_columns_are_the_measured_ones():
 
 def test_heading_passes_through_pi():
     table = flight()
-    out = FlightSmoother(columns=["psi"], derivatives=["psi"]).fit_transform(table)
+    out = smoothed_table(table, columns=["psi"], derivatives=["psi"])
     assert np.abs(np.angle(np.exp(1j * (out.psi - 3.0 - 0.3 * table.time)))).max() < 0.02
     assert np.abs(out.psi_dot - 0.3).max() < 0.15
     assert np.abs(out.psi - table.psi).max() < 0.1

@@ -13,18 +13,13 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 
 # Names in other programs and textbooks, in lower case
-ALIASES = {
-    **dict.fromkeys(("ias", "tas", "va", "vtas", "vias", "aspd"), "airspeed"),
-    **dict.fromkeys(("aoa", "alfa"), "alpha"), **dict.fromkeys(("aos", "ssa", "sideslip"), "beta"),
-    **dict.fromkeys(("de", "elev", "delta_e", "stab"), "elevator"),
-    **dict.fromkeys(("da", "ail", "delta_a"), "aileron"),
-    **dict.fromkeys(("dr", "rud", "delta_r"), "rudder"),
-    **dict.fromkeys(("dthr", "dt", "thr", "delta_t"), "throttle"),
-    **dict.fromkeys(("rpm", "omega"), "propeller_speed"), "rho": "density", "alt": "altitude",
-    "roll": "phi", "pitch": "theta", "yaw": "psi", "heading": "psi", "hdg": "psi",
-    "t": "time", "vn": "v_north", "ve": "v_east", "vd": "v_down",
-    "gx": "p", "gy": "q", "gz": "r", "gyrx": "p", "gyry": "q", "gyrz": "r",
-    "accx": "ax", "accy": "ay", "accz": "az",
+OTHER_NAMES = {
+    "airspeed": "ias tas va vtas vias aspd", "alpha": "aoa alfa", "beta": "aos ssa sideslip",
+    "elevator": "de elev delta_e stab", "aileron": "da ail delta_a", "rudder": "dr rud delta_r",
+    "throttle": "dthr dt thr delta_t", "propeller_speed": "rpm omega", "density": "rho", "altitude": "alt",
+    "phi": "roll", "theta": "pitch", "psi": "yaw heading hdg",
+    "time": "t", "v_north": "vn", "v_east": "ve", "v_down": "vd",
+    "p": "gx gyrx", "q": "gy gyry", "r": "gz gyrz", "ax": "accx", "ay": "accy", "az": "accz",
 }  # fmt: skip
 REMEDIES = {
     "airspeed": " Airspeed comes from a pitot tube, or from ground velocity less an estimated wind: "
@@ -63,13 +58,13 @@ def suggestions(names: Iterable[str], have: Collection[str]) -> dict[str, str]:
     """
     free = [name for name in CHANNELS if name not in have]
     nearest: dict[str, str] = {}
-    for name in map(str, names):
-        word = HEADING_UNIT.sub("", name).strip().lower()
-        near = [channel for channel in free if channel in (word, ALIASES.get(word))]
+    for unknown in map(str, names):
+        word = HEADING_UNIT.sub("", unknown).strip().lower()
+        near = [name for name in free if word == name or word in OTHER_NAMES.get(name, "").split()]
         if len(word) > 4:
             near += get_close_matches(word, free, n=1, cutoff=0.87)
         if near and near[0] not in nearest.values():
-            nearest[name] = near[0]
+            nearest[unknown] = near[0]
     return nearest
 
 

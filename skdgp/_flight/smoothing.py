@@ -103,34 +103,29 @@ class FittedFilter:
         """
         columns, clock = _checked(values, time, flight)
         shrinks = np.broadcast_to(shrink, columns.shape[1])
-        parts = []
-        for rows, channels in _same_rows(columns):
-            part = clock.part(rows)
-            sampled = columns[np.ix_(rows, channels)]
-            for runs in part.segments_by_flight:
-                fitted = cls._of_flight(sampled, part.time, runs, shrinks[channels])
-                parts.append((channels, sum(map(n_rows, runs)), fitted))
-        finest = min((fitted.frequency[1] for *_, fitted in parts), default=1.0)
-        highest = max((fitted.frequency[-1] for *_, fitted in parts), default=1.0)
+        fits = []
+        for part in _parts(columns, clock):
+            fits.append((part, cls._of_flight(part, shrinks[part.channels])))
+        finest = min((fitted.frequency[1] for _, fitted in fits), default=1.0)
+        highest = max((fitted.frequency[-1] for _, fitted in fits), default=1.0)
         frequency = np.linspace(0.0, highest, 1 + round(highest / finest))
         square = np.zeros((len(frequency), columns.shape[1]))
         n_samples = np.zeros(columns.shape[1])
-        for channels, n, fitted in parts:
-            square[:, channels] += n * fitted.at(frequency) ** 2
-            n_samples[channels] += n
+        for part, fitted in fits:
+            n = sum(part.lengths)
+            square[:, part.channels] += n * fitted.at(frequency) ** 2
+            n_samples[part.channels] += n
         is_sampled = n_samples > 0
         gain = np.ones_like(square)
         gain[:, is_sampled] = np.sqrt(square[:, is_sampled] / n_samples[is_sampled])
         return cls(frequency, gain)
 
     @classmethod
-    def _of_flight(
-        cls, columns: Matrix, time: Vector, runs: list[slice], shrinks: NDArray[np.bool_]
-    ) -> FittedFilter:
+    def _of_flight(cls, part: Part, shrinks: NDArray[np.bool_]) -> FittedFilter:
         """Return the smoother of one flight, of gain one where no run shows a spectrum."""
-        spectrum = _flight_spectrum(columns, time, runs)
+        spectrum = _flight_spectrum(part)
         if spectrum is None:
-            return cls(np.array([0.0, 1.0]), np.ones((2, columns.shape[1])))
+            return cls(np.array([0.0, 1.0]), np.ones((2, len(part.channels))))
         return cls(spectrum.frequency, _separate_gain(spectrum, shrinks))
 
     def of_channels(self, channels: Sequence[int] | Indices) -> FittedFilter:
@@ -185,22 +180,15 @@ def smooth(
     if not isinstance(cutoff, str | FittedFilter | None):
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
-    lengths = []  # of the segments of each flight [rows]
-    for rows, channels in _same_rows(columns):
-        place = np.ix_(rows, channels)
-        sampled = columns[place]
-        smoothed = np.empty_like(sampled)
-        part = clock.part(rows)
-        of_group = cutoff.of_channels(channels) if isinstance(cutoff, FittedFilter) else cutoff
-        for runs in part.segments_by_flight:
-            low_pass = _low_pass(sampled, part.time, runs, of_group, joint, shrinks[channels])
-            for run in runs:
-                smoothed[run] = _filtered(sampled[run], part.time[run], low_pass, derivative)
-            lengths.append(sorted(map(n_rows, runs)))
-        out[place] = smoothed
-    if derivative and any(shortest == 1 for shortest, *_ in lengths):
+    parts = list(_parts(columns, clock))
+    for part in parts:
+        low_pass = _low_pass(part, cutoff, joint, shrinks[part.channels])
+        for run in part.runs:
+            place = np.ix_(part.rows[run], part.channels)
+            out[place] = _filtered(part.columns[run], part.time[run], low_pass, derivative)
+    if derivative and any(min(part.lengths) == 1 for part in parts):
         warn(NO_RATE, stacklevel=2)
-    if cutoff == "auto" and any(longest < SMOOTHING.least_samples for *_, longest in lengths):
+    if cutoff == "auto" and any(max(part.lengths) < SMOOTHING.least_samples for part in parts):
         warn(TOO_SHORT, stacklevel=2)
     return out.reshape(np.shape(values))
 
@@ -252,26 +240,19 @@ def _spectra(
     values: ArrayLike, time: ArrayLike, flight: ArrayLike | None
 ) -> Iterator[tuple[Indices, Spectrum]]:
     """Yield the channels that were sampled at the same rows, and their spectrum, of each flight that shows one."""
-    columns, clock = _checked(values, time, flight)
-    for rows, channels in _same_rows(columns):
-        part = clock.part(rows)
-        for runs in part.segments_by_flight:
-            spectrum = _flight_spectrum(columns[np.ix_(rows, channels)], part.time, runs)
-            if spectrum is not None:
-                yield channels, spectrum
+    for part in _parts(*_checked(values, time, flight)):
+        spectrum = _flight_spectrum(part)
+        if spectrum is not None:
+            yield part.channels, spectrum
 
 
 def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
     """Return the standard deviation of the white noise of a flight's channels, (k,) or (); NaN if it is too short."""
-    columns, clock = _checked(values, time, None)
-    std = np.full(columns.shape[1], np.nan)
-    for rows, channels in _same_rows(columns):
-        sampled = columns[np.ix_(rows, channels)]
-        part = clock.part(rows)
-        spectrum = _flight_spectrum(sampled, part.time, part.segments)
-        if spectrum is not None:
-            std[channels] = np.sqrt(white_noise(spectrum) * spectrum.frequency[-1])
-    return std.reshape(np.shape(values)[1:])
+    shape = np.shape(values)[1:]
+    std = np.full(shape or 1, np.nan)
+    for channels, spectrum in _spectra(values, time, None):
+        std[channels] = np.sqrt(white_noise(spectrum) * spectrum.frequency[-1])
+    return std.reshape(shape)
 
 
 def _checked(values: Any, time: ArrayLike, flight: ArrayLike | None) -> tuple[Matrix, Clock]:
@@ -286,15 +267,35 @@ def _checked(values: Any, time: ArrayLike, flight: ArrayLike | None) -> tuple[Ma
     return columns, Clock.of(time, flight)
 
 
-def _same_rows(columns: Matrix) -> list[tuple[Indices, Indices]]:
-    """Return rows and channels of each group of channels that were sampled at the same rows."""
+class Part(NamedTuple):
+    """Channels of a flight that were sampled at the same rows, beside those of the other flights."""
+
+    # of the table, of all flights
+    rows: Indices
+    channels: Indices
+    # (n_rows, n_channels) and (n_rows,)
+    columns: Matrix
+    time: Vector
+    # runs without gaps of this flight, among the rows
+    runs: list[slice]
+
+    @property
+    def lengths(self) -> list[int]:
+        """Number of rows of each run."""
+        return [n_rows(run) for run in self.runs]
+
+
+def _parts(columns: Matrix, clock: Clock) -> Iterator[Part]:
+    """Yield each flight of each group of channels that were sampled at the same rows."""
     masks, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
-    groups = []
     for number, sampled in enumerate(masks.T):
         if sampled.any():
+            rows = np.flatnonzero(sampled)
             channels = np.flatnonzero(group.ravel() == number)
-            groups.append((np.flatnonzero(sampled), channels))
-    return groups
+            together = columns[np.ix_(rows, channels)]
+            its_clock = clock.part(rows)
+            for runs in its_clock.segments_by_flight:
+                yield Part(rows, channels, together, its_clock.time, runs)
 
 
 def _filtered(columns: Matrix, time: Vector, low_pass: LowPass | None, derivative: bool) -> Matrix:
@@ -329,19 +330,16 @@ def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
 
 
 def _low_pass(
-    columns: Matrix,
-    time: Vector,
-    runs: list[slice],
-    cutoff: float | str | FittedFilter | None,
-    joint: bool,
-    shrinks: NDArray[np.bool_],
+    part: Part, cutoff: float | str | FittedFilter | None, joint: bool, shrinks: NDArray[np.bool_]
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
-    if cutoff is None or isinstance(cutoff, FittedFilter):
-        return cutoff
+    if cutoff is None:
+        return None
+    if isinstance(cutoff, FittedFilter):
+        return cutoff.of_channels(part.channels)
     if not isinstance(cutoff, str):
         return partial(_butterworth, cutoff=cutoff)
-    spectrum = _flight_spectrum(columns, time, runs)
+    spectrum = _flight_spectrum(part)
     if spectrum is None:
         return None
     if joint:
@@ -370,21 +368,21 @@ class Spectrum(NamedTuple):
         return np.einsum("mii->mi", self.power).real
 
 
-def _flight_spectrum(columns: Matrix, time: Vector, runs: list[slice]) -> Spectrum | None:
-    """Return the spectrum of the runs of a flight's channels (n, k); None where none is long enough.
+def _flight_spectrum(part: Part) -> Spectrum | None:
+    """Return the spectrum of a flight's channels; None where no run is long enough.
 
     Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
-    longest = max(map(n_rows, runs))
+    longest = max(part.lengths)
     if longest < SMOOTHING.least_samples:
         return None
-    step = median_step(time, runs)
+    step = median_step(part.time, part.runs)
     half = min(_window_rows(step), longest // 4) // 2
     size = 2 * half
     windows = []
-    for run in runs:
+    for run in part.runs:
         if n_rows(run) >= size:
-            windows.append(_windows(columns[run], size))
+            windows.append(_windows(part.columns[run], size))
     pieces = np.concatenate(windows)
     taper = signal.windows.hann(size)
     tapered = signal.detrend(pieces, axis=-1) * taper

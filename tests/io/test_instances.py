@@ -40,6 +40,17 @@ def surfaces(read):
     return lambda log, name="log.ulg": read(log, name, servos="full throw", airborne=False)[10:-10]
 
 
+@pytest.fixture
+def allocated(px4, surfaces):
+    """Read the surfaces of PX4 by the outputs of control allocation, and parameters."""
+
+    def allocated(*outputs, **parameters):
+        control = np.transpose(np.broadcast_arrays(*outputs, SLOW)[:-1])
+        return surfaces(px4(**parameters).topic("actuator_servos", SLOW, control=control))
+
+    return allocated
+
+
 def pulse(part):
     """Return pulses of parts of the full throw."""
     return "H", 1500 + 400 * part
@@ -334,12 +345,10 @@ class TestVehicles:
         assert_wave(table, "elevator", -0.3)
         assert_allclose(table.rudder, -0.2 * np.cos(table.time), atol=0.01)
 
-    def test_surfaces_beyond_the_number_of_surfaces_are_none(self, read, px4):
+    def test_surfaces_beyond_the_number_of_surfaces_are_none(self, allocated):
         """Their types are left from an earlier configuration, and their outputs are not used."""
-        log = px4(CA_SV_CS_COUNT=1, CA_SV_CS0_TYPE=3, CA_SV_CS1_TYPE=9)
-        outputs = np.column_stack([0.1 * np.sin(SLOW), np.nan * SLOW])
-        log.topic("actuator_servos", SLOW, control=outputs)
-        table = read(log, servos="full throw", airborne=False)
+        kinds = {"CA_SV_CS0_TYPE": 3, "CA_SV_CS1_TYPE": 9}
+        table = allocated(0.1 * np.sin(SLOW), np.nan, CA_SV_CS_COUNT=1, **kinds)
         assert {"elevator", "flap"} & {*table} == {"elevator"}
 
     @pytest.mark.parametrize(("reverse", "turn"), [(0.0, 1.0), (1.0, -1.0)])
@@ -377,13 +386,11 @@ class TestVehicles:
         assert_wave(table, "differential_throttle", 0.1, atol=0.002)
 
     @pytest.mark.parametrize("second", [0.5, 0.3])
-    def test_flaperons_of_px4(self, read, second, px4, surfaces):
+    def test_flaperons_of_px4(self, second, allocated):
         """The flap is read where rolling leaves the mean of the ailerons over their CA_SV_CSn_FLAP alone."""
-        log = px4(**FLAPERONS | {"CA_SV_CS1_FLAP": second})
         roll, flap = 0.2 * np.sin(SLOW), 0.3
-        outputs = [0.5 * (2 * flap - 1) - roll, second * (2 * flap - 1) + roll]
-        log.topic("actuator_servos", SLOW, control=np.column_stack(outputs))
-        table = surfaces(log)
+        outputs = 0.5 * (2 * flap - 1) - roll, second * (2 * flap - 1) + roll
+        table = allocated(*outputs, **FLAPERONS | {"CA_SV_CS1_FLAP": second})
         assert ("flap" in table) == (second == 0.5)
         if second == 0.5:
             assert_allclose(table.flap, flap, atol=1e-6)
@@ -403,25 +410,20 @@ class TestVehicles:
 
     @pytest.mark.parametrize("share", [-1.0, 0.0])
     @pytest.mark.parametrize("kinds", [(17, 18), (11,)])
-    def test_spoilers_of_px4(self, kinds, share, px4, surfaces):
+    def test_spoilers_of_px4(self, kinds, share, allocated):
         """s CA_SV_CSn_SPOIL, of spoilers since version 1.16 (2 s - 1) CA_SV_CSn_SPOIL."""
         parameters = {}
         for n, kind in enumerate(kinds):
             parameters |= {f"CA_SV_CS{n}_TYPE": kind, f"CA_SV_CS{n}_SPOIL": 0.8}
-        log = px4(**parameters)
         opening = 0.5 + 0.5 * np.sin(SLOW)
         output = 0.8 * (share + (1 - share) * opening)
-        log.topic("actuator_servos", SLOW, control=np.column_stack([output] * len(kinds)))
-        table = surfaces(log)
+        table = allocated(*[output] * len(kinds), **parameters)
         assert_wave(table, "spoiler", 0.5, mean=0.5, atol=0.003)
 
-    def test_flaperons_of_px4_that_only_open(self, px4, surfaces):
+    def test_flaperons_of_px4_that_only_open(self, allocated):
         """Since version 1.16 they are closed at zero, and open by f CA_SV_CSn_FLAP."""
-        log = px4(**FLAPERONS)
         roll, flap = 0.2 * np.sin(SLOW), np.clip((SLOW - 20) / 10, 0.0, 1.0)
-        outputs = np.column_stack([0.5 * flap - roll, 0.5 * flap + roll])
-        log.topic("actuator_servos", SLOW, control=outputs)
-        table = surfaces(log)
+        table = allocated(0.5 * flap - roll, 0.5 * flap + roll, **FLAPERONS)
         assert_allclose(table.flap, np.clip((table.time - 20) / 10, 0.0, 1.0), atol=0.005)
 
     @pytest.mark.parametrize(("field", "column"), [(4, "flap"), (5, "spoiler"), (6, "spoiler")])

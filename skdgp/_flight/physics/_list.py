@@ -156,14 +156,7 @@ def _effect(name: str, effects: tuple[str, ...], admissible: Interval) -> Sign:
     return Sign(relation=_response(name, effects), admissible=admissible, angle=angle)
 
 
-def _with_witness(sign: Sign, witness: Sign) -> Sign:
-    """Return the check of a sign that is wrong only where another one is."""
-    _, response = witness.relation.channels
-    relation = replace(sign.relation, uses=(*sign.relation.uses, response))
-    return replace(sign, relation=relation, witness=witness)
-
-
-SIDEFORCE = _effect("ay", ("beta", *LATERAL_EFFECTS), NEGATIVE)
+SIDEFORCE = _response("ay", ("beta", *LATERAL_EFFECTS))
 WEATHERCOCK = _effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
 THRUST = Relation(
     channels=("throttle", "ax"),
@@ -179,7 +172,12 @@ SIGNS = (
     _sensor_force("ax", axis=0),
     _sensor_force("ay", axis=1),
     _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
-    _with_witness(SIDEFORCE, WEATHERCOCK),
+    Sign(
+        relation=replace(SIDEFORCE, uses=(*SIDEFORCE.uses, "r")),
+        admissible=NEGATIVE,
+        angle="beta",
+        witness=WEATHERCOCK,
+    ),
     _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
     _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
     _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),

@@ -8,6 +8,7 @@ length is checked: where no message begins, reading continues at the next two fi
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -231,67 +232,116 @@ def read_dataflash(path: Path) -> Log:
             "binary log of ArduPilot: is it empty, or of another kind?"
         )
     file = _File(data)
-    topics = file.topics()
+    messages = file.messages()
+    topics = _topics(messages, file.units(messages))
     if not topics:
         raise FlightReadError(
             f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, "
             "but expected messages: was it cut off, or written before 2015?"
         )
-    names = file.texts("PARM", "Name")
-    times = (1e-6 * time for time in file.numbers("PARM", "TimeUS"))
-    parameters = in_force(names, file.numbers("PARM", "Value"), times, topics)
-    messages = file.texts("MSG", "Message")
-    return _log(topics, parameters, messages, damage(file.skipped, file.cut))
+    return _log(topics, messages, damage(file.skipped, file.cut))
 
 
-class Texts(NamedTuple):
-    """Messages of one name in a text: types and names of their columns, the cells of each row, and its line."""
+def read_dataflash_text(path: Path) -> Log:
+    """Return a DataFlash log in text (.log), whose numbers are scaled; raise FlightReadError if it is none."""
+    messages = _read_texts(path)
+    topics = _topics(messages)
+    if not topics:
+        raise FlightReadError(
+            "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
+            "log in text: is it of another kind, or written before 2015?"
+        )
+    return _log(topics, messages)
 
+
+class Messages(NamedTuple):
+    """Messages of one type."""
+
+    #: Letter of the type of each column
     codes: str
-    columns: list[str]
-    rows: list[list[str]]
-    places: list[int]
+    #: Numbers, or texts, (n,) by name
+    columns: dict[str, np.ndarray]
+    #: Place of each in the file
+    order: Vector
 
-    def cells(self, name: str) -> list[str]:
-        """Return a column, empty without it."""
-        if name not in self.columns:
-            return []
-        place = self.columns.index(name)
-        return [row[place] for row in self.rows]
+    def is_number(self, name: str) -> bool:
+        """Return whether there is a column of numbers of this name."""
+        return name in self.columns and self.columns[name].dtype.kind in "iuf"
 
-    def numbers(self, name: str) -> Vector:
-        """Return a column as floats, NaN where it is no number."""
-        cells = pd.Series(self.cells(name), dtype=object)
-        return pd.to_numeric(cells, errors="coerce").to_numpy(float)
+    def numbers(self, name: str) -> list[float]:
+        """Return a column of numbers, empty where there is none."""
+        return self.columns[name].tolist() if self.is_number(name) else []
 
-    def topic(self) -> Topic | None:
-        """Return the messages with a time, None if there is none; texts are left out."""
-        fields = {}
-        for name in self.columns:
-            numbers = self.numbers(name)
-            if np.isfinite(numbers).any():
-                fields[name] = numbers
-        if "TimeUS" not in fields:
-            return None
-        topic = Topic(fields["TimeUS"] * 1e-6, np.array(self.places, float), fields)
-        return topic.select(np.isfinite(topic.time))
+    def texts(self, name: str) -> list[str]:
+        """Return a column of texts, empty without it."""
+        return [str(cell) for cell in self.columns.get(name, np.empty(0)).tolist()]
+
+    def instances(self, name: str, units: str) -> dict[str, Topic]:
+        """Return the topic of each instance by name, none without a time; texts are left out."""
+        if not self.is_number("TimeUS"):
+            return {}
+        time = self.columns["TimeUS"] * 1e-6
+        topic = Topic(time, self.order, numeric_fields(self.columns)).select(np.isfinite(time))
+        field = self._instance_field(units)
+        if field is None:
+            return {name: topic}
+        numbers = topic[field]
+        topics = {}
+        for k in np.unique(numbers[np.isfinite(numbers)]).astype(int).tolist():
+            topics[instance_name(name, k)] = topic.select(numbers == k)
+        return topics
+
+    def _instance_field(self, units: str) -> str | None:
+        """Return the field that numbers instances: by the unit "#", or in logs without units by its name.
+
+        By name it is a small whole number, to tell it from others of the name.
+        """
+        if not units:
+            for code, column in zip(self.codes, self.columns, strict=True):
+                if column in INSTANCES and code in "BM":
+                    return column
+        for column, unit in zip(self.columns, units, strict=False):
+            if unit == "#" and self.columns[column].dtype.kind in "iu":
+                return column
+        return None
 
 
-def _read_texts(path: Path) -> dict[str, Texts]:
-    """Return the messages of a DataFlash log in text, by name."""
-    texts: dict[str, Texts] = {}
+NO_MESSAGES = Messages("", {}, np.empty(0))
+
+
+def _topics(
+    messages: Mapping[str, Messages], units: Mapping[str, str] | None = None
+) -> dict[str, Topic]:
+    """Return the topics of all messages with a time, by name and instance; ``units`` are letters of each column."""
+    topics: dict[str, Topic] = {}
+    for name in messages.keys() - {*DEFINITIONS}:
+        topics |= messages[name].instances(name, (units or {}).get(name, ""))
+    return dict(sorted(topics.items()))
+
+
+def _read_texts(path: Path) -> dict[str, Messages]:
+    """Return the messages of a DataFlash log in text, by the name of their type."""
+    formats: dict[str, tuple[str, list[str]]] = {}
+    rows: defaultdict[str, list[list[str]]] = defaultdict(list)
+    places: defaultdict[str, list[int]] = defaultdict(list)
     for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
         name, *cells = _cells(line)
         if name == "FMT" and len(cells) > 4:
-            texts[cells[2]] = Texts(cells[3], cells[4:], [], [])
-        elif name in texts:
-            messages = texts[name]
+            formats[cells[2]] = cells[3], cells[4:]
+        elif name in formats:
+            _, columns = formats[name]
             # a text at the end may hold commas
-            _, *cells = _cells(line, len(messages.columns))
-            if len(cells) == len(messages.columns):
-                messages.rows.append(cells)
-                messages.places.append(place)
-    return {name: messages for name, messages in texts.items() if messages.rows}
+            _, *cells = _cells(line, len(columns))
+            if len(cells) == len(columns):
+                rows[name].append(cells)
+                places[name].append(place)
+    messages = {}
+    for name in rows:
+        codes, columns = formats[name]
+        table = pd.DataFrame(rows[name], columns=columns, dtype=object)
+        by_name = {column: _numbers_or_texts(table[column]) for column in columns}
+        messages[name] = Messages(codes, by_name, np.array(places[name], float))
+    return messages
 
 
 def _cells(line: str, most: int = -1) -> list[str]:
@@ -299,36 +349,21 @@ def _cells(line: str, most: int = -1) -> list[str]:
     return [cell.strip() for cell in line.split(",", most)]
 
 
-def read_dataflash_text(path: Path) -> Log:
-    """Return a DataFlash log in text (.log), whose numbers are scaled; raise FlightReadError if it is none."""
-    texts = _read_texts(path)
-    topics: dict[str, Topic] = {}
-    for name in sorted(texts.keys() - {*DEFINITIONS}):
-        topic = texts[name].topic()
-        if topic is not None:
-            field = _instance_field(texts[name].codes, texts[name].columns)
-            topics |= _instances(name, topic, field)
-    if not topics:
-        raise FlightReadError(
-            "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
-            "log in text: is it of another kind, or written before 2015?"
-        )
-    nothing = Texts("", [], [], [])
-    defined = texts.get("PARM", nothing)
-    times = (1e-6 * defined.numbers("TimeUS")).tolist()
-    parameters = in_force(defined.cells("Name"), defined.numbers("Value"), times, topics)
-    messages = [row[-1] for row in texts.get("MSG", nothing).rows]
-    return _log(topics, parameters, messages, ())
+def _numbers_or_texts(column: pd.Series) -> np.ndarray:
+    """Return the numbers of a column of texts, NaN where there is none; as it is without any number."""
+    numbers = pd.to_numeric(column, errors="coerce").to_numpy(float)
+    return numbers if np.isfinite(numbers).any() else column.to_numpy()
 
 
 def _log(
-    topics: dict[str, Topic],
-    parameters: dict[str, float],
-    messages: list[str],
-    remarks: tuple[str, ...],
+    topics: dict[str, Topic], messages: Mapping[str, Messages], remarks: tuple[str, ...] = ()
 ) -> Log:
     """Return the log of these messages."""
-    programs = [text for text in messages if text.split(" ")[0] in VEHICLES]
+    defined = messages.get("PARM", NO_MESSAGES)
+    times = [1e-6 * time for time in defined.numbers("TimeUS")]
+    parameters = in_force(defined.texts("Name"), defined.numbers("Value"), times, topics)
+    told = messages.get("MSG", NO_MESSAGES).texts("Message")
+    programs = [text for text in told if text.split(" ")[0] in VEHICLES]
     firmware = programs[0] if programs else "ArduPilot"
     program = firmware.split(" ")[0]
     frame = whole(parameters.get("FRAME_CLASS", 0.0))
@@ -465,27 +500,8 @@ def _imu_of(lane: Use, parameters: Mapping[str, float]) -> Use:
     return lane._replace(instances=tuple(n for n in range(MOST_IMUS) if mask >> n & 1))
 
 
-def _instance_field(codes: str, columns: list[str]) -> str | None:
-    """Return the first of the fields that number instances by name, if it is a small whole number."""
-    for code, column in zip(codes, columns, strict=False):
-        if column in INSTANCES and code in "BM":
-            return column
-    return None
-
-
-def _instances(name: str, topic: Topic, field: str | None) -> dict[str, Topic]:
-    """Return the messages of each instance by name; all of them if no field numbers instances."""
-    if field is None:
-        return {name: topic}
-    numbers = topic[field]
-    instances = {}
-    for k in np.unique(numbers[np.isfinite(numbers)]).astype(int).tolist():
-        instances[instance_name(name, k)] = topic.select(numbers == k)
-    return instances
-
-
-class _Messages:
-    """Messages of one type: name, layout, and places in the file."""
+class _Type:
+    """A type of messages: name, layout, and the places of its messages in the file."""
 
     def __init__(self, name: str, codes: str, columns: list[str]):
         self.name = name
@@ -493,33 +509,23 @@ class _Messages:
         self.dtype = np.dtype([(column, TYPES[code]) for column, code in self.codes.items()])
         self.starts: list[int] = []
 
-    def read(self, data: bytes) -> np.ndarray:
-        """Return the messages as records, (n,)."""
+    def messages(self, data: bytes) -> Messages:
+        """Return the messages; integers with a scale as numbers."""
         size = self.dtype.itemsize
-        return np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
-
-    def is_kind(self, column: str, kinds: str) -> bool:
-        """Return whether there is a column of this name of one of NumPy's kinds of types."""
-        return column in self.codes and self.dtype[column].kind in kinds
-
-    def instance_field(self, units: str) -> str | None:
-        """Return the field that numbers instances: by the unit "#", or in logs without units by its name."""
-        if not units:
-            field = _instance_field("".join(self.codes.values()), list(self.codes))
-            if field is not None:
-                return field
-        for column, unit in zip(self.codes, units, strict=False):
-            if unit == "#" and self.is_kind(column, "iu"):
-                return column
-        return None
-
-    def topic(self, records: np.ndarray) -> Topic:
-        """Return all instances as one topic, integers with a scale as numbers."""
-        fields = numeric_fields({column: records[column] for column in self.codes})
+        records = np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
+        columns = {}
         for column, code in self.codes.items():
+            values = records[column]
             if code in SCALE:
-                fields[column] = SCALE[code] * records[column]
-        return Topic(records["TimeUS"] * 1e-6, np.array(self.starts), fields)
+                values = SCALE[code] * values
+            columns[column] = _decoded(values) if values.dtype.kind == "S" else values
+        return Messages("".join(self.codes.values()), columns, np.array(self.starts))
+
+
+def _decoded(texts: np.ndarray) -> np.ndarray:
+    """Return texts of bytes."""
+    decoded = [text.decode("utf-8", "replace").strip("\x00 ") for text in texts.tolist()]
+    return np.array(decoded, dtype=object)
 
 
 class _File:
@@ -528,7 +534,7 @@ class _File:
     def __init__(self, data: bytes):
         self.data = data
         columns = ["Type", "Length", "Name", "Format", "Columns"]
-        self.types = {FMT: _Messages("FMT", "BBnNZ", columns)}
+        self.types = {FMT: _Type("FMT", "BBnNZ", columns)}
         self.skipped = 0
         self.cut = False
         position = 0
@@ -540,11 +546,11 @@ class _File:
         start = position + HEAD
         is_message = self.data.startswith(MARK, position) and self.data[start - 1] in self.types
         if is_message:
-            messages = self.types[self.data[start - 1]]
-            end = start + messages.dtype.itemsize
+            kind = self.types[self.data[start - 1]]
+            end = start + kind.dtype.itemsize
             if end <= len(self.data):
-                messages.starts.append(start)
-                if messages is self.types[FMT]:
+                kind.starts.append(start)
+                if kind is self.types[FMT]:
                     self._define(self.data[start:end])
                 return end
         following = self.data.find(MARK, position + 1)
@@ -562,35 +568,28 @@ class _File:
         number, length, *texts = definition.tolist()
         with suppress(KeyError, ValueError, TypeError):
             name, codes, columns = (text.decode("ascii") for text in texts)
-            new = _Messages(name, codes, columns.split(",") if columns else [])
+            new = _Type(name, codes, columns.split(",") if columns else [])
             if re.fullmatch(r"\w+", name) and new.dtype.itemsize == length - HEAD:
                 self.types.setdefault(number, new)
 
-    def numbers(self, name: str, column: str, kinds: str = "iuf") -> list:
-        """Return a column of the messages of a name; empty where there is none of these kinds of types."""
-        for messages in self.types.values():
-            if messages.name == name and messages.is_kind(column, kinds):
-                return messages.read(self.data)[column].tolist()
-        return []
+    def messages(self) -> dict[str, Messages]:
+        """Return the messages by the name of their type."""
+        messages: dict[str, Messages] = {}
+        for kind in self.types.values():
+            if kind.starts and kind.name not in messages:
+                messages[kind.name] = kind.messages(self.data)
+        return messages
 
-    def texts(self, name: str, column: str) -> list[str]:
-        """Return a column of texts of the messages of a name; empty where there is none such."""
-        texts = self.numbers(name, column, "S")
-        return [text.decode("utf-8", "replace").strip("\x00 ") for text in texts]
-
-    def topics(self) -> dict[str, Topic]:
-        """Return the messages that have a time, by name and instance."""
-        numbers = self.numbers("FMTU", "FmtType")
-        units = dict(zip(numbers, self.texts("FMTU", "UnitIds"), strict=False))
-        topics: dict[str, Topic] = {}
-        for number, messages in self.types.items():
-            is_timed = messages.starts and messages.is_kind("TimeUS", "iu")
-            if messages.name in DEFINITIONS or not is_timed:
-                continue
-            topic = messages.topic(messages.read(self.data))
-            field = messages.instance_field(units.get(number, ""))
-            topics = _instances(messages.name, topic, field) | topics
-        return dict(sorted(topics.items()))
+    def units(self, messages: Mapping[str, Messages]) -> dict[str, str]:
+        """Return the units of the columns of types by name, a letter each."""
+        stated = messages.get("FMTU", NO_MESSAGES)
+        units = {}
+        for number, letters in zip(
+            stated.numbers("FmtType"), stated.texts("UnitIds"), strict=False
+        ):
+            if number in self.types:
+                units[self.types[int(number)].name] = letters
+        return units
 
 
 class SpoilerOption(IntFlag):

@@ -214,24 +214,24 @@ def read(write):
 
 
 @pytest.fixture
-def refused(read):
+def refused(write):
     """Assert that a log or a table is refused in some words; return these."""
 
     def refused(words, content, name=None, **options):
         with pytest.raises(FlightReadError, match=words) as error:
-            read(content, name, **options)
+            read_flight(write(content, name), **options)
         return str(error.value)
 
     return refused
 
 
 @pytest.fixture
-def told(read):
+def told(write):
     """Read a log, which a FlightDataWarning tells of."""
 
     def told(words, log, name=None, **options):
         with pytest.warns(FlightDataWarning, match=words):
-            return read(log, name, **options)
+            return read_flight(write(log, name), **options)
 
     return told
 
@@ -426,6 +426,30 @@ def vtol_bench(write):
 ARRIVAL = 1.7e9  # Arrival less the clock of the vehicle [s]
 
 
+def telemetry(flight, t):
+    """Return the values of the messages of a plane at a time [s], by their type."""
+
+    def at(names, factor=1.0):
+        return (factor * flight.at([t], *names.split())[0]).tolist()
+
+    def whole(names, factor):
+        return list(map(round, at(names, factor)))
+
+    ms, us = round(t * 1e3), round(t * 1e6)
+    force = whole("ax ay az", 1e3 / 9.80665)
+    elevator, rudder = whole("elevator rudder", -1000)
+    pulses = 1500, 1500 + elevator, 1100, 1500 + rudder, *[1500] * 4
+    position = ms, 0, 0, *whole("altitude", 1e3), 0, *whole("v_north v_east v_down", 100), 0
+    return {
+        "attitude": (ms, *at("phi theta psi p q r")),
+        "global_position_int": position,
+        "raw_imu": (us, *force, *whole("p q r", 1e3), 0, 0, 0),
+        "vfr_hud": (flight.equivalent_airspeed(t), 0, 0, *whole("throttle", 100), 0, 0),
+        "scaled_pressure": (ms, flight.pressure(t) / 100, 0, 0),
+        "servo_output_raw": (us, 0, *pulses),
+    }
+
+
 @pytest.fixture(scope="session")
 def tlog(flight):
     """Telemetry of a plane with ArduPilot: arrival late by up to .2 s, and a ground station that sends too."""
@@ -445,19 +469,8 @@ def tlog(flight):
         send(t, "heartbeat", 1, 3, 128, 0, 0, 3)
         send(t, "heartbeat", 6, 8, 0, 0, 0, 3, by=station)
     for t in flight.time(10):
-        ms, us = round(t * 1e3), round(t * 1e6)
-        at = {name: flight.at([t], name).item() for name in flight.SIZES}
-        rates = at["p"], at["q"], at["r"]
-        velocity = [round(100 * at[name]) for name in ("v_north", "v_east", "v_down")]
-        force = [round(1e3 * at[name] / 9.80665) for name in ("ax", "ay", "az")]
-        gyro = [round(1e3 * rate) for rate in rates]
-        elevator, rudder = (round(1500 - 1000 * at[name]) for name in ("elevator", "rudder"))
-        send(t, "attitude", ms, at["phi"], at["theta"], at["psi"], *rates)
-        send(t, "global_position_int", ms, 0, 0, round(1e3 * at["altitude"]), 0, *velocity, 0)
-        send(t, "raw_imu", us, *force, *gyro, 0, 0, 0)
-        send(t, "vfr_hud", flight.equivalent_airspeed(t), 0, 0, round(100 * at["throttle"]), 0, 0)
-        send(t, "scaled_pressure", ms, flight.pressure(t) / 100, 0, 0)
-        send(t, "servo_output_raw", us, 0, 1500, elevator, 1100, rudder, *[1500] * 4)
+        for kind, values in telemetry(flight, t).items():
+            send(t, kind, *values)
     sent.sort(key=lambda each: each[0])
     late = default_rng(0).uniform(0, 0.2, len(sent))
     arrivals = np.maximum.accumulate([ARRIVAL + time for time, _ in sent] + late)

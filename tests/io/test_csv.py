@@ -169,11 +169,10 @@ def test_the_page_has_these_cases():
     assert re.findall(r"^\| ([^|]+?) \|", section, flags=re.MULTILINE) == ["in a CSV", *CASES]
 
 
-def test_dates_beside_decimal_commas(tmp_path):
+def test_dates_beside_decimal_commas(read):
     rows = ["time;alpha [deg];az [ft/sec²]", "2024-05-01T10:00:00.0Z;1,5;-32,2"]
     rows.append("2024-05-01T10:00:00.1Z;2,5;-31,2")
-    (tmp_path / "a.csv").write_text("\n".join(rows))
-    table = read_flight(tmp_path / "a.csv")
+    table = read("\n".join(rows))
     assert_allclose(np.diff(table.time), 0.1, atol=1e-6)
     assert_allclose(table.alpha, np.deg2rad([1.5, 2.5]))
     assert_allclose(table.az, [-32.2 * 0.3048, -31.2 * 0.3048])
@@ -189,23 +188,20 @@ def test_dates_beside_decimal_commas(tmp_path):
         ("ft/min", 0.00508),
     ],
 )
-def test_speeds(tmp_path, unit, factor):
-    (tmp_path / "a.csv").write_text(f"time,airspeed [{unit}]\n0,40\n0.1,50\n")
-    assert_allclose(read_flight(tmp_path / "a.csv").airspeed, [40 * factor, 50 * factor])
+def test_speeds(read, unit, factor):
+    table = read(f"time,airspeed [{unit}]\n0,40\n0.1,50\n")
+    assert_allclose(table.airspeed, [40 * factor, 50 * factor])
 
 
 @pytest.mark.parametrize("names", ["qw qx qy qz", "q0 q1 q2 q3"])
-def test_an_attitude_of_quaternions(tmp_path, names):
+def test_an_attitude_of_quaternions(told, names):
     angles = np.array([[0.3, -0.2, 1.0], [0.1, 0.4, -2.0]])
     turned = euler_to_quaternion(*angles.T)
     table = pd.DataFrame(turned, columns=names.split()).assign(time=[0.0, 0.1])
-    table.to_csv(tmp_path / "a.csv", index=False)
-    with pytest.warns(FlightDataWarning, match=f"the quaternion {names}, taken to turn body axes"):
-        found = read_flight(tmp_path / "a.csv")
+    found = told(f"the quaternion {names}, taken to turn body axes", table)
     assert_allclose(found[["phi", "theta", "psi"]], angles, atol=1e-12)
     assert "qw" not in found
 
 
-def test_columns_that_are_no_quaternion_stay(tmp_path):
-    (tmp_path / "a.csv").write_text("time,q0,q1,q2,q3\n0,1,2,3,4\n0.1,1,2,3,4\n")
-    assert "phi" not in read_flight(tmp_path / "a.csv")
+def test_columns_that_are_no_quaternion_stay(read):
+    assert "phi" not in read("time,q0,q1,q2,q3\n0,1,2,3,4\n0.1,1,2,3,4\n")

@@ -22,17 +22,6 @@ def whole(write, px4):
     return write(px4, "whole.ulg")
 
 
-@pytest.fixture
-def tabled(tmp_path):
-    """Write a table; return its path."""
-
-    def tabled(table):
-        table.to_csv(tmp_path / "a.csv", index=False)
-        return tmp_path / "a.csv"
-
-    return tabled
-
-
 def named(*names):
     """Return a table of columns that are zero."""
     return pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
@@ -68,7 +57,7 @@ class TestSummary:
             with pytest.raises(FlightReadError, match="a multicopter: not for this program"):
                 read_flight(quad, airborne=airborne)
 
-    def test_a_table_of_many_short_records(self, tabled):
+    def test_a_table_of_many_short_records(self, write):
         time = 0.01 * np.arange(150)
         motion = {"airspeed": 5 + np.sin(time), "p": np.cos(time)}
         still = dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1)
@@ -76,7 +65,7 @@ class TestSummary:
             pd.DataFrame({"time": 0.003 * k + time, "flight": f"run {k}", **motion, **still})
             for k in range(9)
         ]
-        summary = inspect_log(tabled(pd.concat(records)))
+        summary = inspect_log(write(pd.concat(records)))
         assert len(summary.flights) == 9
         assert summary.columns["rate"].tolist() == pytest.approx([100.0] * len(summary.columns))
         text = str(summary)
@@ -85,8 +74,8 @@ class TestSummary:
         assert len(summary.remarks) == 2  # of q and r in each record
         assert all("9 times, the longest: " in remark for remark in summary.remarks)
 
-    def test_columns_of_unknown_names_are_one_line(self, tabled):
-        path = tabled(named("ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))))
+    def test_columns_of_unknown_names_are_one_line(self, write):
+        path = write(named("ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))))
         words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'aoa' \(.* 'alpha'"
         with pytest.warns(UserWarning, match=words):
             (remark,) = inspect_log(path).remarks
@@ -96,25 +85,25 @@ class TestSummary:
         found = set(inspect_log(path, rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}
 
-    def test_a_unit_in_a_name_hides_no_suggestion(self, tabled):
+    def test_a_unit_in_a_name_hides_no_suggestion(self, write):
         names = {"Roll_deg": "'phi' [rad]", "gx_dps": "'p' [rad/s]", "IAS_mps": "'airspeed' [m/s]"}
         with pytest.warns(UserWarning, match="did you mean") as caught:
-            inspect_log(tabled(named(*names)))
+            inspect_log(write(named(*names)))
         said = str(caught[0].message)
         assert all(f"{name!r} (did you mean {meant}?)" in said for name, meant in names.items())
 
-    def test_the_faults_of_a_table_at_seconds_of_the_log(self, tabled):
+    def test_the_faults_of_a_table_at_seconds_of_the_log(self, write):
         table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500), "flight": "a"})
         table["alpha"] = default_rng(0).normal(0.1, 0.01, 500)
         table.loc[200:260, "alpha"] = table.alpha[200]
-        summary = inspect_log(tabled(table))
+        summary = inspect_log(write(table))
         (remark,) = summary.remarks
         assert remark.startswith("flight a: alpha is stuck at")
         assert "(4.02 to 5.2 s, 60 samples)" in remark
         assert remark[:30] in str(summary)
 
 
-def test_what_was_not_measured_contradicts_nothing(tabled, flight):
+def test_what_was_not_measured_contradicts_nothing(write, flight):
     """Of a sound flight: the IMU ends at 27 s, and its columns are zero from there."""
     time = flight.time(50)
     names = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
@@ -122,7 +111,7 @@ def test_what_was_not_measured_contradicts_nothing(tabled, flight):
     table = pd.DataFrame(flight.at(time, *names), columns=names)
     table += default_rng(0).normal(0, 0.003, table.shape)
     table.loc[time > 27, names[:6]] = 0.0
-    remarks = inspect_log(tabled(table.assign(time=time))).remarks
+    remarks = inspect_log(write(table.assign(time=time))).remarks
     assert [remark.split()[2] for remark in remarks] == names[:6]
     assert all("is stuck at 0 " in remark for remark in remarks)
 

@@ -171,6 +171,5 @@ class TestRename:
         refused(message, named, "a.parquet", rename=rename)
 
 
-def test_accelerations_that_were_never_sampled_are_no_warning(tmp_path):
-    (tmp_path / "bare.csv").write_text("time,ax,ay,az\n0,,,\n0.1,,,\n")
-    assert read_flight(tmp_path / "bare.csv")[["ax", "ay", "az"]].isna().all(axis=None)
+def test_accelerations_that_were_never_sampled_are_no_warning(read):
+    assert read("time,ax,ay,az\n0,,,\n0.1,,,\n")[["ax", "ay", "az"]].isna().all(axis=None)

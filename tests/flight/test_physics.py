@@ -52,22 +52,21 @@ def opposite(flight, names):
     return scaled(flight, {names: -1.0})
 
 
+def with_columns(flight, names, values):
+    """Return a flight with other values (n, k) of channels."""
+    changed = flight.copy()
+    changed[names] = values
+    return changed
+
+
 def mixed(matrix):
     """Return what puts other elevons, combinations of the true ones, into a flight."""
-
-    def change(flight):
-        return flight.assign(
-            **dict(zip(ELEVONS, matrix @ flight[ELEVONS].T.to_numpy(), strict=True))
-        )
-
-    return change
+    return lambda flight: with_columns(flight, ELEVONS, flight[ELEVONS].to_numpy() @ matrix.T)
 
 
 def without_gravity(flight):
     down = euler_to_matrix(flight["phi"], flight["theta"], flight["psi"])[:, 2]
-    return flight.assign(
-        **{name: flight[name] + GRAVITY * down[:, k] for k, name in enumerate(FORCES)}
-    )
+    return with_columns(flight, FORCES, flight[FORCES] + GRAVITY * down)
 
 
 def east_north_up(flight):
@@ -89,7 +88,9 @@ def held(flight, rates):
     slower = flight.copy()
     for names, rate in rates.items():
         n = 40 // rate
-        slower[names.split()] = flight[names.split()].to_numpy()[rows // n * n]
+        slower = with_columns(
+            slower, names.split(), flight[names.split()].to_numpy()[rows // n * n]
+        )
     return slower
 
 
@@ -110,9 +111,7 @@ def ahead(flight, arm=1.8):
     p, q, r = rates.T
     _, q_dot, r_dot = signal.savgol_filter(rates, 11, 2, 1, step, axis=0).T
     added = np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
-    moved = flight.copy()
-    moved[FORCES] += arm * added
-    return moved
+    return with_columns(flight, FORCES, flight[FORCES] + arm * added)
 
 
 # Factors of channels, the channels that are found, and the slope that shows it (None: of a known sign)
@@ -206,8 +205,8 @@ def test_a_late_airspeed_is_found_beyond_what_gusts_explain(flight, seconds):
 def test_accelerometers_in_earth_axes_are_named(flight, west):
     """North, east or west, and down, as inertial navigation systems record them."""
     rotation = euler_to_matrix(flight["phi"], flight["theta"], flight["psi"])
-    ax, ay, az = np.einsum("nij,nj->in", rotation, flight[FORCES].to_numpy())
-    clearest, *_ = contradictions(flight.assign(ax=ax, ay=west * ay, az=az))
+    force = np.einsum("nij,nj->ni", rotation, flight[FORCES].to_numpy())
+    clearest, *_ = contradictions(with_columns(flight, FORCES, force * [1.0, west, 1.0]))
     assert {*clearest.numbers["channels"]} <= {"ax", "ay"}
     assert clearest.numbers["y"] == "the change of v_north"
     assert clearest.numbers["slope"] == pytest.approx(1.0, abs=0.05)
@@ -359,7 +358,7 @@ def test_noise_of_a_sensor_is_no_contradiction_and_a_wrong_scale_beside_it_is(fl
     noise = default_rng(0).normal(0.0, 5.0, len(flight))
     noisy = flight.assign(ay=flight["ay"] + noise)
     assert contradictions(noisy) == []
-    in_feet = noisy.assign(**{name: noisy[name] / FOOT for name in FORCES})
+    in_feet = scaled(noisy, {"ax ay az": 1 / FOOT})
     assert channels_of(contradictions(in_feet)) & {*FORCES}
 
 

@@ -66,9 +66,8 @@ def held(channel, first, last, table=None):
 
 def slower(table, *channels):
     """Return a flight with channels sampled at 5 Hz and held."""
-    return table.assign(
-        **{name: table[name][::8].reindex(table.index).ffill() for name in channels}
-    )
+    held = table[[*channels]][::8].reindex(table.index).ffill()
+    return table.assign(**held)
 
 
 def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():

@@ -145,8 +145,8 @@ class TestEstimate:
         table = linear_aircraft(0)
         rng = default_rng(9)
         names = ["alpha", "beta", "elevator", "aileron", "rudder"]
-        noise = table.assign(**{name: rng.normal(size=len(table)) for name in names})
-        assert remarks(noise) == UNSHOWN
+        table[names] = rng.normal(size=(len(table), 5))
+        assert remarks(table) == UNSHOWN
 
     def test_a_linear_model_that_explains_little_still_shows_a_lag(self):
         """Gusts, which no regressor has, turn the aircraft as much as all that regressors have."""

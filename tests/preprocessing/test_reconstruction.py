@@ -109,6 +109,11 @@ def reconstructed(**options):
     return table, reconstruction, reconstruction.transform(table)
 
 
+def true(table, names):
+    """Return channels without noise, (n, k)."""
+    return table[[f"{name}_true" for name in names]].to_numpy()
+
+
 def error(table, out, name):
     """Root mean square."""
     gap = out[name] - table[f"{name}_true"]
@@ -122,6 +127,11 @@ def assert_near(table, out, limits):
         assert error(table, out, name) < limit, name
 
 
+def assert_noise_is(reconstruction, sheet, rel):
+    found = {name: reconstruction.noise_std_[name] for name in sheet}
+    assert found == pytest.approx(sheet, rel=rel)
+
+
 def shares(share):
     """Return limits of the errors of air data: a share of the noise of the vanes."""
     return {name: share * SHEET[name] for name in AIR}
@@ -133,8 +143,7 @@ class TestRecovery:
         assert_near(table, out, shares(0.15) | {"airspeed": 0.1 * SHEET["airspeed"]})
         assert_near(table, out, dict.fromkeys(ATTITUDE, 0.2 * 0.005) | dict.fromkeys(WIND, 0.05))
         sheet = {"airspeed": 0.3, "alpha": 0.005, "v_down": 0.1, "tilt": 0.005}
-        found = {name: reconstruction.noise_std_[name] for name in sheet}
-        assert found == pytest.approx(sheet, rel=0.06)
+        assert_noise_is(reconstruction, sheet, rel=0.06)
 
     @pytest.mark.parametrize("gusts", [0.1, 0.5])
     def test_gusts_are_followed(self, gusts):
@@ -174,7 +183,7 @@ class TestRecovery:
         """Sensors two metres ahead; their acceleration is that of the true rotation."""
         table = flown(40.0)
         arm = np.array([2.0, 0.1, -0.2])
-        omega = table[[f"{name}_true" for name in RATES]].to_numpy()
+        omega = true(table, RATES)
         spin = CubicSpline(table["time"], omega)(table["time"], 1)
         far = table.copy()
         far[FORCES] += np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
@@ -321,7 +330,7 @@ class TestInconsistent:
                 "does not follow the accelerometers",
             ),
             (
-                lambda table: table.assign(**{name: table[f"{name}_true"] for name in AIR}),
+                lambda table: table.assign(**dict(zip(AIR, true(table, AIR).T, strict=True))),
                 "alpha is smoothed, so its noise is not known",
             ),
         ],
@@ -404,8 +413,7 @@ def test_calm_flight_of_jsbsim_after_a_gusty_one(jsbsim_flight):
     chain = make_pipeline(FlightPathReconstruction(), FlightSmoother()).fit(train)
     angle = np.deg2rad(0.3)
     sheet = {"airspeed": 0.3, "alpha": angle, "v_down": 0.1, "tilt": angle}
-    found = {name: chain[0].noise_std_[name] for name in sheet}
-    assert found == pytest.approx(sheet, rel=0.05)
+    assert_noise_is(chain[0], sheet, rel=0.05)
     assert_near(train, chain.transform(train), dict.fromkeys(["alpha", "beta"], 0.0025))
     assert_near(test, chain.transform(test), dict.fromkeys(["alpha", "beta"], 0.0006))
 

@@ -49,6 +49,8 @@ from skdgp.io._tables import FlightReadError
 HEADER = b"ULog\x01\x12\x35"
 # bytes before each message
 HEAD_SIZE = 3
+# type, length as an array, and name of the field of a topic
+TIMESTAMP = ("uint64_t", 0, "timestamp")
 # of a topic; pyulog skips a subscription of it
 NO_NAME = b":"
 
@@ -285,10 +287,11 @@ def read_ulog(path: Path) -> Log:
             "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, "
             "or of another kind?"
         )
-    file = _File(data)
     try:
         # where pyulog tells of damage
         with redirect_stdout(io.StringIO()):
+            head = pyulog.ULog(_File(data, {}), parse_header_only=True)
+            file = _File(data, head.message_formats)
             log = pyulog.ULog(file)
             version = log.get_version_info_str() or "development"
     except (pyulog.ULogException, EOFError, RecursionError, TypeError) as error:
@@ -371,37 +374,19 @@ def _mean_motor(commands: Matrix) -> Matrix:
     return np.nan_to_num(commands).mean(axis=1)[:, None]
 
 
-class _Definitions:
-    """Definitions of topics, of which a few bytes can ask for all memory: pyulog keeps each field of each topic."""
+class _Subscriptions:
+    """Fields of topics, of which a few bytes can ask for all memory: pyulog keeps each field of each topic."""
 
-    def __init__(self, most: int):
+    def __init__(self, formats: Mapping[str, Any], most: int):
+        self._formats = formats
         self._most = most
-        self._fields: dict[str, list[tuple[str, int, str]]] = {}
         self._counts: dict[str, int] = {}
         self._total = 0
-        self._complete = False
-
-    def add(self, content: bytes) -> None:
-        """Add a definition "name:type field;type[n] field"; pyulog ignores those after the first topic."""
-        if self._complete:
-            return
-        name, *texts = content.decode(errors="ignore").split(":")
-        fields = []
-        try:
-            for field in filter(None, texts[0].split(";")):
-                kind, label = field.split(" ")[:2]
-                kind, *size = kind.split("[")
-                n = int(size[0].removesuffix("]")) if size else 1
-                fields.append((kind, n, label))
-        except (IndexError, ValueError):
-            fields = []
-        self._fields[name] = fields
 
     def holds(self, content: bytes) -> bool:
         """Return whether a subscription is of a topic with time and not of too many fields, and count these."""
-        self._complete = True
         name = content[3:].decode(errors="ignore")
-        if ("uint64_t", 1, "timestamp") not in self._fields.get(name, []):
+        if name not in self._formats or TIMESTAMP not in self._formats[name].fields:
             return False
         n_fields = self.n_fields(name)
         self._total += n_fields
@@ -409,12 +394,12 @@ class _Definitions:
 
     def n_fields(self, name: str) -> int:
         """Return the fields of a message with those of its parts, more than the limit if it holds itself."""
-        if name not in self._fields:
+        if name not in self._formats:
             return 1
         if name not in self._counts:
             self._counts[name] = LIMITS.most_fields + 1
-            sizes = [max(n, 1) * self.n_fields(kind) for kind, n, _ in self._fields[name]]
-            self._counts[name] = sum(sizes)
+            fields = self._formats[name].fields
+            self._counts[name] = sum(max(n, 1) * self.n_fields(kind) for kind, n, _ in fields)
         return self._counts[name]
 
 
@@ -424,14 +409,14 @@ class _File(io.BytesIO):
     Subscriptions of topics that cannot be read are replaced by one that pyulog skips.
     """
 
-    def __init__(self, data: bytes):
+    def __init__(self, data: bytes, formats: Mapping[str, Any]):
         super().__init__(data)
         self.places: defaultdict[int, list[int]] = defaultdict(list)
         self.end = 0
         self.cut = False
         self._reads_left = len(data) + LIMITS.spare_reads
         self._head = b""
-        self._definitions = _Definitions(min(LIMITS.most_fields_in_all, len(data)))
+        self._subscriptions = _Subscriptions(formats, min(LIMITS.most_fields_in_all, len(data)))
         self._topics: dict[int, bool] = {}
 
     def read(self, size: int | None = -1) -> bytes:
@@ -448,12 +433,10 @@ class _File(io.BytesIO):
         if kind == b"D":
             topic = int.from_bytes(content[:2], "little")
             self.places[topic].append(self.end)
-        elif kind == b"F":
-            self._definitions.add(content)
         elif kind == b"A":
             # pyulog reads the first one twice
             if self.end not in self._topics:
-                self._topics[self.end] = self._definitions.holds(content)
+                self._topics[self.end] = self._subscriptions.holds(content)
             if not self._topics[self.end]:
                 return content[:3] + NO_NAME * (expected - 3)
         return content

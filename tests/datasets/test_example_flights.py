@@ -80,18 +80,16 @@ class TestEquationsOfFlight:
         assert (lost(value, rate) < 0.1).all()
 
     def test_envelope(self, flight):
-        alpha, beta, phi, theta = np.degrees(true(flight, "alpha", "beta", "phi", "theta")).T
-        assert flight.airspeed_true.between(28, 42).all()
-        assert alpha.min() > -2
-        assert alpha.max() < 14
-        assert abs(beta).max() < 13
-        assert abs(phi).max() < 75
-        assert abs(theta).max() < 25
-        assert (-flight.az_true / 9.80665).between(0.0, 3.0).all()
-        assert flight.altitude.between(150, 350).all()
-        assert flight.throttle.between(0.0, 1.0).all()
+        """Limits in SI units: alpha -2 to 14, beta 13, phi 75, theta 25 degrees; loads up to 3 g."""
+        limits = {
+            "airspeed_true": (28.0, 42.0), "alpha_true": (-0.035, 0.244), "beta_true": (-0.226, 0.226),
+            "phi_true": (-1.309, 1.309), "theta_true": (-0.436, 0.436), "az_true": (-29.42, 0.0),
+            "altitude": (150.0, 350.0), "throttle": (0.0, 1.0),
+            "elevon_left": (-0.4, 0.4), "elevon_right": (-0.4, 0.4),
+        }  # fmt: skip
+        for name, (low, high) in limits.items():
+            assert flight[name].between(low, high).all(), name
         assert flight.throttle.isin([0.0, 1.0]).mean() < 0.02
-        assert (abs(flight[["elevon_left", "elevon_right"]]) < 0.40).all(axis=None)
 
 
 def regressors(flight, data):

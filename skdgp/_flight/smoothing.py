@@ -104,28 +104,28 @@ class FittedFilter:
         columns, clock = _checked(values, time, flight)
         shrinks = np.broadcast_to(shrink, columns.shape[1])
         fits = []
-        for part in _parts(columns, clock):
-            fits.append((part, cls._of_flight(part, shrinks[part.channels])))
+        for group in _channel_groups(columns, clock):
+            fits.append((group, cls._of_flight(group, shrinks[group.channels])))
         finest = min((fitted.frequency[1] for _, fitted in fits), default=1.0)
         highest = max((fitted.frequency[-1] for _, fitted in fits), default=1.0)
         frequency = np.linspace(0.0, highest, 1 + round(highest / finest))
         square = np.zeros((len(frequency), columns.shape[1]))
         n_samples = np.zeros(columns.shape[1])
-        for part, fitted in fits:
-            n = sum(part.lengths)
-            square[:, part.channels] += n * fitted.at(frequency) ** 2
-            n_samples[part.channels] += n
+        for group, fitted in fits:
+            n = sum(group.lengths)
+            square[:, group.channels] += n * fitted.at(frequency) ** 2
+            n_samples[group.channels] += n
         is_sampled = n_samples > 0
         gain = np.ones_like(square)
         gain[:, is_sampled] = np.sqrt(square[:, is_sampled] / n_samples[is_sampled])
         return cls(frequency, gain)
 
     @classmethod
-    def _of_flight(cls, part: Part, shrinks: NDArray[np.bool_]) -> FittedFilter:
+    def _of_flight(cls, group: ChannelGroup, shrinks: NDArray[np.bool_]) -> FittedFilter:
         """Return the smoother of one flight, of gain one where no run shows a spectrum."""
-        spectrum = _flight_spectrum(part)
+        spectrum = _flight_spectrum(group)
         if spectrum is None:
-            return cls(np.array([0.0, 1.0]), np.ones((2, len(part.channels))))
+            return cls(np.array([0.0, 1.0]), np.ones((2, len(group.channels))))
         return cls(spectrum.frequency, _separate_gain(spectrum, shrinks))
 
     def of_channels(self, channels: Sequence[int] | Indices) -> FittedFilter:
@@ -180,15 +180,15 @@ def smooth(
     if not isinstance(cutoff, str | FittedFilter | None):
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
-    parts = list(_parts(columns, clock))
-    for part in parts:
-        low_pass = _low_pass(part, cutoff, joint, shrinks[part.channels])
-        for run in part.runs:
-            place = np.ix_(part.rows[run], part.channels)
-            out[place] = _filtered(part.columns[run], part.time[run], low_pass, derivative)
-    if derivative and any(min(part.lengths) == 1 for part in parts):
+    groups = list(_channel_groups(columns, clock))
+    for group in groups:
+        low_pass = _low_pass(group, cutoff, joint, shrinks[group.channels])
+        for run in group.runs:
+            place = np.ix_(group.rows[run], group.channels)
+            out[place] = _filtered(group.columns[run], group.time[run], low_pass, derivative)
+    if derivative and any(min(group.lengths) == 1 for group in groups):
         warn(NO_RATE, stacklevel=2)
-    if cutoff == "auto" and any(max(part.lengths) < SMOOTHING.least_samples for part in parts):
+    if cutoff == "auto" and any(max(group.lengths) < SMOOTHING.least_samples for group in groups):
         warn(TOO_SHORT, stacklevel=2)
     return out.reshape(np.shape(values))
 
@@ -240,10 +240,10 @@ def _spectra(
     values: ArrayLike, time: ArrayLike, flight: ArrayLike | None
 ) -> Iterator[tuple[Indices, Spectrum]]:
     """Yield the channels that were sampled at the same rows, and their spectrum, of each flight that shows one."""
-    for part in _parts(*_checked(values, time, flight)):
-        spectrum = _flight_spectrum(part)
+    for group in _channel_groups(*_checked(values, time, flight)):
+        spectrum = _flight_spectrum(group)
         if spectrum is not None:
-            yield part.channels, spectrum
+            yield group.channels, spectrum
 
 
 def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
@@ -267,7 +267,7 @@ def _checked(values: Any, time: ArrayLike, flight: ArrayLike | None) -> tuple[Ma
     return columns, Clock.of(time, flight)
 
 
-class Part(NamedTuple):
+class ChannelGroup(NamedTuple):
     """Channels of a flight that were sampled at the same rows, beside those of the other flights."""
 
     # of the table, of all flights
@@ -285,7 +285,7 @@ class Part(NamedTuple):
         return [n_rows(run) for run in self.runs]
 
 
-def _parts(columns: Matrix, clock: Clock) -> Iterator[Part]:
+def _channel_groups(columns: Matrix, clock: Clock) -> Iterator[ChannelGroup]:
     """Yield each flight of each group of channels that were sampled at the same rows."""
     masks, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
     for number, sampled in enumerate(masks.T):
@@ -295,7 +295,7 @@ def _parts(columns: Matrix, clock: Clock) -> Iterator[Part]:
             together = columns[np.ix_(rows, channels)]
             its_clock = clock.part(rows)
             for runs in its_clock.segments_by_flight:
-                yield Part(rows, channels, together, its_clock.time, runs)
+                yield ChannelGroup(rows, channels, together, its_clock.time, runs)
 
 
 def _filtered(columns: Matrix, time: Vector, low_pass: LowPass | None, derivative: bool) -> Matrix:
@@ -330,16 +330,19 @@ def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
 
 
 def _low_pass(
-    part: Part, cutoff: float | str | FittedFilter | None, joint: bool, shrinks: NDArray[np.bool_]
+    group: ChannelGroup,
+    cutoff: float | str | FittedFilter | None,
+    joint: bool,
+    shrinks: NDArray[np.bool_],
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
     if cutoff is None:
         return None
     if isinstance(cutoff, FittedFilter):
-        return cutoff.of_channels(part.channels)
+        return cutoff.of_channels(group.channels)
     if not isinstance(cutoff, str):
         return partial(_butterworth, cutoff=cutoff)
-    spectrum = _flight_spectrum(part)
+    spectrum = _flight_spectrum(group)
     if spectrum is None:
         return None
     if joint:
@@ -368,21 +371,21 @@ class Spectrum(NamedTuple):
         return np.einsum("mii->mi", self.power).real
 
 
-def _flight_spectrum(part: Part) -> Spectrum | None:
+def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
     """Return the spectrum of a flight's channels; None where no run is long enough.
 
     Samples are counted, not timed: interpolation between jittered ones would colour white noise.
     """
-    longest = max(part.lengths)
+    longest = max(group.lengths)
     if longest < SMOOTHING.least_samples:
         return None
-    step = median_step(part.time, part.runs)
+    step = median_step(group.time, group.runs)
     half = min(_window_rows(step), longest // 4) // 2
     size = 2 * half
     windows = []
-    for run in part.runs:
+    for run in group.runs:
         if n_rows(run) >= size:
-            windows.append(_windows(part.columns[run], size))
+            windows.append(_windows(group.columns[run], size))
     pieces = np.concatenate(windows)
     taper = signal.windows.hann(size)
     tapered = signal.detrend(pieces, axis=-1) * taper

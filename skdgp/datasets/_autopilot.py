@@ -51,12 +51,10 @@ class FlightControls:
     """
 
     def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
-        orbits = [scheduled(plan.orbits, time) for plan in plans]
-        altitudes = [scheduled(plan.altitudes, time) for plan in plans]
-        airspeeds = [scheduled(plan.airspeeds, time) for plan in plans]
-        self.orbit = np.stack(orbits, axis=1)
-        self.altitude = np.column_stack(altitudes)
-        self.airspeed = np.column_stack(airspeeds)
+        goals = np.stack([_goals(plan, time) for plan in plans], axis=1)
+        self.orbit = goals[..., :3]
+        self.altitude = goals[..., 3]
+        self.airspeed = goals[..., 4]
         manoeuvres = [_manoeuvres(plan, time) for plan in plans]
         self.manoeuvres = np.stack(manoeuvres, axis=1)
         self.autopilot = Autopilot(step)
@@ -93,6 +91,12 @@ class FlightControls:
             "elevon_right": right,
             "propeller_speed": propeller_speed,
         }
+
+
+def _goals(plan: FlightPlan, time: Array) -> Array:
+    """Return the orbit, the altitude and the airspeed of a plan at each time, (n, 5)."""
+    schedules = (plan.orbits, plan.altitudes, plan.airspeeds)
+    return np.column_stack([scheduled(steps, time) for steps in schedules])
 
 
 def _manoeuvres(plan: FlightPlan, time: Array) -> Array:

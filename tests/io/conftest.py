@@ -381,6 +381,16 @@ def px4(flight):
 
 
 @pytest.fixture(scope="session")
+def px4_servos():
+    """Return the calibration of the servos of that log."""
+    servos = {}
+    for n, name in enumerate(("aileron", "elevator", "rudder")):
+        channel = f"actuator_outputs.output[{n}]"
+        servos[name] = {"channel": channel, "points": [[1000, -0.5], [2000, 0.5]]}
+    return servos
+
+
+@pytest.fixture(scope="session")
 def ardupilot(flight):
     """Return a DataFlash log of an ArduPilot plane that logs every column."""
     servos = {"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 19.0, "SERVO4_FUNCTION": 21.0}

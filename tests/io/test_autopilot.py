@@ -16,10 +16,6 @@ from skdgp.preprocessing import FlightCheck, FlightDataWarning
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 SURFACES = ("aileron", "elevator", "rudder")
 POINTS = [[1000, -0.5], [2000, 0.5]]
-PX4_SERVOS = {
-    name: {"channel": f"actuator_outputs.output[{n}]", "points": POINTS}
-    for n, name in enumerate(SURFACES)
-}
 ARDUPILOT_SERVOS = {
     "aileron": {"channel": "RCOU.C1", "points": POINTS},
     "elevator": {"channel": "RCOU.C2", "points": [[1000, 0.5], [2000, -0.5]]},
@@ -56,8 +52,8 @@ def assert_is(table, flight, names):
 
 
 class TestEveryChannelComesBack:
-    def test_px4(self, read, px4, flight):
-        table = read(px4, "sortie.ulg", servos=PX4_SERVOS)
+    def test_px4(self, read, px4, px4_servos, flight):
+        table = read(px4, "sortie.ulg", servos=px4_servos)
         names = set(flight.SIZES) - {"elevon_left", "elevon_right"}
         assert set(table.columns) == names | {"time", "flight"}
         assert table.notna().all(axis=None)

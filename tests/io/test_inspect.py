@@ -11,11 +11,6 @@ from skdgp.dynamics import Aircraft
 from skdgp.identification import identify, named_flights
 from skdgp.io import FlightReadError, inspect_log, names_servos, read_flight
 
-SERVOS = {
-    name: {"channel": f"actuator_outputs.output[{n}]", "points": [[1000, -0.5], [2000, 0.5]]}
-    for n, name in enumerate(("aileron", "elevator", "rudder"))
-}
-
 
 @pytest.fixture
 def whole(write, px4):
@@ -31,10 +26,10 @@ SLOPES = ["--regressors", "alpha,q_hat"]
 
 
 class TestSummary:
-    def test_a_log_that_lacks_nothing(self, whole):
-        summary = inspect_log(whole, servos=SERVOS)
+    def test_a_log_that_lacks_nothing(self, whole, px4_servos):
+        summary = inspect_log(whole, servos=px4_servos)
         assert (summary.format, summary.vehicle) == ("PX4 ULog", "fixed wing")
-        assert set(SERVOS) < set(summary.columns.index)
+        assert set(px4_servos) < set(summary.columns.index)
         assert summary.remarks == ()
         (flight,) = summary.flights.itertuples()
         time = read_flight(whole).time
@@ -121,11 +116,13 @@ class TestCommand:
         assert command(["inspect", str(whole), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["vehicle"] == "fixed wing"
 
-    def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(self, whole, tmp_path):
+    def test_identify_reads_logs_by_the_servo_file_and_tables_without_it(
+        self, whole, px4_servos, tmp_path
+    ):
         table = tmp_path / "table.csv"
         table.write_text("time,alpha\n0,0\n0.1,0\n")
-        flights = named_flights([whole, table], servos=SERVOS)
-        assert set(SERVOS) <= set(flights["whole"].table.columns)
+        flights = named_flights([whole, table], servos=px4_servos)
+        assert set(px4_servos) <= set(flights["whole"].table.columns)
         assert set(flights["table"].table.columns) == {"time", "flight", "alpha"}
         words = "Got logs of autopilots without servos beside tables"
         with pytest.raises(ValueError, match=words):

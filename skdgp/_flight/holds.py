@@ -109,13 +109,12 @@ def clock_rows(changes: Indices, n: int) -> Indices | None:
     on_clock = np.abs(gaps - n_periods * period) <= HOLDS.jitter * period + 0.1
     if on_clock.mean() < HOLDS.on_clock or np.mean(n_periods == 1) < HOLDS.successive:
         return None
-    before = np.arange(changes[0] - period, -0.5, -period)[::-1]
-    between = [
-        np.linspace(first, last, int(number), endpoint=False)
-        for first, last, number in zip(changes[:-1], changes[1:], n_periods, strict=True)
-    ]
+    before = np.arange(changes[0] - period, -0.5, -period)
     after = np.arange(changes[-1], n - 0.5, period)
-    return np.unique(np.rint(np.concatenate([before, *between, after])).astype(int))
+    ticks = [before, after]
+    for first, last, number in zip(changes[:-1], changes[1:], n_periods, strict=True):
+        ticks.append(np.linspace(first, last, int(number), endpoint=False))
+    return np.unique(np.rint(np.concatenate(ticks)).astype(int))
 
 
 def interpolated_rows(time: Vector, values: Vector) -> Indices | None:

@@ -362,9 +362,7 @@ def _log(
     defined = messages.get("PARM", NO_MESSAGES)
     times = [1e-6 * time for time in defined.numbers("TimeUS")]
     parameters = in_force(defined.texts("Name"), defined.numbers("Value"), times, topics)
-    told = messages.get("MSG", NO_MESSAGES).texts("Message")
-    programs = [text for text in told if text.split(" ")[0] in VEHICLES]
-    firmware = programs[0] if programs else "ArduPilot"
+    firmware = _firmware(messages.get("MSG", NO_MESSAGES).texts("Message"))
     program = firmware.split(" ")[0]
     frame = whole(parameters.get("FRAME_CLASS", 0.0))
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
@@ -393,6 +391,14 @@ def _log(
         commands=outputs.commands,
         sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
+
+
+def _firmware(texts: list[str]) -> str:
+    """Return the name and version of the program, which it tells in the first texts."""
+    for text in texts:
+        if text.split(" ")[0] in VEHICLES:
+            return text
+    return "ArduPilot"
 
 
 def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Topic]:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.physics._settings import PHYSICS
 
 
@@ -62,12 +62,7 @@ def estimated_slope(regression: Regression) -> Slope | None:
     n = len(rows)
     if n < PHYSICS.least_rows:
         return None
-    others = rows[:, :-2]
-    xy = rows[:, -2:]
-    # x and y without the other regressors, these at one scale
-    scale = np.sqrt(np.mean(others**2, axis=0))
-    others = others / np.where(scale > 0, scale, 1.0)
-    xy = xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]
+    xy = _without(rows[:, :-2], rows[:, -2:])
     x, y = xy.T
     x_size, y_size = np.linalg.norm(xy, axis=0)
     is_determined = x_size > 1e-3 * np.linalg.norm(rows[:, -2])
@@ -80,3 +75,10 @@ def estimated_slope(regression: Regression) -> Slope | None:
     correlation = x @ y / (x_size * y_size)
     size = x_size / np.sqrt(n)
     return Slope(float(slope), float(std), float(correlation), n / tau, float(size))
+
+
+def _without(others: Matrix, xy: Matrix) -> Matrix:
+    """Return x and y (n, 2) without the other regressors (n, k), these at one scale."""
+    scale = np.sqrt(np.mean(others**2, axis=0))
+    others = others / np.where(scale > 0, scale, 1.0)
+    return xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]

@@ -99,8 +99,7 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     for name, values in flights.numeric_channels(names).items():
         parts = []
         for rows, clock in zip(segments, clocks, strict=True):
-            time_of_samples, samples = _samples(name, time[rows], values[rows])
-            parts.append(_averaged(time_of_samples, samples, clock))
+            parts.append(_averaged(*_samples(name, time[rows], values[rows]), clock))
         channel = np.concatenate(parts)
         if np.isfinite(channel).any():
             channels[name] = channel

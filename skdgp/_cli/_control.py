@@ -9,7 +9,7 @@ import pandas as pd
 
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
-from skdgp._cli._use import read_model_to_fly, trimmed
+from skdgp._cli._use import read_model_to_fly, trimmed, warn_unfit
 from skdgp._compute.files import csv_writer
 from skdgp.control import (
     FlySettings,
@@ -21,7 +21,7 @@ from skdgp.control import (
 )
 from skdgp.control import fly as fly_model
 from skdgp.control import margins as margins_of
-from skdgp.dynamics import Turbulence, linearize
+from skdgp.dynamics import Turbulence, as_aerodynamics, linearize
 from skdgp.identification import named_flights, usable_flights_of_model
 
 
@@ -39,6 +39,7 @@ def margins(run: Run) -> None:
     run.console.stage("reading")
     loops = autopilot_loops(options.params, dict(options.full))
     model, thrust = read_model_to_fly(options)
+    warn_unfit(model, "design a controller", "Do not set gains by these margins.")
     flight = _logged(options, model) if options.flight else None
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude, thrust)
@@ -53,11 +54,15 @@ def margins(run: Run) -> None:
         delay=options.delay,
     )
     now = margins_of(linear, loops, flight=flight)
-    texts = [f"margins now, at {options.airspeed:g} m/s", _margin_text(now)]
+    servo_lag = as_aerodynamics(model.pipeline).servo_lag
+    late = f"servos late by {1e3 * servo_lag:.0f} ms, commands by {1e3 * options.delay:.0f} ms"
+    texts = [f"margins now, at {options.airspeed:g} m/s, {late}", _margin_text(now)]
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
         "model": options.model,
         "parameters": options.params,
+        "servo_lag": servo_lag,
+        "delay": options.delay,
         "margins": _records(now),
     }
     try:
@@ -101,7 +106,9 @@ def _suggestion_texts(options: Any, gains: pd.DataFrame, then: pd.DataFrame) -> 
 
 
 def _records(table: pd.DataFrame) -> Any:
-    return table.reset_index().to_dict("records")
+    """Return the rows for JSON, which has no infinity: that of an unstable loop is "-inf"."""
+    rows = table.reset_index().astype(object)
+    return rows.replace({np.inf: "inf", -np.inf: "-inf"}).to_dict("records")
 
 
 def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
@@ -141,6 +148,7 @@ def fly(run: Run) -> None:
     run.console.stage("reading")
     parameters = read_parameters(options.params) if options.params else None
     model, thrust = read_model_to_fly(options)
+    warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
     given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
     full = full_outputs(model.pipeline, model.aircraft, given, thrust)
     run.console.stage("trimming")

@@ -320,6 +320,12 @@ def _table(table: pd.DataFrame) -> str:
     return table.to_string(float_format="{:.3g}".format)
 
 
+def warn_unfit(model: Mapping[str, Any], purpose: str, advice: str) -> None:
+    """Warn if the verdict on a model says no to a purpose."""
+    if model.get("uses", {}).get(purpose) == "no":
+        warn(f'The report of this model says no to "{purpose}". {advice}', stacklevel=3)
+
+
 def export(run: Run) -> None:
     """Write a model in a form that other programs read, without Python or without pickle.
 
@@ -339,12 +345,7 @@ def export(run: Run) -> None:
     options = run.options
     run.console.stage("reading")
     model = read_model(options)
-    if model.get("uses", {}).get("simulate") == "no":
-        warn(
-            "The report of this model says that it does not simulate flights: use the export to "
-            "predict coefficients, not in a simulator.",
-            stacklevel=2,
-        )
+    warn_unfit(model, "simulate", "Use the export to predict coefficients, not in a simulator.")
     run.console.stage(f"exporting to {options.to}")
     full = dict(options.full)
     writers: dict[str, Writer] = {}

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
+from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HIGH_LIFT, TRUTH_SUFFIX
 
 # Names in other programs and textbooks, in lower case
 OTHER_NAMES = {
@@ -159,6 +159,17 @@ def check_number(
     if unit:
         bound += f" [{unit}]"
     raise ValueError(f"Got {name}={value!r}, but expected {bound}.")
+
+
+def check_full_deflection(name: str, value: object, unit: str = "rad") -> float:
+    """Return the value of a control at full output, of surfaces at most a right angle; raise ValueError at others."""
+    number = check_number(f"full deflection of the {name}", value, unit=unit)
+    if name in (*ALL_SURFACES, *HIGH_LIFT) and number > np.pi / 2:
+        raise ValueError(
+            f"Got a full deflection of the {name} of {number:g} rad, but expected at most {np.pi / 2:.3g}: "
+            "radians, not degrees."
+        )
+    return number
 
 
 def check_numbers(name: str, values: object, *sizes: int, unit: str = "") -> Array:

@@ -26,7 +26,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_number, check_numbers
+from skdgp._flight.checks import check_full_deflection, check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
 from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
 from skdgp.dynamics import (
@@ -255,7 +255,7 @@ def full_outputs(
                 f"Got full={dict(full)!r}, but {name!r} is no control of this model: expected values of "
                 f"{', '.join(known) or 'none'}."
             )
-        check_number(f"full {name}", value)
+        check_full_deflection(name, value)
     lacking = [name for name in known if name not in full]
     if lacking:
         raise ValueError(

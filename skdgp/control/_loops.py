@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 
@@ -23,15 +24,46 @@ from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 ARDUPILOT_FULL = 45.0
 #: Corner of the high-pass filter of ArduPilot's yaw damper [rad/s]
 WASHOUT = 0.2
+# Defaults of the firmwares, of equivalent airspeeds [m/s]
+DEFAULTS = {
+    "FW_AIRSPD_TRIM": 15.0,
+    "FW_AIRSPD_STALL": 7.0,
+    "FW_AIRSPD_MAX": 20.0,
+    "AIRSPEED_MIN": 9.0,
+    "AIRSPEED_MAX": 22.0,
+    "SCALING_SPEED": 15.0,
+}
 # Rate, attitude and control of each loop
 LOOP_AXES = {
     "roll": ("p", "phi", "aileron"),
     "pitch": ("q", "theta", "elevator"),
     "yaw": ("r", "", "rudder"),
 }
+NUMBERS = (int, float, np.number)
+# Parameters that divide
+POSITIVE = {
+    *DEFAULTS,
+    "ARSPD_FBW_MIN",
+    "ARSPD_FBW_MAX",
+    "FW_R_TC",
+    "FW_P_TC",
+    "RLL2SRV_TCONST",
+    "PTCH2SRV_TCONST",
+}
 NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
 # Beginnings of the names that control laws use, and of gains of multicopters
-OF_LAWS = ("FW_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "IMU_", "INS_GYRO_FILTER")
+OF_LAWS = (
+    "FW_",
+    "RLL",
+    "PTCH",
+    "YAW",
+    "SCALING_SPEED",
+    "AIRSPEED_M",
+    "ARSPD_FBW_M",
+    "KFF_RDDRMIX",
+    "IMU_",
+    "INS_GYRO_FILTER",
+)
 OF_COPTERS = ("MC_", "ATC_RAT_")
 
 
@@ -44,8 +76,8 @@ class Loop:
 
     .. math:: u = k^2 \left[(P + I / s) (w_c - w) - D s w\right] + k F w_c
 
-    In ArduPilot, D acts on the filtered error, and :math:`w_c` is filtered. The output of the roll loop
-    also moves the rudder, by ``rudder``.
+    In ArduPilot, D acts on the filtered error, :math:`w_c` is filtered, and F is divided by the ratio of true
+    and equivalent airspeed. The output of the roll loop also moves the rudder, by ``rudder``.
     """
 
     name: str  #: roll, pitch or yaw
@@ -64,6 +96,7 @@ class Loop:
     error_corner: float = np.inf  #: Of the filter of the error [Hz]
     target_corner: float = np.inf  #: Of the filter of the commanded rate [Hz]
     derivative_of_error: bool = False
+    forward_by_true_airspeed: bool = False  #: F is divided by true over equivalent airspeed
     coordination: float = (
         0.0  #: Part of the rate of a coordinated turn, g phi / V, that is commanded
     )
@@ -93,7 +126,8 @@ class Loop:
             of_error = of_error + derivative * error
         of_rate = of_error if self.derivative_of_error else of_error + derivative
         target = _first_order(s, self.target_corner)
-        forward = k**2 * of_error + k * self.FF
+        feed_forward = self.FF / to_true if self.forward_by_true_airspeed else self.FF
+        forward = k**2 * of_error + k * feed_forward
         laws = {rate: -(k**2) * of_rate * gyro}
         if np.isfinite(self.time_constant) and angle:
             laws[angle] = -forward * target / self.time_constant
@@ -140,7 +174,8 @@ def read_parameters(path: str | Path) -> dict[str, float]:
     """
     path = Path(path)
     found = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    # Windows writes a mark of the byte order first
+    for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
         text = re.sub(r"\[[^\]]*\]", " ", line.split("#")[0])
         words = re.split(r"[\s,:=]+", text.strip())
         for name, value in pairwise(words):
@@ -174,6 +209,8 @@ def autopilot_loops(
 ) -> list[Loop]:
     """Return the loops of PX4 or ArduPilot Plane with gains, for the controls that ``full`` names.
 
+    Warns of a control that ``full`` names and no gains move.
+
     Parameters
     ----------
     parameters : path or mapping of str to float
@@ -194,7 +231,8 @@ def autopilot_loops(
     Raises
     ------
     ValueError
-        If there are no gains of these firmwares, or no loop for the controls.
+        If there are no gains of these firmwares, or of both, no loop for the controls, a parameter is no finite
+        number, or an airspeed or a time constant is not above zero.
 
     Examples
     --------
@@ -204,15 +242,18 @@ def autopilot_loops(
     ['roll']
     """
     known = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
-    surfaces = [surface for *_, surface in LOOP_AXES.values()]
-    wrong = {name: value for name, value in full.items() if not _is_full(name, value, surfaces)}
-    if wrong or not full:
+    _check_parameters(known)
+    _check_full(full)
+    is_px4 = "FW_RR_P" in known or "FW_PR_P" in known
+    is_ardupilot = "RLL_RATE_P" in known or "PTCH_RATE_P" in known
+    if is_px4 and is_ardupilot:
         raise ValueError(
-            f"Got full={dict(full)!r}, but expected deflections [rad] at full output, positive, of some of {surfaces}."
+            "Got gains of PX4 (FW_RR_P, FW_PR_P) and of ArduPilot (RLL_RATE_P, PTCH_RATE_P), but expected those of "
+            "one autopilot: save the parameters of the aircraft again."
         )
-    if "FW_RR_P" in known or "FW_PR_P" in known:
+    if is_px4:
         loops = _px4_loops(known, full)
-    elif "RLL_RATE_P" in known or "PTCH_RATE_P" in known:
+    elif is_ardupilot:
         loops = _ardupilot_loops(known, full)
     elif "RLL2SRV_P" in known or "PTCH2SRV_P" in known:
         raise ValueError(
@@ -233,11 +274,53 @@ def autopilot_loops(
         raise ValueError(
             f"Got no gains other than zero for {sorted(full)}, but expected at least one loop for these controls."
         )
+    moved = {loop.control for loop in loops}
+    if any(loop.rudder for loop in loops):
+        moved.add("rudder")
+    open_controls = sorted({*full} - moved)
+    if open_controls:
+        warn(
+            f"The parameters have no gains other than zero for {' and '.join(open_controls)}: no loop moves "
+            "them. Leave them out of full, or save all parameters of the autopilot.",
+            UserWarning,
+            stacklevel=2,
+        )
     return loops
 
 
-def _is_full(name, value, surfaces):
-    return name in surfaces and np.isfinite(value) and 0 < value <= np.pi / 2
+def _check_parameters(known):
+    """Raise ValueError of parameters of control laws that are no finite numbers, or of which laws are not known."""
+    for name, value in known.items():
+        is_number = isinstance(value, NUMBERS) and np.isfinite(value)
+        if name.startswith(OF_LAWS) and not is_number:
+            raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
+        if name in POSITIVE and not value > 0:
+            raise ValueError(f"Got {name}={value:g}, but expected a number above zero.")
+    if known.get("YAW_RATE_ENABLE", 0):
+        raise ValueError(
+            "Got YAW_RATE_ENABLE=1, but expected 0: the law of ArduPilot's yaw rate controller is not known here. "
+            "Set YAW_RATE_ENABLE to 0 in the file to leave the yaw loop to YAW2SRV_*."
+        )
+
+
+def _check_full(full):
+    """Raise ValueError where full deflections are no mapping of surfaces to positive angles up to 90 degrees."""
+    surfaces = [surface for *_, surface in LOOP_AXES.values()]
+    if not isinstance(full, Mapping) or not full or not all(map(_is_full, full, full.values())):
+        raise ValueError(
+            f"Got full={full!r}, but expected deflections [rad] at full output, positive, of some of {surfaces}."
+        )
+
+
+def _is_full(name, value):
+    """Return whether a value is a full deflection [rad] of the control of a loop."""
+    is_control = any(name == surface for *_, surface in LOOP_AXES.values())
+    return is_control and isinstance(value, NUMBERS) and 0 < value <= np.pi / 2
+
+
+def _airspeed(parameters, name, former_name=""):
+    """Return an equivalent airspeed [m/s], by its name or the one of earlier firmware, or its default."""
+    return parameters.get(name, parameters.get(former_name, DEFAULTS[name]))
 
 
 def _corner(parameters, name, default):
@@ -249,15 +332,14 @@ def _corner(parameters, name, default):
 def _px4_loops(known, full):
     """Return the loops of PX4's ``FixedwingRateControl``; FF is inside the loop of the attitude."""
     scaling = {}
-    trim = known.get("FW_AIRSPD_TRIM", np.nan)
     # without airspeed the firmware takes that of the trim
     is_measured = known.get("FW_USE_AIRSPD", 1) and not known.get("FW_ARSP_MODE", 0)
-    if known.get("FW_ARSP_SCALE_EN", 1) and is_measured and np.isfinite(trim):
-        slowest, fastest = known.get("FW_AIRSPD_STALL", 0.1), known.get("FW_AIRSPD_MAX", 1000.0)
+    if known.get("FW_ARSP_SCALE_EN", 1) and is_measured:
+        trim = _airspeed(known, "FW_AIRSPD_TRIM")
         scaling = {
             "scaling_speed": trim,
-            "least_scaling": trim / fastest,
-            "most_scaling": trim / slowest,
+            "least_scaling": trim / _airspeed(known, "FW_AIRSPD_MAX"),
+            "most_scaling": trim / _airspeed(known, "FW_AIRSPD_STALL"),
         }
     filters = {
         "gyro_corner": _corner(known, "IMU_GYRO_CUTOFF", 40.0),
@@ -277,13 +359,13 @@ def _px4_loops(known, full):
 
 def _ardupilot_loops(known, full):
     """Return the loops of ArduPilot's ``AP_FW_Controller`` and ``AP_YawController``."""
-    scaling_speed = known.get("SCALING_SPEED", 15.0)
-    slowest = known.get("AIRSPEED_MIN", known.get("ARSPD_FBW_MIN", np.inf))
-    fastest = known.get("AIRSPEED_MAX", known.get("ARSPD_FBW_MAX", 0.0))
+    scaling_speed = _airspeed(known, "SCALING_SPEED")
+    slowest = _airspeed(known, "AIRSPEED_MIN", "ARSPD_FBW_MIN")
+    fastest = _airspeed(known, "AIRSPEED_MAX", "ARSPD_FBW_MAX")
     common = {
         "scaling_speed": scaling_speed,
         # Plane::calc_speed_scaler
-        "least_scaling": min(0.5, scaling_speed / (2 * fastest) if fastest else 0.5),
+        "least_scaling": min(0.5, scaling_speed / (2 * fastest)),
         "most_scaling": max(2.0, scaling_speed / (0.7 * slowest)),
         "gyro_corner": _corner(known, "INS_GYRO_FILTER", 20.0),
     }
@@ -293,6 +375,7 @@ def _ardupilot_loops(known, full):
         parameters = {gain: f"{rate}_{gain}" for gain in ("P", "I", "D", "FF")}
         settings = {
             "time_constant": known.get(f"{angle}_TCONST", 0.5),
+            "forward_by_true_airspeed": True,
             "error_corner": _corner(known, f"{rate}_FLTE", 0.0),
             "target_corner": _corner(known, f"{rate}_FLTT", 3.0),
             "derivative_corner": _corner(known, f"{rate}_FLTD", 12.0),
@@ -332,7 +415,10 @@ def _loop(name, parameters, unit, known, full, **settings):
     """Return the loop of an axis, or none: parameters without values are zero."""
     control = LOOP_AXES[name][2]
     values = {gain: known.get(parameter, 0.0) for gain, parameter in parameters.items()}
-    if control not in full or not any(values[gain] for gain in ("P", "I", "D")):
+    feeds_back = any(values[gain] for gain in ("P", "I", "D"))
+    # FF closes the loop of the attitude
+    feeds_attitude = values["FF"] and np.isfinite(settings["time_constant"])
+    if control not in full or not (feeds_back or feeds_attitude):
         return []
     named = {parameter: known[parameter] for parameter in parameters.values() if parameter in known}
     gains = {gain: unit * value for gain, value in values.items()}

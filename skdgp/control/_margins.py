@@ -121,7 +121,7 @@ def margins(
     >>> linear = linearize(model, aircraft, trim(model, aircraft, 20.0), delay=0.02)
     >>> loops = autopilot_loops({"FW_RR_P": 0.5, "FW_RR_I": 0.2}, full={"aileron": 0.42})
     >>> margins(linear, loops).loc["roll", "value"].round(1).to_dict()
-    {'gain': 13.4, 'phase': 141.4, 'sensitivity': 1.3, 'crossover': 0.5}
+    {'gain': 18.4, 'phase': 116.1, 'sensitivity': 1.2, 'crossover': 0.2}
     """
     _check(linear, loops)
     s = 1j * _frequencies(settings)
@@ -191,14 +191,14 @@ def suggest_gains(
         probability=probability,
         settings=settings,
     )
-    chosen = list(loops)
+    rises = np.zeros(len(loops))  # dB, of the gains given
     for _ in range(settings.rounds):
-        before = list(chosen)
-        for k, loop in enumerate(chosen):
-            chosen[k] = loop.scaled(_factor(search.largest(chosen, k)))
-        if chosen == before:
+        before = rises.copy()
+        for k in range(len(loops)):
+            rises[k] = search.largest(loops, rises, k)
+        if np.array_equal(rises, before):
             break
-    return search.lowered(chosen)
+    return search.lowered(_risen(loops, rises))
 
 
 class _GainSearch(NamedTuple):
@@ -213,19 +213,24 @@ class _GainSearch(NamedTuple):
     probability: float
     settings: MarginSettings
 
-    def largest(self, loops: list[Loop], k: int) -> float:
-        """Return the largest rise [dB] of the gains of loop k with the margins; ValueError if there is none."""
-        transfer = _of_loops(self.responses, self.linear, loops, self.s)[..., k]
+    def largest(self, loops: Sequence[Loop], rises: Vector, k: int) -> float:
+        """Return the largest rise [dB] of the gains of loop k with the margins; ValueError if there is none.
+
+        The other loops have the gains given, with the ``rises`` (n_loops,).
+        """
+        others = np.where(np.arange(len(loops)) == k, 0.0, rises)
+        risen = _risen(loops, others)
+        transfer = _of_loops(self.responses, self.linear, risen, self.s)[..., k]
         largest = self.settings.largest_factor
         coarse, fine = self.settings.steps
         best = None
         for decibels in np.arange(largest, -largest - coarse, -coarse):
-            if self.is_enough(decibels, loops, k, transfer):
+            if self.is_enough(decibels, risen, k, transfer):
                 best = float(decibels)
                 break
         if best is None:
             raise self._none_found(loops[k])
-        while best < largest and self.is_enough(best + fine, loops, k, transfer):
+        while best < largest and self.is_enough(best + fine, risen, k, transfer):
             best += fine
         return best
 
@@ -270,16 +275,23 @@ class _GainSearch(NamedTuple):
         return bool(np.mean(is_good & ~unstable) >= self.probability)
 
 
+def _risen(loops: Sequence[Loop], rises: Vector) -> list[Loop]:
+    """Return the loops with gains that are higher by ``rises`` [dB]."""
+    return [loop.scaled(_factor(rise)) for loop, rise in zip(loops, rises, strict=True)]
+
+
 def _factor(decibels):
     return float(10 ** (decibels / 20))
 
 
 def _check(linear, loops):
     """Raise a ValueError if loops are none, two of a control, or of controls that are no inputs."""
+    if isinstance(loops, str) or not all(isinstance(loop, Loop) for loop in loops):
+        raise TypeError(f"Got loops={loops!r}, but expected a list of Loop, of autopilot_loops.")
     inputs = [*linear.B.columns]
     controls = [loop.control for loop in loops]
     moved = controls + ["rudder" for loop in loops if loop.rudder]
-    missing = [control for control in moved if control not in inputs]
+    missing = sorted({*moved} - {*inputs})
     if missing:
         raise ValueError(f"Got loops of {missing}, but the linear model has the inputs {inputs}.")
     if not (np.isfinite(linear.airspeed) and np.isfinite(linear.density)):

@@ -22,6 +22,7 @@ from skdgp._display.page import (
     text,
 )
 from skdgp._excitation import Steps
+from skdgp._flight.checks import check_full_deflection
 from skdgp.design._check import errors_table
 from skdgp.design._planner import Plan
 from skdgp.plotting import TimeHistoryDisplay
@@ -52,8 +53,10 @@ def write_flight_card(
     deviations. A page for each kind of manoeuvre shows the inputs as pictures and, of pulses, as
     steps, with the expected responses. With the ``full`` deflections of axes [rad], or 1 of the
     throttle, the card says how much of the stick each step is. Raises FileNotFoundError if the
-    folder of ``path`` does not exist.
+    folder of ``path`` does not exist, and ValueError if a deflection is none.
     """
+    for name, value in (full or {}).items():
+        check_full_deflection(name, value)
     kinds = plan.manoeuvres.drop_duplicates(["name", "scale"])
     body = [CREW, _entry(plan), _limits(plan), _order(plan), _promise(plan)]
     body += [_manoeuvre(plan, k, full or {}) for k in kinds.index]

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._excitation import ROUNDING, Steps, Wavetrain
-from skdgp._flight.checks import check_names, check_number
+from skdgp._flight.checks import check_full_deflection, check_names
 from skdgp._flight.servo_functions import ServoFunction
 
 SCRIPT = Path(__file__).with_name("replay.lua")
@@ -121,7 +121,7 @@ def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, d
     mixes = {}
     still = dict.fromkeys(axes)
     for name, value in full.items():
-        check_number(f"full deflection of the {name}", value)
+        check_full_deflection(name, value)
         gains = MIXES.get(name, {name: 1.0})
         mix = {axis: gain for axis, gain in gains.items() if axis in axes}
         if mix:

@@ -20,7 +20,7 @@ from skdgp._compute.files import plain, read_json, read_toml
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
-from skdgp._flight.checks import as_floats, check_number
+from skdgp._flight.checks import as_floats, check_full_deflection
 from skdgp._flight.sensor_position import sensor_position, with_sensors_at
 from skdgp.dynamics._estimated_sizes import INERTIAS, KINDS, QUANTITIES, estimated, value_and_std
 from skdgp.dynamics._propeller import Propeller, ThrustLine
@@ -239,10 +239,7 @@ def _full_deflections(values: Any) -> dict[str, float] | None:
             f"to angles [rad]."
         )
     check_keys(values, SURFACES, [], "full_deflections")
-    return {
-        name: check_number(f"full deflection of the {name}", value, unit="rad")
-        for name, value in values.items()
-    }
+    return {name: check_full_deflection(name, value) for name, value in values.items()}
 
 
 def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:

@@ -38,6 +38,7 @@ from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
+from skdgp.dynamics._size_errors import log_errors
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
 
@@ -155,7 +156,7 @@ def linearize(
     n_paths : int
         Number of posterior functions to linearise too, at the same point, for ``paths`` and the spread
         of the modes; with the other errors that
-        :func:`skdgp.dynamics.stability_derivatives` names.
+        :func:`skdgp.dynamics.stability_derivatives` names, of the log too.
     random_state : int, RandomState instance or None
         Of the paths.
     thrust, air
@@ -211,9 +212,9 @@ def linearize(
     mean = _matrices(motion, state, controls, inputs)
     paths = None
     if n_paths:
-        motion_of_paths, unsteady = _motion_of_paths(motion, state, controls, n_paths, random_state)
+        drawn = _drawn(motion, state, controls, n_paths, random_state)
         points = np.tile(state, (n_paths, 1))
-        paths = _matrices(motion_of_paths, points, controls, inputs, unsteady)
+        paths = _matrices(drawn.motion, points, controls, inputs, drawn.unsteady, drawn.errors)
     surfaces = Servos.of(motion).surfaces
     positions = [f"{name}_position" for name in inputs if name in surfaces]
     names = [*STATES, *positions]
@@ -236,9 +237,10 @@ def _matrices(
     controls: Mapping,
     inputs: Sequence[str],
     unsteady: UnsteadyTerms | None = None,
+    errors: Array | float = 0.0,
 ) -> Matrices:
     """Return A, B, C, D at states (..., 13)."""
-    x_dot_z, y_z, instant = jacobian(motion, state, controls, inputs, unsteady)
+    x_dot_z, y_z, instant = jacobian(motion, state, controls, inputs, unsteady, errors)
     check_settled(instant)
     if not np.isfinite(x_dot_z).all():
         raise ValueError(
@@ -253,6 +255,7 @@ def jacobian(
     controls: Mapping,
     inputs: Sequence[str] = (),
     unsteady: UnsteadyTerms | None = None,
+    errors: Array | float = 0.0,
 ) -> tuple[Array, Array, Instant]:
     r"""Return the slopes d x_dot (..., 12, 12 + k) and d outputs (..., 6, 12 + k) by z, and the instant.
 
@@ -267,14 +270,15 @@ def jacobian(
         y_z = H_z + H_C C_z
 
     with the slopes of the model :math:`c_X`. The slopes of F, G and H are differences, exact to
-    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
+    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order; errors
+    (..., 6, d) add to the slopes of the model.
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls)
     mechanics = Mechanics(motion, controls, inputs)
     (F_z, G_z, H_z), (F_C, G_C, H_C) = mechanics.slopes(state, instant)
     # Coefficients by z, with the regressors that follow from them
-    c_X = motion.aerodynamics.gradient(instant.regressors)
+    c_X = motion.aerodynamics.gradient(instant.regressors) + errors
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
@@ -375,21 +379,39 @@ def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Serv
     return Matrices(A, B, C, D)
 
 
-def _motion_of_paths(
+class _Drawn(NamedTuple):
+    """Motion with paths drawn from the posterior, their unsteady terms, and errors of slopes (n_paths, 6, d)."""
+
+    motion: Motion
+    unsteady: UnsteadyTerms | None
+    errors: Array | float
+
+
+def _drawn(
     motion: Motion, state: Array, controls: Mapping, n_paths: int, random_state: Seed
-) -> tuple[Motion, UnsteadyTerms | None]:
-    """Return the motion with functions drawn from the posterior in place of the model, and their unsteady terms."""
+) -> _Drawn:
+    """Return the motion with functions drawn from the posterior in place of the model, and errors that these lack.
+
+    Errors of the log are normal, each shared by all slopes.
+    """
     model = motion.aerodynamics
     motion_of_paths = copy.copy(motion)
     motion_of_paths.aerodynamics = model.sample(n_paths, random_state)
-    if model.learned is None:
-        return motion_of_paths, None
     now = motion.at(state, controls)
     slopes = model.gradient(now.regressors)
-    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
-    # slopes by alpha_dot and beta_dot of each path
-    draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
-    return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)
+    generator = separate_generator(random_state)
+    unsteady = None
+    if model.learned is not None:
+        unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
+        # slopes by alpha_dot and beta_dot of each path
+        draws = generator.standard_normal((n_paths, 1, 2))
+        unsteady = unsteady._replace(slopes=draws * unsteady.slopes)
+    values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
+    aircraft = motion.aircraft
+    deviations = aircraft.deviations or {}
+    of_log = log_errors(deviations, aircraft.inertia, motion.regressors, values)[..., 1:]
+    errors = np.tensordot(generator.standard_normal((n_paths, len(of_log))), of_log, axes=1)
+    return _Drawn(motion_of_paths, unsteady, errors)
 
 
 def flight_point(

@@ -18,7 +18,7 @@ from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.checks import check_number
+from skdgp._flight.checks import check_full_deflection
 from skdgp.dynamics import Aircraft, Propeller, contact_points
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
@@ -133,7 +133,7 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
                 f"Got a full deflection of {name!r}, but expected one of the commands of this "
                 f"model: {', '.join(units) or 'it has none'}."
             )
-        check_number(f"full deflection of the {name}", value, unit=units[name])
+        check_full_deflection(name, value, unit=units[name])
     by_unit = {name: 1.0 for name, unit in units.items() if unit == FULL_THROW}
     known = {**(model.aircraft.full_deflections or {}), **by_unit, **full}
     largest = np.abs(model.limits).max(axis=0).tolist()

@@ -293,7 +293,7 @@ class TestRefuses:
         [
             ({"full": {"aileron": 0.4}}, "Got no value of elevator, rudder, thrust at full output"),
             ({"full": FULL | {"flap": 1.0}}, "'flap' is no control of this model"),
-            ({"full": FULL | {"elevator": 0.0}}, "full elevator"),
+            ({"full": FULL | {"elevator": 0.0}}, "full deflection of the elevator"),
             ({"wind": [1.0, 2.0]}, "but expected 3 finite numbers"),
             ({"wind": [np.nan, 0.0, 0.0]}, "but expected 3 finite numbers"),
             ({"parameters": {"SERVO1_MIN": 2000.0}}, "SERVO1_MIN 2000, TRIM 1500"),

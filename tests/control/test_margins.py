@@ -17,11 +17,11 @@ from skdgp.dynamics import linearize, trim
 
 AIRSPEED, DELAY = 20.0, 0.04
 FULL = {"aileron": 0.42, "elevator": 0.4, "rudder": 0.35}
-UNFILTERED = {"IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0}
+UNFILTERED = {"IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0, "FW_ARSP_SCALE_EN": 0.0}
 PX4 = UNFILTERED | {
     "FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_FF": 0.1, "FW_R_TC": 0.4,
     "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_PR_FF": 0.1, "FW_P_TC": 0.5,
-    "FW_YR_P": 0.3, "FW_YR_I": 0.1, "FW_AIRSPD_TRIM": 16.0,
+    "FW_YR_P": 0.3, "FW_YR_I": 0.1, "FW_AIRSPD_TRIM": 16.0, "FW_ARSP_SCALE_EN": 1.0,
 }  # fmt: skip
 
 
@@ -91,7 +91,8 @@ def test_a_slow_mode_that_grows_does_not_hide_the_gain_margin(glider):
 def test_the_rudder_follows_the_roll_loop(parameters, mix, linear):
     """Margins of roll are those of an aircraft whose aileron moves the rudder."""
     (loop,) = autopilot_loops(parameters, {"aileron": FULL["aileron"]})
-    mixed, *_ = autopilot_loops(parameters, FULL)
+    rolling = {name: FULL[name] for name in ("aileron", "rudder")}
+    mixed, *_ = autopilot_loops(parameters, rolling)
     signs = np.sign([linear.B.loc["p", "aileron"], linear.B.loc["r", "rudder"]])
     ratio = signs.prod() * mix * FULL["rudder"] / FULL["aileron"]
     B, D = linear.B.copy(), linear.D.copy()
@@ -105,7 +106,7 @@ def test_the_rudder_follows_the_roll_loop(parameters, mix, linear):
 
 def test_the_derivative_of_px4_has_a_filter_of_first_order():
     """AlphaFilter of VehicleAngularVelocity."""
-    gains = {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 25.0}
+    gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_DGYRO_CUTOFF": 25.0}
     (roll,) = autopilot_loops(gains, {"aileron": 0.4})
     s = 1j * np.array([1.0, 30.0, 500.0])
     expected = -0.4 * (0.1 + 0.02 * s / (1.0 + s / (2 * np.pi * 25.0)))
@@ -116,6 +117,54 @@ def test_px4_without_airspeed_does_not_scale_its_gains():
     for parameters in ({"FW_ARSP_MODE": 1.0}, {"FW_USE_AIRSPD": 0.0}):
         (roll,) = autopilot_loops(PX4 | parameters, {"aileron": 0.4})
         assert_allclose(roll.feedback(np.array([1e9j]), 30.0, 1.0)["p"], -0.4 * PX4["FW_RR_P"])
+
+
+@pytest.mark.parametrize(
+    ("gains", "limits", "trim"),
+    [
+        ({"FW_RR_P": 0.1}, (7.0, 20.0), 15.0),
+        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 12.0, "FW_AIRSPD_STALL": 9.0}, (9.0, 20.0), 12.0),
+        ({"RLL_RATE_P": 0.1}, (0.7 * 9.0, 44.0), 15.0),
+    ],
+)
+def test_airspeeds_that_a_file_lacks_are_the_firmwares_defaults(gains, limits, trim):
+    """Gains are scaled by trim over airspeed, squared, between limits of the airspeed."""
+    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
+    fast = np.array([1e-6 + 0j])  # below all filters
+    at_trim = roll.feedback(fast, trim, 1.225)["p"]
+    for airspeed in (1.0, 10.0, 30.0, 100.0):
+        scaling = trim / np.clip(airspeed, *limits)
+        assert_allclose(roll.feedback(fast, airspeed, 1.225)["p"], scaling**2 * at_trim)
+
+
+@pytest.mark.parametrize("name", ["roll", "pitch"])
+def test_the_feed_forward_of_ardupilot_falls_with_the_air(name):
+    """AP_FW_Controller: "FF should be scaled by scaler/eas2tas"."""
+    rate, attitude, control = {
+        "roll": ("RLL", "phi", "aileron"),
+        "pitch": ("PTCH", "theta", "elevator"),
+    }[name]
+    parameters = {f"{rate}_RATE_P": 1e-9, f"{rate}_RATE_FF": 0.3, f"{rate}2SRV_TCONST": 0.4}
+    (loop,) = autopilot_loops(parameters, {control: 0.4})
+    density = 0.9
+    to_true = np.sqrt(1.225 / density)
+    scaler = 15.0 / (20.0 / to_true)
+    expected = -0.4 * 0.3 * np.rad2deg(1.0) / 45 * scaler / to_true / 0.4
+    assert_allclose(
+        loop.feedback(np.array([1e-6 + 0j]), 20.0, density)[attitude], expected, rtol=1e-3
+    )
+
+
+def test_a_feed_forward_alone_closes_the_loop_of_the_attitude():
+    gains = UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}
+    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
+    laws = roll.feedback(np.array([2j]), 20.0, 1.225)
+    assert_allclose(laws["phi"], -0.4 * 0.3 / 0.5)
+
+
+def test_a_control_without_gains_is_named():
+    with pytest.warns(UserWarning, match="no gains other than zero for rudder"):
+        autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
 
 
 def growth(linear, factors):
@@ -201,6 +250,17 @@ def test_suggested_gains_are_the_largest_that_have_the_margins(linear, probabili
         assert share(chosen, k) >= probability
 
 
+def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
+    """However many rounds the search takes."""
+    weak = [loop.scaled(1e-4) for loop in autopilot_loops(PX4, FULL)]
+    try:
+        chosen = suggest_gains(linear, weak)
+    except ValueError:
+        return
+    for before, after in zip(weak, chosen, strict=True):
+        assert 1 / 20.5 <= after.P / before.P <= 20.5
+
+
 def linear_of_path(linear, number):
     """Return one path as a linear model."""
     tables = {}
@@ -232,6 +292,7 @@ FILES = {
     "ground.params": "# Vehicle-Id Component-Id Name Value Type\n1\t1\tFW_RR_P\t0.05\t9\n1\t1\tFW_AIRSPD_TRIM\t15\t9\n",
     "show.txt": "x + FW_RR_P [123,456] : 0.0500\n  * FW_AIRSPD_TRIM [1,2] : 15.0\n",
     "mission_planner.param": "FW_RR_P,0.05\nFW_AIRSPD_TRIM,15\n",
+    "windows.params": "\ufeffFW_RR_P,0.05\r\nFW_AIRSPD_TRIM,15\r\n",
     "mavproxy.parm": "FW_RR_P          0.050000\nFW_AIRSPD_TRIM   15.0  # a remark\n",
 }
 
@@ -239,7 +300,7 @@ FILES = {
 @pytest.mark.parametrize("name", FILES)
 def test_files_of_ground_stations_are_read(name, tmp_path):
     path = tmp_path / name
-    path.write_text(FILES[name])
+    path.write_text(FILES[name], encoding="utf-8")
     assert read_parameters(path) == {"FW_RR_P": 0.05, "FW_AIRSPD_TRIM": 15.0}
 
 
@@ -253,6 +314,15 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ({"FW_RR_P": 0.1}, {"flap": 0.4}, "expected deflections"),
         ({"FW_RR_P": 0.1}, {"aileron": 24.0}, "expected deflections"),
         ({"FW_RR_P": 0.1}, {}, "expected deflections"),
+        ({"FW_RR_P": 0.1}, ["aileron"], "expected deflections"),
+        ({"FW_RR_P": 0.1}, {"aileron": "24 deg"}, "expected deflections"),
+        ({"FW_RR_P": 0.1, "RLL_RATE_P": 0.1}, {"aileron": 0.4}, "of one autopilot"),
+        ({"FW_RR_P": np.nan}, {"aileron": 0.4}, "FW_RR_P=nan"),
+        ({"FW_RR_P": "0.1"}, {"aileron": 0.4}, "FW_RR_P='0.1'"),
+        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4}, "above zero"),
+        ({"FW_RR_P": 0.1, "FW_R_TC": 0.0}, {"aileron": 0.4}, "above zero"),
+        ({"RLL_RATE_P": 0.1, "AIRSPEED_MIN": 0.0}, {"aileron": 0.4}, "above zero"),
+        ({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"aileron": 0.4}, "yaw rate controller"),
     ],
 )
 def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
@@ -287,6 +357,8 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
         suggest_gains(linear, [loop], probability=95)
     with pytest.raises(ValueError, match="airspeed of nan"):
         margins(replace(linear, airspeed=np.nan), [loop])
+    with pytest.raises(TypeError, match="a list of Loop"):
+        margins(linear, "plane.params")
     with pytest.raises(ValueError, match="without paths"):
         suggest_gains(linear_of(glider), [loop])
     with pytest.raises(ValueError, match="a number >= 0"):

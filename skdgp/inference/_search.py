@@ -525,16 +525,7 @@ class _JointSearch(NamedTuple):
         if not gains and not is_known and not self.stop.is_set():
             return None
         if not self.exact and not self.stop.is_set():
-            noise = _noise_from_half(
-                learned.kernel,
-                noise,
-                bounds,
-                self.X,
-                self.Y,
-                self.scale,
-                self.stop,
-                options.settings,
-            )
+            noise = self._noise_from_half(learned.kernel, noise, bounds)
         P = self.Y.shape[1]
         if is_known:
             input_std = self.known.input_std
@@ -600,6 +591,23 @@ class _JointSearch(NamedTuple):
             fall = (held_out_error(*earlier, data, n_blocks) - latest) * n_iter / end.n_since
         return fall <= settings.irrelevant_fall * latest
 
+    def _noise_from_half(self, kernel, noise, bounds):
+        """Return the noise vector learned from every other row; white noise is learned again from all samples."""
+        settings = self.options.settings
+        data = Data.from_table(self.X[::2], self.Y[::2])
+        data = Hyperparameters(kernel, noise[: self.Y.shape[1]], self.scale).noisy(data, 1)
+        point = climb(
+            kernel,
+            noise,
+            bounds,
+            data,
+            settings.noise_steps,
+            self.stop,
+            optimizer=settings.optimizer,
+            noise_alone=True,
+        )
+        return point.noise
+
     def _start(self, kernel):
         return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)
 
@@ -616,23 +624,6 @@ class _JointSearch(NamedTuple):
             common=self.exact,
             n_batches=self.n_batches(data.n_values),
         )
-
-
-def _noise_from_half(kernel, noise, bounds, X, Y, scale, stop, settings):
-    """Return the noise vector learned from every other row; white noise is learned again from all samples."""
-    data = Data.from_table(X[::2], Y[::2])
-    data = Hyperparameters(kernel, noise[: Y.shape[1]], scale).noisy(data, 1)
-    point = climb(
-        kernel,
-        noise,
-        bounds,
-        data,
-        settings.noise_steps,
-        stop,
-        optimizer=settings.optimizer,
-        noise_alone=True,
-    )
-    return point.noise
 
 
 def best_noise(
@@ -724,11 +715,10 @@ def _fit_outputs(
         observed = np.flatnonzero(np.isfinite(Y[:, i]))
         rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
         column = slice(i, i + 1)
+        loading = None if known.loading is None else known.loading[rows, column]
         problem = SingleOutput(
             alone,
-            X[rows],
-            Y[rows, column],
-            None if known.loading is None else known.loading[rows, column],
+            Data.from_table(X[rows], Y[rows, column], loading),
             noise[column],
             noise_bounds[column],
             f"output {i + 1}",
@@ -740,12 +730,10 @@ def _fit_outputs(
 
 
 class SingleOutput(NamedTuple):
-    """The search for one output: x (n, d), y (n, 1), the loading (n, 1, r) of known noise, and where noise starts."""
+    """The search for one output: its observed values, and where noise starts."""
 
     kernel: MultiOutputKernel
-    x: Matrix
-    y: Matrix
-    loading: Any
+    data: Data
     noise: Vector
     noise_bounds: Matrix
     stage: str
@@ -761,8 +749,9 @@ class SingleOutput(NamedTuple):
         with narrow starts by the likelihood of all values.
         """
         settings = self.settings
-        start = starting_kernel(self.kernel, self.x, self.y, np.random.RandomState(seed))
-        step = max(1, len(self.x) // settings.trial_values)
+        (x,), (y,) = self.data.X, self.data.y
+        start = starting_kernel(self.kernel, x, y[:, None], np.random.RandomState(seed))
+        few_values = self.data.every(max(1, len(y) // settings.trial_values))
         few = min(settings.trial_iterations, max_iter)
         trials = []
         tried = set()
@@ -770,31 +759,25 @@ class SingleOutput(NamedTuple):
             trial = narrowed(self.kernel, start, factor)
             if trial.theta.tobytes() not in tried:  # a trend has no widths
                 tried.add(trial.theta.tobytes())
-                trials.append(self._climb(trial, self.noise, step, few))
+                trials.append(self._climb(trial, self.noise, few_values, few))
         best = max(trials, key=lambda trial: trial.end.value)
         starts = [(best.kernel, best.noise)]
         for width, factor in product(settings.narrow_factors, settings.noise_factors):
             starts.append((narrowed(self.kernel, start, width), factor * self.noise))
         likeliest = max(starts, key=self._likelihood)
-        return self._climb(*likeliest, 1, min(settings.single_iterations, 2 * max_iter))
-
-    def _data(self, step):
-        """Return every ``step``-th value."""
-        loading = None if self.loading is None else self.loading[::step]
-        return Data.from_table(self.x[::step], self.y[::step], loading)
+        return self._climb(*likeliest, self.data, min(settings.single_iterations, 2 * max_iter))
 
     def _likelihood(self, start):
         kernel, noise = start
         try:
-            return log_likelihood(kernel, noise, self._data(1))
+            return log_likelihood(kernel, noise, self.data)
         except np.linalg.LinAlgError:
             return -np.inf
 
-    def _climb(self, kernel, noise, step, max_iter):
+    def _climb(self, kernel, noise, data, max_iter):
         optimizer = self.settings.optimizer
         n_processes = max(1, kernel.n_processes)
         optimizer = replace(optimizer, tolerance=n_processes * optimizer.tolerance)
-        data = self._data(step)
         return climb(
             kernel,
             noise,

@@ -39,7 +39,25 @@ def assert_gradient(central_difference):
     return check
 
 
-def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
+def noise_covariance(Y, noise, loading=None):
+    """Return the noise covariance of the stacked values, entry by entry.
+
+    ``loading`` (n, P, r) multiplies errors that the outputs of a sample share.
+    """
+    outputs, samples = np.nonzero(np.isfinite(Y.T))
+    S = np.diag(noise[outputs])
+    if loading is not None:
+        G = loading[samples, outputs]
+        S += np.where(samples[:, None] == samples, G @ G.T, 0.0)
+    return S
+
+
+@pytest.fixture(scope="session")
+def noise_of():
+    return noise_covariance
+
+
+def make_problem(kind="diag", with_trend=True, common_noise=False, n=14, P=3, d=2, seed=0):
     rng = default_rng(seed)
     widths = {"tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
     kernel = ConvolvedGaussian(
@@ -59,19 +77,42 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
         )
     X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
     Y[rng.random(Y.shape) < 0.35] = np.nan  # some outputs are not observed here and there
-    data = Data.from_table(X, Y)
+    loading = default_rng(1).normal(0, 0.4, (n, P, 2)) if common_noise else None
+    data = Data.from_table(X, Y, loading)
     noise = rng.uniform(0.05, 0.3, P)
-    K = kernel(data.X) + np.diag(np.repeat(noise, [len(y) for y in data.y]))
+    S = noise_covariance(Y, noise, loading)
     return SimpleNamespace(
-        kernel=kernel, noise=noise, data=data, X=X, Y=Y, K=K, y=np.concatenate(data.y)
+        kernel=kernel,
+        noise=noise,
+        loading=loading,
+        data=data,
+        X=X,
+        Y=Y,
+        S=S,
+        K=kernel(data.X) + S,
+        y=np.concatenate(data.y),
     )
 
 
-@pytest.fixture(params=["diag", "tied", "diag without trend"])
+PROBLEMS = {
+    "diag": {},
+    "tied": {"kind": "tied"},
+    "without trend": {"with_trend": False},
+    "common noise": {"common_noise": True},
+}
+
+
+@pytest.fixture(params=PROBLEMS)
 def problem(request):
-    return make_problem(request.param.split()[0], "without" not in request.param)
+    return make_problem(**PROBLEMS[request.param])
 
 
 @pytest.fixture
 def one_problem():
     return make_problem()
+
+
+@pytest.fixture
+def noisy_problem():
+    """Return the problem with noise that two regressors add to all outputs of a sample."""
+    return make_problem(common_noise=True)

@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import combinations_with_replacement
+from operator import sub
 from typing import NamedTuple
 
 import numpy as np
@@ -350,8 +351,7 @@ class Statistics(NamedTuple):
 
     def less(self, part: Statistics) -> Statistics:
         """Return the sums over the samples that are not among those of ``part``."""
-        differences = [mine - theirs for mine, theirs in zip(self[1:], part[1:], strict=True)]
-        return Statistics(self.columns, *differences)
+        return Statistics(self.columns, *map(sub, self[1:], part[1:]))
 
     @property
     def unexplained(self) -> float:

@@ -12,12 +12,14 @@ from sklearn.linear_model import LinearRegression
 from skdgp import DependentGPRegressor, listening
 from skdgp.inference import (
     AveragePosterior,
+    AverageSettings,
     ExactPosterior,
     average,
     fit_exact,
     fit_sparse,
+    held_out,
+    stacked,
 )
-from skdgp.inference._average import AverageSettings, held_out, stacked
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N, D, P = 60, 2, 2

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import trapezoid
 
 from skdgp.kernels import ConvolvedGaussian
@@ -61,17 +60,3 @@ def test_covariance_is_equation_16(covariance_type, d):
             size /= np.sqrt(np.linalg.det(first + second))
             expected += size * np.exp(-0.5 * away @ S @ away)
         assert kernel.block(i, j, x[None], z[None]).item() == pytest.approx(expected, rel=1e-10)
-
-
-@pytest.mark.parametrize("covariance_type", ["diag", "tied"])
-def test_published_parameters(covariance_type):
-    kernel = kernel_of(covariance_type, 3, seed=6)
-    assert kernel.v.shape == (4, 2)
-    assert kernel.mu.shape == kernel.A.shape == (4, 2, 3)
-    # Shared latents first, then one for each output, which feeds that output alone.
-    assert_array_equal(kernel.v[2:] != 0, np.eye(2, dtype=bool))
-    assert (kernel.A > 0).all()
-    # w = v pi^(d/4) |A|^(-1/4): the variance is the sum of squared amplitudes.
-    w = kernel.v * np.pi**0.75 / kernel.A.prod(axis=-1) ** 0.25
-    assert_allclose(w, kernel.amplitude, rtol=1e-12)
-    assert_allclose(kernel.diag(np.zeros((1, 3))), np.sum(w**2, axis=0))

@@ -16,7 +16,6 @@ from sklearn.gaussian_process.kernels import (
     Matern,
     WhiteKernel,
 )
-from sklearn.metrics.pairwise import pairwise_kernels
 
 from skdgp.kernels import (
     ConvolvedGaussian,
@@ -55,10 +54,6 @@ class TestEveryKernel:
                 attribute = getattr(term, name)
                 assert f"hyperparameter_{attribute.name}" == name
                 assert attribute == getattr(clone(term), name)
-
-    def test_is_a_pairwise_kernel(self, kernel):
-        assert_allclose(pairwise_kernels(X, metric=kernel), kernel(X))
-        assert_allclose(pairwise_kernels(X, X[:3], metric=kernel), kernel(X, X[:3]))
 
     def test_entries_that_are_set_count(self, kernel):
         """After a call, too: nothing derived is remembered longer than its parameters."""

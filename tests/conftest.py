@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -154,6 +155,18 @@ def command():
     """Return the command ``skdgp`` as a function of its words to its exit code."""
     (entry,) = entry_points(group="console_scripts", name="skdgp")
     return entry.load()
+
+
+@pytest.fixture(scope="session")
+def code_of_section():
+    """Return a function of a page under docs and a heading: the Python code of this section, in one."""
+
+    def code(page, heading):
+        text = (Path(__file__).resolve().parents[1] / "docs" / page).read_text(encoding="utf-8")
+        section = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+        return "\n".join(re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE))
+
+    return code
 
 
 @pytest.fixture(scope="session")

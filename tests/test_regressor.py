@@ -47,13 +47,6 @@ def new():
     return make_data(6, seed=9)[0]
 
 
-@pytest.fixture(scope="module", params=["exact", "sparse"])
-def model(request, data):
-    return DependentGPRegressor(
-        inference=request.param, n_inducing=30, random_state=0, max_iter=25
-    ).fit(*data)
-
-
 DEFAULT = DependentGPRegressor(max_iter=2)
 OTHERS = [
     DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
@@ -137,6 +130,9 @@ class TestShapesAndNames:
         assert cov.shape == (6 * P, 6 * P)
         assert model.predict_gradient(new).shape == (6, *rest, 2)
         assert model.sample_y(new, 5).shape == (6, *rest, 5)
+        paths = model.sample_paths(4)
+        assert paths(new).shape == (4, 6, *rest)
+        assert paths.gradient(new).shape == (4, 6, *rest, 2)
         assert model.noise_variance_.shape == (P,)
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
@@ -172,24 +168,6 @@ class TestPrediction:
         assert model.log_marginal_likelihood_value_ == pytest.approx(
             theirs.log_marginal_likelihood_value_
         )
-
-    def test_noise_is_added_to_std_and_covariance(self, model, new):
-        mean, std = model.predict(new, return_std=True)
-        again, cov = model.predict(new, return_cov=True)
-        assert_allclose(again, mean)
-        assert_allclose(model.predict(new), mean)
-        noise = np.repeat(model.noise_variance_, 6)
-        _, noisy = model.predict(new, return_std=True, include_noise=True)
-        assert_allclose((noisy**2 - std**2).T.ravel(), noise, rtol=1e-6)
-        _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
-        assert_allclose(noisy_cov - cov, np.diag(noise), atol=1e-9 * cov.max())
-
-
-def test_the_global_seed_is_not_moved(data):
-    np.random.seed(0)  # noqa: NPY002
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    DependentGPRegressor(max_iter=2, random_state=7).fit(*data)
-    assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
 def ctrl_c(at_stage, n):

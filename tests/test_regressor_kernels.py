@@ -257,12 +257,6 @@ class TestKernelsOfScikitLearn:
         assert type(model.kernel_.k2) is Coregionalized
         assert clone(model).get_params()["kernel"] == kernel  # which is left alone
 
-    def test_sums_are_of_both_kinds(self):
-        X, Y = waves()
-        for kernel in (RBF() + LinearTrend(), LinearTrend() + RBF()):
-            fitted = quick(kernel, max_iter=3).fit(X, Y).kernel_
-            assert {type(term) for term in fitted.summands()} == {LinearTrend, Coregionalized}
-
     @pytest.mark.parametrize(
         ("kernel", "told"),
         [

@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,17 +88,13 @@ def test_what_is_no_format(command, path, tmp_path, capsys):
     assert all(name in error for name in FORMATS)
 
 
-def test_code_of_the_page_runs(fitted, flight, tmp_path, monkeypatch):
+def test_code_of_the_page_runs(fitted, flight, code_of_section, tmp_path, monkeypatch):
     """The Python of the section of export.md, in one namespace with a flight."""
-    page = Path(__file__).parents[2] / "docs" / "export.md"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
     save_model("results/model.joblib", **fitted("sparse"))
     names = {"flight": flight}
-    text = page.read_text(encoding="utf-8").partition("\n## The portable model\n")[2]
-    section = text.partition("\n## ")[0]
-    for block in re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE):
-        exec(compile(block, "export.md", "exec"), names)
+    exec(code_of_section("export.md", "The portable model"), names)
     assert names["slopes"].shape == (30, 6, 6)
     X = names["model"].regressor_values(flight)
     assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)

@@ -57,16 +57,19 @@ def noise_of():
     return noise_covariance
 
 
-def make_problem(kind="diag", with_trend=True, common_noise=False, n=14, P=3, d=2, seed=0):
-    rng = default_rng(seed)
-    widths = {"tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
+def make_problem(kind="diag", n_latent=2, with_trend=True, common_noise=False):
+    rng = default_rng(0)
+    n, P, d = 14, 3, 2
+    M = n_latent + P
+    is_shared = np.arange(M) < n_latent
+    widths = {"tied": (M, 1, d)}.get(kind, (M, P, d))
     kernel = ConvolvedGaussian(
-        2,
+        n_latent,
         covariance_type=kind,
-        amplitude=rng.normal(size=(2 + P, P)) * np.r_[np.ones((2, P)), np.eye(P)],
-        length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (2 + P, P, d)),
-        shift=rng.normal(0, 0.3, (2 + P, P, d))
-        * (np.arange(2 + P) < 2)[:, None, None]
+        amplitude=rng.normal(size=(M, P)) * np.r_[np.ones((n_latent, P)), np.eye(P)],
+        length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (M, P, d)),
+        shift=rng.normal(0, 0.3, (M, P, d))
+        * is_shared[:, None, None]
         * (np.arange(P) > 0)[:, None],
         parameter_bounds={"shift": (-2.0, 2.0)},
     )
@@ -98,6 +101,7 @@ PROBLEMS = {
     "diag": {},
     "tied": {"kind": "tied"},
     "without trend": {"with_trend": False},
+    "independent outputs": {"n_latent": 0},
     "common noise": {"common_noise": True},
 }
 

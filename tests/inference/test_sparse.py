@@ -9,7 +9,6 @@ from threadpoolctl import threadpool_limits
 
 from skdgp.inference import (
     Data,
-    ExactPosterior,
     PosteriorSettings,
     ShareSettings,
     SparsePosterior,
@@ -56,15 +55,6 @@ class TestBound:
         ]
         assert bounds[0] < bounds[1] < bounds[2] < exact
         assert exact - bounds[2] < 0.02 * (exact - bounds[0])
-
-    def test_of_a_trend_alone_is_the_likelihood(self, one_problem):
-        trend = one_problem.kernel.k1
-        posterior = SparsePosterior(
-            trend, inducing_features(trend, Z), one_problem.noise, one_problem.data
-        )
-        exact = ExactPosterior(trend, one_problem.noise, one_problem.data)
-        assert posterior.log_marginal_likelihood == pytest.approx(exact.log_marginal_likelihood)
-        assert_allclose(posterior.predict(NEW, True), exact.predict(NEW, True), rtol=1e-8)
 
 
 class TestPosterior:

@@ -200,7 +200,10 @@ class ValueFeatures(Features):
         # blocks with the same inputs share the values of all outputs there
         # single precision is exact enough beside this noise
         rounded = paths.rounded()
-        values = {id(z): rounded.values(z[None]) for z in {id(z): z for z in self.Z}.values()}
+        values: dict[int, Array] = {}
+        for z in self.Z:
+            if id(z) not in values:
+                values[id(z)] = rounded.values(z[None])
         u = np.hstack([values[id(z)][..., f] for f, z in blocks])
         variance = np.concatenate([self.joint.block_diag(f, z) for f, z in blocks])
         return u + np.sqrt(self.settings.jitter * variance) * random_state.standard_normal(u.shape)

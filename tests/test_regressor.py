@@ -14,7 +14,6 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
-from sklearn.model_selection import GridSearchCV, cross_validate
 from sklearn.pipeline import Pipeline
 from sklearn.utils.estimator_checks import check_estimator
 
@@ -200,25 +199,6 @@ class TestInterrupted:
         with pytest.raises(KeyboardInterrupt), listening(ctrl_c(*at)):
             model.fit(*data)
         assert_array_equal(model.predict(new), expected)
-
-    @pytest.mark.parametrize(
-        "search",
-        [
-            lambda model, X, Y: cross_validate(model, X, Y, cv=2),
-            lambda model, X, Y: GridSearchCV(model, {"n_latent": [0, 1]}, cv=2).fit(X, Y),
-        ],
-    )
-    def test_ctrl_c_ends_a_search_over_candidates(self, data, search):
-        fits = []
-
-        def press(stage, n_evaluations, log_likelihood):
-            fits.append(n_evaluations)
-            raise KeyboardInterrupt
-
-        model = DependentGPRegressor(max_iter=2, random_state=0)
-        with pytest.raises(KeyboardInterrupt), listening(press):
-            search(model, *data)
-        assert len(fits) == 1
 
     @pytest.mark.parametrize(
         ("inference", "at"),

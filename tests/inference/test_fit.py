@@ -67,11 +67,6 @@ class TestFit:
         K = found.kernel(np.zeros((1, 1)))
         assert K[0, 1] / np.sqrt(K[0, 0] * K[1, 1]) < -0.7
 
-    def test_value_is_the_likelihood_at_what_was_found(self, fit):
-        posterior = fit(LinearTrend() + ConvolvedGaussian(1), max_iter=5).posterior
-        again = posterior.of(posterior.data, posterior.noise).log_marginal_likelihood
-        assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
-
     @pytest.mark.parametrize("threads", [1, 2])
     def test_seed_decides_and_threads_do_not(self, fit, threads):
         options = {"every": 3, "max_iter": 2, "settings": SearchSettings(single_iterations=3)}

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from numpy.random import default_rng
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets, design
@@ -110,6 +111,19 @@ def central_difference():
         return np.stack(columns, axis=-1) if columns else np.empty((*np.shape(function(x)), 0))
 
     return difference
+
+
+@pytest.fixture
+def uneven():
+    """Return three regressors and three outputs of very different scales, the outputs with gaps."""
+    rng = default_rng(0)
+    X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
+    Z = (X - X.mean(axis=0)) / X.std(axis=0)
+    Y = np.column_stack(
+        [np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2] + 0.002 * Z[:, 0] ** 2]
+    )
+    Y[rng.random(Y.shape) < 0.3] = np.nan
+    return X, Y
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -72,13 +72,3 @@ def test_an_output_that_was_never_observed(one_problem, make):
     one_problem.Y[:, 1] = np.nan
     one_problem.data = Data.from_table(one_problem.X, one_problem.Y)
     assert_moments(make(one_problem), points(one_problem))
-
-
-def test_a_path_is_one_function_between_two_points(one_problem, make):
-    """Two points that nearly coincide have nearly one value on every path: the covariance between them counts too."""
-    paths = make(one_problem).paths(50, 4)
-    near = Z[:1] + np.array([[0.0, 0.0], [1e-6, 0.0]])
-    values = paths.values(near[None])
-    assert_allclose(values[:, 0], values[:, 1], atol=1e-4)
-    slope = paths.slopes(near[None])[:, 0, :, 0]
-    assert_allclose((values[:, 1] - values[:, 0]) / 1e-6, slope, rtol=1e-3, atol=1e-3)

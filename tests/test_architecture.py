@@ -1,7 +1,6 @@
 """Imports between folders, public names, and dependencies that stay optional."""
 
 import ast
-import importlib.util
 import re
 import subprocess
 import sys
@@ -89,24 +88,23 @@ def offenders(rule, paths=MODULES):
 
 @cache
 def imports(path):
-    """Every import of a file, relative ones resolved."""
-    package = dotted(path) if path.name == "__init__.py" else dotted(path.parent / "__init__.py")
+    """Every import of a file; none is relative."""
     found, open_ = [], [(ast.parse(path.read_text(encoding="utf-8")), False)]
     while open_:
         node, later = open_.pop()
         if isinstance(node, ast.Import):
             found += [Import(alias.name, (), not later, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            module = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            assert node.level == 0
             names = tuple(alias.name for alias in node.names)
-            found.append(Import(module, names, not later, node.lineno))
+            found.append(Import(node.module, names, not later, node.lineno))
         later = later or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         open_ += [(child, later) for child in ast.iter_child_nodes(node)]
     return found
 
 
 def own_imports(path):
-    """(part, import) of the package's own modules; ``from .. import x`` names x."""
+    """(part, import) of the package's own modules; ``from skdgp import x`` names x."""
     for item in imports(path):
         if item.module == "skdgp":
             yield from ((name, item) for name in item.names or ("__init__",))

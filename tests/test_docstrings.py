@@ -1,5 +1,6 @@
-"""Every public name is in the reference; its docstring, and those of its methods, are what numpydoc expects."""
+"""Every public name is in the reference, annotated, and its docstring is what numpydoc expects."""
 
+import ast
 import importlib
 import inspect
 import pkgutil
@@ -11,10 +12,6 @@ import pytest
 import skdgp
 
 REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "api"
-validate = pytest.importorskip(
-    "numpydoc.validate", reason='reads docstrings with numpydoc: pip install -e ".[docs]"'
-).validate
-
 MODULES = ["skdgp"] + [
     module.name
     for module in pkgutil.walk_packages(skdgp.__path__, "skdgp.")
@@ -68,7 +65,7 @@ def public_things():
 THINGS = dict(public_things())
 
 
-def faults(name):
+def faults(name, validate):
     """Return what numpydoc finds wrong in the docstring of a public name."""
     if not inspect.getdoc(THINGS[name]):
         return {"GL08": "no docstring"}
@@ -85,7 +82,42 @@ def faults(name):
 
 
 def test_docstrings_are_numpydocs():
-    assert {name: wrong for name in THINGS if (wrong := faults(name))} == {}
+    reason = 'reads docstrings with numpydoc: pip install -e ".[docs]"'
+    numpydoc = pytest.importorskip("numpydoc.validate", reason=reason)
+    assert {name: wrong for name in THINGS if (wrong := faults(name, numpydoc.validate))} == {}
+
+
+def is_bare(thing):
+    """Return whether a parameter, or what is returned, has no annotation; of a class those of its constructor."""
+    if inspect.isclass(thing):
+        thing = vars(thing).get("__init__")
+    if not inspect.isroutine(thing):
+        return False
+    signature = inspect.signature(thing)
+    annotations = [signature.return_annotation]
+    for name, parameter in signature.parameters.items():
+        if name not in ("self", "cls"):
+            annotations.append(parameter.annotation)
+    return signature.empty in annotations
+
+
+def test_every_public_function_is_annotated():
+    """mypy checks the rest."""
+    assert [name for name, thing in THINGS.items() if is_bare(thing)] == []
+
+
+def test_type_checkers_see_the_names_of_the_package_root():
+    """They are imported when asked for, which only the root's own code says."""
+    assert (Path(skdgp.__file__).parent / "py.typed").exists()
+    tree = ast.parse(Path(skdgp.__file__).read_text(encoding="utf-8"))
+    (typed,) = [block for block in tree.body if isinstance(block, ast.If)]
+    named = []
+    for line in typed.body:
+        named += [alias.asname for alias in line.names if alias.asname == alias.name]
+    folders = [name.removeprefix("skdgp.") for name in MODULES if name.count(".") == 1]
+    assert sorted(named) == sorted([*skdgp.__all__, *folders])
+    assert {*named} <= {*dir(skdgp)}
+    assert all(getattr(skdgp, name) is not None for name in named)
 
 
 @pytest.mark.parametrize("name", MODULES)

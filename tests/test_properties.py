@@ -1,4 +1,4 @@
-"""What holds of the regressor for every problem: units, order, uncertainty, bounds, draws.
+"""What holds of the regressor for every problem: units, order, uncertainty, bounds.
 
 Problems by hypothesis.
 """
@@ -20,7 +20,6 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:.* samples repeat another",
 )
 EXAMPLES = settings(max_examples=15)
-FEW = settings(max_examples=6)
 INFERENCE = st.sampled_from(["exact", "sparse"])
 
 
@@ -135,12 +134,13 @@ def test_the_order_of_regressors_outputs_and_rows_decides_nothing(fraction, rtol
 
 
 @EXAMPLES
-@given(SEEDS, INFERENCE, st.sampled_from([0.0, 0.6, -1e-7, 1e6, 0.1 + 0.2]))
+@given(SEEDS, INFERENCE, st.sampled_from([0.0, 0.6, -1e-7, -1.7e9, 0.1 + 0.2]))
 def test_a_constant_regressor_changes_nothing(seed, inference, constant):
     """Whatever its unit: the deviation of equal numbers is rounding."""
     X, Y = problem(seed)
     how = options(seed, X) | {"inference": inference, "kernel": ConvolvedGaussian(1)}
     more = np.column_stack([X, np.full(len(X), constant)])
+    more[3, -1] *= 1 + 1e-15
     plain = DependentGPRegressor(**how).fit(X, Y)
     if how["input_noise"] is not None:
         how["input_noise"] = np.append(how["input_noise"], 0.0)
@@ -187,20 +187,3 @@ def test_slopes_are_those_of_the_mean(central_difference, seed, inference):
     expected = central_difference(moved, np.zeros(len(size)), 1e-3)
     slopes = model.predict_gradient(X[:4]).reshape(expected.shape)
     close(slopes * size, expected, spread[:, None], 1e-5)
-
-
-@FEW
-@given(SEEDS, INFERENCE)
-def test_draws_are_of_what_is_predicted(seed, inference):
-    X, Y = problem(seed)
-    model = DependentGPRegressor(**options(seed, X) | {"inference": inference}).fit(X, Y)
-    at = X[:3]
-    n = 600
-    values = np.moveaxis(model.sample_y(at, n, random_state=1), -1, 0)
-    paths = model.sample_paths(n, random_state=1)(at)  # at exact regressors
-    # a mean of 600 is known within 5 / sqrt(600) deviations, a deviation within 15 %
-    for draws, noise in ((values, True), (paths, False)):
-        mean, std = moments(model, at, include_input_noise=noise)
-        draws = draws.reshape(n, *mean.shape)
-        assert (np.abs(draws.mean(axis=0) - mean) < 0.21 * std).all()
-        assert_allclose(draws.std(axis=0), std, rtol=0.15)

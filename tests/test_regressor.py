@@ -14,7 +14,6 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF
-from sklearn.model_selection import GridSearchCV, cross_validate
 from sklearn.pipeline import Pipeline
 from sklearn.utils.estimator_checks import check_estimator
 
@@ -45,13 +44,6 @@ def data():
 @pytest.fixture(scope="module")
 def new():
     return make_data(6, seed=9)[0]
-
-
-@pytest.fixture(scope="module", params=["exact", "sparse"])
-def model(request, data):
-    return DependentGPRegressor(
-        inference=request.param, n_inducing=30, random_state=0, max_iter=25
-    ).fit(*data)
 
 
 DEFAULT = DependentGPRegressor(max_iter=2)
@@ -137,6 +129,9 @@ class TestShapesAndNames:
         assert cov.shape == (6 * P, 6 * P)
         assert model.predict_gradient(new).shape == (6, *rest, 2)
         assert model.sample_y(new, 5).shape == (6, *rest, 5)
+        paths = model.sample_paths(4)
+        assert paths(new).shape == (4, 6, *rest)
+        assert paths.gradient(new).shape == (4, 6, *rest, 2)
         assert model.noise_variance_.shape == (P,)
 
     def test_rows_where_nothing_was_observed_are_as_if_absent(self, data, new):
@@ -173,24 +168,6 @@ class TestPrediction:
             theirs.log_marginal_likelihood_value_
         )
 
-    def test_noise_is_added_to_std_and_covariance(self, model, new):
-        mean, std = model.predict(new, return_std=True)
-        again, cov = model.predict(new, return_cov=True)
-        assert_allclose(again, mean)
-        assert_allclose(model.predict(new), mean)
-        noise = np.repeat(model.noise_variance_, 6)
-        _, noisy = model.predict(new, return_std=True, include_noise=True)
-        assert_allclose((noisy**2 - std**2).T.ravel(), noise, rtol=1e-6)
-        _, noisy_cov = model.predict(new, return_cov=True, include_noise=True)
-        assert_allclose(noisy_cov - cov, np.diag(noise), atol=1e-9 * cov.max())
-
-
-def test_the_global_seed_is_not_moved(data):
-    np.random.seed(0)  # noqa: NPY002
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    DependentGPRegressor(max_iter=2, random_state=7).fit(*data)
-    assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-
 
 def ctrl_c(at_stage, n):
     """Return a listener that interrupts the n-th evaluation of a stage."""
@@ -222,25 +199,6 @@ class TestInterrupted:
         with pytest.raises(KeyboardInterrupt), listening(ctrl_c(*at)):
             model.fit(*data)
         assert_array_equal(model.predict(new), expected)
-
-    @pytest.mark.parametrize(
-        "search",
-        [
-            lambda model, X, Y: cross_validate(model, X, Y, cv=2),
-            lambda model, X, Y: GridSearchCV(model, {"n_latent": [0, 1]}, cv=2).fit(X, Y),
-        ],
-    )
-    def test_ctrl_c_ends_a_search_over_candidates(self, data, search):
-        fits = []
-
-        def press(stage, n_evaluations, log_likelihood):
-            fits.append(n_evaluations)
-            raise KeyboardInterrupt
-
-        model = DependentGPRegressor(max_iter=2, random_state=0)
-        with pytest.raises(KeyboardInterrupt), listening(press):
-            search(model, *data)
-        assert len(fits) == 1
 
     @pytest.mark.parametrize(
         ("inference", "at"),

@@ -17,7 +17,6 @@ from sklearn.exceptions import NotFittedError
 from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, FewRowsWarning
-from skdgp._compute import linalg
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -52,6 +51,11 @@ def observed(Y, column, n):
     return Y
 
 
+def many(X, Y):
+    """Return more values than any memory has room for."""
+    return np.arange(800_000.0).reshape(-1, 2), np.arange(400_000.0)
+
+
 REFUSED_FITS = [  # parameters, X and Y of others, what is said
     ({}, lambda X, Y: (X, Y[:-1]), r"inconsistent numbers of samples: \[30, 29\]"),
     ({}, lambda X, Y: (X * [1e150, 1.0], Y), r"'x0': '.*e\+1\d\d'.*StandardScaler"),
@@ -61,8 +65,10 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
     *(({}, lambda X, Y, n=n: (X, observed(Y, 1, n)), rf"fewer than two samples.*'y1': {n}.*Leave these columns out")
       for n in (0, 1)),
     ({}, lambda X, Y: (X, observed(Y, slice(None), 1)), "fewer than two samples"),
-    ({"inference": "exact"}, lambda X, Y: (np.arange(800_000.0).reshape(-1, 2), np.arange(400_000.0)),
+    ({"inference": "exact"}, many,
      r"Exact inference on 400000 values needs about 2384 GiB.*sparse.*thin_targets"),
+    ({"inference": "sparse", "n_inducing": 200_000}, many,
+     r"Sparse inference with \d+ values needs.*Lower n_inducing"),
     *(({"kernel": ConvolvedGaussian(1, **words), "trend": "constant"}, lambda X, Y: (X, Y), said)
       for words, said in (
         ({"parameter_bounds": {"length_scale": "free"}}, "bounds 'free' of length_scale.*'fixed'"),
@@ -104,25 +110,15 @@ class TestRegressors:
         with pytest.warns(UserWarning, match="does not have valid feature names"):
             ask(X.to_numpy())
 
-    @pytest.mark.parametrize(
-        ("constant", "inference"),
-        [(0.6, "exact"), (0.1 + 0.2, "sparse"), (-1.7e9, "exact"), (0.0, "sparse")],
-    )
-    def test_a_constant_one_is_named_and_leaves_predictions_elsewhere_finite(
-        self, X, Y, constant, inference
-    ):
+    @pytest.mark.parametrize("constant", [0.6, 0.1 + 0.2, -1.7e9, 0.0])
+    def test_a_constant_one_is_named(self, tables, constant):
         """The standard deviation of equal numbers is not zero but rounding: np.std([.6] * 20) is 1e-16."""
-        more = pd.DataFrame(
-            np.column_stack([X, np.full(30, constant)]), columns=["alpha", "q", "throttle"]
-        )
+        X, Y = tables
+        more = X.assign(throttle=constant)
         more.loc[3, "throttle"] *= 1 + 1e-15
         with pytest.warns(UserWarning, match=r"\['throttle'\] are constant") as caught:
-            model = quick(kernel=TIED, inference=inference, n_inducing=10).fit(more, Y)
+            quick(kernel=TIED).fit(more, Y)
         assert caught[0].filename == __file__
-        elsewhere = more.assign(throttle=constant + 0.2 * max(1.0, abs(constant)))
-        mean, std = model.predict(elsewhere, return_std=True)
-        assert (np.abs(mean) < 10 * np.abs(Y).max()).all()
-        assert (std < 100 * Y.std(axis=0)).all()
 
     @pytest.mark.parametrize("inference", ["exact", "sparse"])
     def test_that_are_far_from_zero(self, X, Y, inference):
@@ -220,17 +216,7 @@ def test_slopes_before_fit(X):
         quick().predict_gradient(X)
 
 
-class TestMemory:
-    @pytest.mark.filterwarnings("ignore:3 inducing inputs leave")
-    def test_it_is_the_machine_that_decides(self, X, Y, monkeypatch):
-        monkeypatch.setattr(linalg, "_physical_memory", lambda: 6e4)
-        with pytest.raises(ValueError, match="Exact inference on 60 values"):
-            quick(inference="exact").fit(X, Y)
-        quick(inference="sparse", n_inducing=3).fit(X, Y)
-        message = r"Sparse inference with \d+ values needs.*Lower n_inducing"
-        with pytest.raises(ValueError, match=message):
-            quick(inference="sparse", n_inducing=25).fit(X, Y)
-
+class TestInference:
     def test_too_few_inducing_inputs_are_said_to_cost_accuracy(self):
         """A fast sine is not told by four inducing inputs; by forty it is, and nothing is said."""
         rng = default_rng(0)

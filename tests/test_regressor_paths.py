@@ -21,7 +21,7 @@ def table(n=30, seed=0):
     return X, Y
 
 
-def fitted(inference="exact", y=slice(None), **options):
+def fitted(inference, **options):
     options = {
         "n_latent": 1,
         "n_inducing": 12,
@@ -29,8 +29,7 @@ def fitted(inference="exact", y=slice(None), **options):
         "optimizer": None,
         "random_state": 0,
     } | options
-    X, Y = table()
-    return DependentGPRegressor(inference=inference, **options).fit(X, Y[:, y])
+    return DependentGPRegressor(inference=inference, **options).fit(*table())
 
 
 @pytest.fixture(scope="module", params=["exact", "sparse"])
@@ -59,13 +58,6 @@ def test_rounded_paths_are_the_same_functions_to_single_precision(structure, inf
     assert_allclose(paths.rounded().each(X) / spread, paths.each(X) / spread, atol=1e-4)
     slopes = paths.gradient(X) / spread[:, None]
     assert_allclose(paths.rounded().gradient(X) / spread[:, None], slopes, atol=1e-3)
-
-
-def test_one_output_has_no_axis_of_outputs():
-    model = fitted(y=0)
-    paths, X = model.sample_paths(3), table()[0]
-    assert paths(X).shape == (3, 30)
-    assert paths.gradient(X).shape == (3, 30, 2)
 
 
 def test_the_same_seed_gives_the_same_functions_in_any_process(model):

@@ -646,8 +646,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         if not isinstance(self.posterior_, PosteriorWithErrors):
             return None
-        d = self.n_features_in_
-        return self.posterior_.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
+        return self._errors_in_output_units(self.posterior_.errors)
 
     def expected_errors(self, added: Matrix) -> ExpectedErrors:
         """Return the errors that are expected of a fit to further rows too, of regressors (k, d).
@@ -655,10 +654,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         In units of the outputs; see :class:`skdgp.inference.ExpectedErrors`.
         """
         expected = expected_errors(self.posterior_, self._check_regressors(added), self._misfit)
-        d = self.n_features_in_
-        return expected._replace(
-            errors=expected.errors.in_units(np.zeros(d), np.ones(d), self.scale_)
-        )
+        return expected._replace(errors=self._errors_in_output_units(expected.errors))
 
     def sample_y(
         self,
@@ -799,6 +795,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _in_output_units(self, mean):
         """Return the mean (n, P) of the normalised outputs in the units of the outputs."""
         return self._squeeze(mean * self.scale_ + self.center_)
+
+    def _errors_in_output_units(self, errors):
+        """Return the errors of the normalised outputs in the units of the outputs."""
+        d = self.n_features_in_
+        return errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
     def _squeeze(self, values):
         """Return values (n, P, ...), without the axis of outputs for one-dimensional targets."""

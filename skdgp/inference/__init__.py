@@ -20,6 +20,9 @@ them.
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
+from skdgp.inference._average import AverageSettings as AverageSettings
+from skdgp.inference._average import held_out as held_out
+from skdgp.inference._average import stacked as stacked
 from skdgp.inference._drift import residual_drift
 from skdgp.inference._errors import (
     FunctionErrors,

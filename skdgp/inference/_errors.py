@@ -295,9 +295,7 @@ def function_errors(
 
     samples = data.sample or [np.arange(len(y)) for y in data.y]
     records = _records(samples, flight)
-    residuals = []
-    for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
-        residuals.append(y - posterior.predict(x)[:, i])
+    residuals = _residuals(posterior)
     parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
     noise = mean_noise(posterior)
     over_spread = posterior.gradient(centre[None], scale)[0] * scale
@@ -324,6 +322,15 @@ def function_errors(
         random=np.concatenate([errors.random, correlated]),
         method=np.concatenate([gusts, flattened, curved]),
     )
+
+
+def _residuals(posterior: Posterior) -> list[Vector]:
+    """Return the observed values of each output less the mean, (n_i,)."""
+    data = posterior.data
+    residuals = []
+    for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+        residuals.append(y - posterior.predict(x)[:, i])
+    return residuals
 
 
 def _nonlinear_bias(

@@ -251,9 +251,11 @@ def coupled_outputs(
     depends = np.eye(len(data.y), dtype=bool)
     for i, j in combinations(outputs, 2):
         depends[i, j] = kernel.couples(i, j)
-    n_groups, group = connected_components(depends, directed=False)
-    members = [[i for i in outputs if group[i] == number] for number in range(n_groups)]
-    return [outputs for outputs in members if outputs]
+    _, group = connected_components(depends, directed=False)
+    members: dict[int, list[int]] = {}
+    for i in outputs:
+        members.setdefault(group[i], []).append(i)
+    return list(members.values())
 
 
 class Tile(NamedTuple):

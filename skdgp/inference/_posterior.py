@@ -420,9 +420,7 @@ class Paths:
                 f"{expected_names}."
             )
         X = np.asarray(X, dtype=float)
-        shape: tuple[Any, ...] = ("n", self.n_features)
-        if ndim == 3:
-            shape = (self.n_paths, *shape)
+        shape = (self.n_paths, "n", self.n_features)[-ndim:]
         wrong_paths = ndim == 3 and len(X) != self.n_paths
         if X.ndim != ndim or X.shape[-1] != self.n_features or wrong_paths:
             expected = ", ".join(map(str, shape))

@@ -1,6 +1,6 @@
 """The search for hyperparameters, in stages.
 
-1. Each output alone (``_fit_outputs``).
+1. Each output alone (``separate``).
 2. All outputs, with widths that they share.
 3. All hyperparameters.
 4. The noise alone, if stage 3 neglected correlations between outputs.
@@ -278,33 +278,21 @@ def search(
             data = hyperparameters.noisy(data)
         return [best_noise(hyperparameters, X, Y, data, known, settings)]
 
-    # Stage 1.
     stop = Event()
-    singles = None
+    whole = _JointSearch(
+        X, Y, known, None, noise, bounds, stop, options, exact, column_scale(X), random_state
+    )
+    joint = whole.of_rows(rows)
     alone = single_output(kernel)
     shift = None
     if alone is not None and not kernel.has_values():
-        fits = _fit_outputs(
-            alone, noise, bounds, X, Y, options.max_iter, random_state, stop, known, settings
-        )
+        fits = whole.separate(alone)
         singles = [fit.kernel for fit in fits]
         noise = np.concatenate([fit.noise for fit in fits])
+        joint = joint._replace(singles=singles, noise=noise)
         if options.shifts and len(singles) > 1:
             shift = found_shifts(singles, noise, X, Y)
 
-    joint = _JointSearch(
-        X[rows],
-        Y[rows],
-        known.of_rows(rows),
-        singles,
-        noise,
-        bounds,
-        stop,
-        options,
-        exact,
-        column_scale(X),
-        random_state,
-    )
     if len(kernels) == 1:
         return [joint.likeliest(kernel)]
     found = _compared(joint, kernels, shift)
@@ -355,7 +343,7 @@ def _compared(joint, kernels, shift) -> list[Hyperparameters]:
 
 
 class _JointSearch(NamedTuple):
-    """Stages 2 to 4: some rows of all outputs, the separate fits and their noise, and the bounds of the noise."""
+    """Stages 1 to 4: rows of all outputs, the separate fits and their noise, and the bounds of the noise."""
 
     X: Matrix
     Y: Matrix
@@ -380,6 +368,36 @@ class _JointSearch(NamedTuple):
             return 1
         return max(1, round(n_values / self.options.settings.batch_values))
 
+    def of_rows(self, rows: Any) -> _JointSearch:
+        """Return the search on some rows."""
+        return self._replace(X=self.X[rows], Y=self.Y[rows], known=self.known.of_rows(rows))
+
+    @one_blas_thread()  # two threads gain nothing on small matrices
+    def separate(self, alone: MultiOutputKernel) -> list[Point]:
+        """Return fits of a kernel to each output alone (stage 1).
+
+        A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
+        """
+        settings = self.options.settings
+        loading = self.known.loading
+        fits = []
+        for i, seed in enumerate(self.random_state.randint(2**31 - 1, size=self.Y.shape[1])):
+            observed = np.flatnonzero(np.isfinite(self.Y[:, i]))
+            rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
+            column = slice(i, i + 1)
+            of_output = None if loading is None else loading[rows, column]
+            problem = SingleOutput(
+                alone,
+                Data.from_table(self.X[rows], self.Y[rows, column], of_output),
+                self.noise[column],
+                self.bounds[column],
+                f"output {i + 1}",
+                self.stop,
+                settings,
+            )
+            fits.append(problem.fit(self.options.max_iter, seed))
+        return fits
+
     def trial(self) -> _JointSearch:
         """Return a short search, on few values where there are more.
 
@@ -391,12 +409,7 @@ class _JointSearch(NamedTuple):
             return self
         rows = np.arange(0, len(self.X), step)
         few = min(self.options.max_iter, settings.structure_iterations)
-        return self._replace(
-            X=self.X[rows],
-            Y=self.Y[rows],
-            known=self.known.of_rows(rows),
-            options=replace(self.options, max_iter=few),
-        )
+        return self.of_rows(rows)._replace(options=replace(self.options, max_iter=few))
 
     def compared(
         self, structure: _Structure, simpler: Sequence[Hyperparameters] = ()
@@ -525,16 +538,7 @@ class _JointSearch(NamedTuple):
         if not gains and not is_known and not self.stop.is_set():
             return None
         if not self.exact and not self.stop.is_set():
-            noise = _noise_from_half(
-                learned.kernel,
-                noise,
-                bounds,
-                self.X,
-                self.Y,
-                self.scale,
-                self.stop,
-                options.settings,
-            )
+            noise = self._noise_from_half(learned.kernel, noise, bounds)
         P = self.Y.shape[1]
         if is_known:
             input_std = self.known.input_std
@@ -600,6 +604,23 @@ class _JointSearch(NamedTuple):
             fall = (held_out_error(*earlier, data, n_blocks) - latest) * n_iter / end.n_since
         return fall <= settings.irrelevant_fall * latest
 
+    def _noise_from_half(self, kernel, noise, bounds):
+        """Return the noise vector learned from every other row; white noise is learned again from all samples."""
+        settings = self.options.settings
+        data = Data.from_table(self.X[::2], self.Y[::2])
+        data = Hyperparameters(kernel, noise[: self.Y.shape[1]], self.scale).noisy(data, 1)
+        point = climb(
+            kernel,
+            noise,
+            bounds,
+            data,
+            settings.noise_steps,
+            self.stop,
+            optimizer=settings.optimizer,
+            noise_alone=True,
+        )
+        return point.noise
+
     def _start(self, kernel):
         return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)
 
@@ -616,23 +637,6 @@ class _JointSearch(NamedTuple):
             common=self.exact,
             n_batches=self.n_batches(data.n_values),
         )
-
-
-def _noise_from_half(kernel, noise, bounds, X, Y, scale, stop, settings):
-    """Return the noise vector learned from every other row; white noise is learned again from all samples."""
-    data = Data.from_table(X[::2], Y[::2])
-    data = Hyperparameters(kernel, noise[: Y.shape[1]], scale).noisy(data, 1)
-    point = climb(
-        kernel,
-        noise,
-        bounds,
-        data,
-        settings.noise_steps,
-        stop,
-        optimizer=settings.optimizer,
-        noise_alone=True,
-    )
-    return point.noise
 
 
 def best_noise(
@@ -711,41 +715,11 @@ def some_rows(
 # -- each output alone
 
 
-@one_blas_thread()  # two threads gain nothing on small matrices
-def _fit_outputs(
-    alone, noise, noise_bounds, X, Y, max_iter, random_state, stop, known, settings
-) -> list[Point]:
-    """Return separate fits of each output.
-
-    A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
-    """
-    fits = []
-    for i, seed in enumerate(random_state.randint(2**31 - 1, size=Y.shape[1])):
-        observed = np.flatnonzero(np.isfinite(Y[:, i]))
-        rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
-        column = slice(i, i + 1)
-        problem = SingleOutput(
-            alone,
-            X[rows],
-            Y[rows, column],
-            None if known.loading is None else known.loading[rows, column],
-            noise[column],
-            noise_bounds[column],
-            f"output {i + 1}",
-            stop,
-            settings,
-        )
-        fits.append(problem.fit(max_iter, seed))
-    return fits
-
-
 class SingleOutput(NamedTuple):
-    """The search for one output: x (n, d), y (n, 1), the loading (n, 1, r) of known noise, and where noise starts."""
+    """The search for one output: its observed values, and where noise starts."""
 
     kernel: MultiOutputKernel
-    x: Matrix
-    y: Matrix
-    loading: Any
+    data: Data
     noise: Vector
     noise_bounds: Matrix
     stage: str
@@ -761,8 +735,9 @@ class SingleOutput(NamedTuple):
         with narrow starts by the likelihood of all values.
         """
         settings = self.settings
-        start = starting_kernel(self.kernel, self.x, self.y, np.random.RandomState(seed))
-        step = max(1, len(self.x) // settings.trial_values)
+        (x,), (y,) = self.data.X, self.data.y
+        start = starting_kernel(self.kernel, x, y[:, None], np.random.RandomState(seed))
+        few_values = self.data.every(max(1, len(y) // settings.trial_values))
         few = min(settings.trial_iterations, max_iter)
         trials = []
         tried = set()
@@ -770,31 +745,25 @@ class SingleOutput(NamedTuple):
             trial = narrowed(self.kernel, start, factor)
             if trial.theta.tobytes() not in tried:  # a trend has no widths
                 tried.add(trial.theta.tobytes())
-                trials.append(self._climb(trial, self.noise, step, few))
+                trials.append(self._climb(trial, self.noise, few_values, few))
         best = max(trials, key=lambda trial: trial.end.value)
         starts = [(best.kernel, best.noise)]
         for width, factor in product(settings.narrow_factors, settings.noise_factors):
             starts.append((narrowed(self.kernel, start, width), factor * self.noise))
         likeliest = max(starts, key=self._likelihood)
-        return self._climb(*likeliest, 1, min(settings.single_iterations, 2 * max_iter))
-
-    def _data(self, step):
-        """Return every ``step``-th value."""
-        loading = None if self.loading is None else self.loading[::step]
-        return Data.from_table(self.x[::step], self.y[::step], loading)
+        return self._climb(*likeliest, self.data, min(settings.single_iterations, 2 * max_iter))
 
     def _likelihood(self, start):
         kernel, noise = start
         try:
-            return log_likelihood(kernel, noise, self._data(1))
+            return log_likelihood(kernel, noise, self.data)
         except np.linalg.LinAlgError:
             return -np.inf
 
-    def _climb(self, kernel, noise, step, max_iter):
+    def _climb(self, kernel, noise, data, max_iter):
         optimizer = self.settings.optimizer
         n_processes = max(1, kernel.n_processes)
         optimizer = replace(optimizer, tolerance=n_processes * optimizer.tolerance)
-        data = self._data(step)
         return climb(
             kernel,
             noise,

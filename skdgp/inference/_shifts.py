@@ -17,7 +17,6 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import ExactPosterior, SinglePosterior
-from skdgp.inference._starts import widths_of_single
 from skdgp.kernels import MultiOutputKernel
 
 
@@ -76,7 +75,7 @@ def found_shifts(
     gain = np.zeros((P, P))
     shift = np.zeros((P, P, d))
     ranges = np.ptp(X, axis=0)
-    widths = np.array([widths_of_single(single) for single in singles])
+    widths = np.array([function.kernel.value("length_scale")[0, 0] for function in functions])
     varies = np.sum(widths < settings.widest * ranges, axis=0) > 1
     for k in np.flatnonzero(varies & ~constant_columns(X)):
         higher, best = _gains(functions, points, k, ranges[k] * lags, settings)
@@ -116,7 +115,7 @@ def _gains(functions, points, k, lags, settings) -> tuple[Matrix, Matrix]:
 
 
 def _process(kernel, noise, X, y, settings) -> SinglePosterior:
-    """Return the posterior of the process of one output, without the trend."""
+    """Return the posterior of the process of all regressors, the last term of a kernel of one output."""
     observed = np.flatnonzero(np.isfinite(y))
     rows = observed[:: -(-len(observed) // settings.values)]
     posterior = ExactPosterior(kernel, noise, Data.from_table(X[rows], y[rows, None]))

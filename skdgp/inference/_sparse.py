@@ -21,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import combinations_with_replacement
+from operator import sub
 from typing import NamedTuple
 
 import numpy as np
@@ -139,10 +140,8 @@ class SparsePosterior(SinglePosterior):
         constant = 0.0
         for outputs, sums in self.sums.statistics.items():
             times = factor[outputs[0]]
-            single = len(outputs) == 1
-            columns = self.features.columns(outputs[0]) if single else np.arange(self.size)
-            self.B[np.ix_(columns, columns)] += sums.outer / times
-            b[columns] += sums.inner / times
+            self.B[np.ix_(sums.columns, sums.columns)] += sums.outer / times
+            b[sums.columns] += sums.inner / times
             # log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound
             constant += sums.log_determinant + sums.n * np.log(times)
             constant += (sums.square + sums.unexplained) / times
@@ -172,34 +171,23 @@ class SparsePosterior(SinglePosterior):
         """
         residual = np.zeros(len(self.noise))
         for (i,), s in self.sums.statistics.items():
-            c = self.features.columns(i)
-            w = self.white[c]
-            spread = np.einsum("ab,ab->", self.B_inverse[np.ix_(c, c)], s.outer) + s.unexplained
+            w = self.white[s.columns]
+            covariance = self.B_inverse[np.ix_(s.columns, s.columns)]
+            spread = np.einsum("ab,ab->", covariance, s.outer) + s.unexplained
             residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / s.n
         return residual
-
-    @property
-    def unexplained_variance(self) -> Vector:
-        """Mean prior variance that the features do not explain, (P,), of values with independent noise.
-
-        Far below the noise variance, the posterior is nearly the exact one (Burt, Rasmussen & van
-        der Wilk 2020).
-        """
-        variance = np.zeros(len(self.noise))
-        for (i,), s in self.sums.statistics.items():
-            variance[i] = s.unexplained / s.n
-        return variance
 
     @property
     def neglected_variance(self) -> float:
         """Mean prior variance that the features do not explain, over the noise variance.
 
         Of the worst output, or of all values where their noise is correlated or known for each.
+        Far below one, the posterior is nearly the exact one (Burt, Rasmussen & van der Wilk 2020).
         """
-        if self.data.sample_noise is None:
-            return float(np.max(self.unexplained_variance / self.noise))
-        unexplained = sum(sums.unexplained for sums in self.sums.statistics.values())
-        return unexplained / self.data.n_values
+        statistics = self.sums.statistics
+        if self.data.sample_noise is not None:
+            return sum(sums.unexplained for sums in statistics.values()) / self.data.n_values
+        return max(sums.unexplained / sums.n / self.noise[i] for (i,), sums in statistics.items())
 
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
@@ -349,9 +337,11 @@ def _sample_table(data):
 class Statistics(NamedTuple):
     """Sums over n samples of some outputs, with V = Lu^-1 Kuf and the inverse noise Pi.
 
-    V Pi V^T (c, c), V Pi y (c,), y Pi y, tr(Pi var(y)) and log |2 pi noise|.
+    V Pi V^T (c, c), V Pi y (c,), y Pi y, tr(Pi var(y)) and log |2 pi noise|, where ``columns`` (c,)
+    are the features of the outputs.
     """
 
+    columns: np.ndarray
     outer: np.ndarray
     inner: np.ndarray
     square: float
@@ -361,14 +351,7 @@ class Statistics(NamedTuple):
 
     def less(self, part: Statistics) -> Statistics:
         """Return the sums over the samples that are not among those of ``part``."""
-        return Statistics(
-            self.outer - part.outer,
-            self.inner - part.inner,
-            self.square - part.square,
-            self.variance - part.variance,
-            self.log_determinant - part.log_determinant,
-            self.n - part.n,
-        )
+        return Statistics(self.columns, *map(sub, self[1:], part[1:]))
 
     @property
     def unexplained(self) -> float:
@@ -381,7 +364,7 @@ def compute_statistics(
 ) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
     of_share = thread_map(partial(_share_sums, kernel, features, noise, Lu, settings), shares)
-    totals: dict[tuple[int, ...], _JointSums] = {}
+    totals: dict[tuple[int, ...], _Sums] = {}
     for share, sums in zip(shares, of_share, strict=True):
         if share.outputs in totals:
             totals[share.outputs].add_sums(sums)
@@ -391,9 +374,8 @@ def compute_statistics(
 
 
 def _share_sums(kernel, features, noise, Lu, settings, share):
-    """Return the sums over a share; one output uses only its own features."""
-    sums = _SingleSums if len(share.outputs) == 1 else _JointSums
-    total = sums(kernel, features, Lu, share.outputs)
+    """Return the sums over a share."""
+    total = _Sums(kernel, features, Lu, share.outputs)
     noise = noise[list(share.outputs)]
     for rows in gen_batches(len(share.X), settings.rows):
         X = share.X[rows]
@@ -404,8 +386,8 @@ def _share_sums(kernel, features, noise, Lu, settings, share):
     return total
 
 
-class _JointSums:
-    """Sums over samples of several outputs, whose noise is correlated, in blocks of their features."""
+class _Sums:
+    """Sums over samples of some outputs, in blocks of their features; the noise of several is correlated."""
 
     def __init__(self, kernel, features, Lu, outputs):
         self.kernel = kernel
@@ -462,26 +444,20 @@ class _JointSums:
         self.n += other.n
 
     def statistics(self):
-        """Return the sums, in the order of all features."""
-        size = self.features.size
-        outer = np.zeros((size, size))
-        inner = np.zeros(size)
+        """Return the sums, in the order of the features of the outputs."""
+        columns = np.unique(np.concatenate(self.columns))
+        places = [np.searchsorted(columns, of_output) for of_output in self.columns]
+        outer = np.zeros((len(columns), len(columns)))
+        inner = np.zeros(len(columns))
         for (a, b), block in self.blocks.items():
-            outer[np.ix_(self.columns[a], self.columns[b])] += block
+            outer[np.ix_(places[a], places[b])] += block
             if a != b:
-                outer[np.ix_(self.columns[b], self.columns[a])] += block.T
-        for columns, part in zip(self.columns, self.inner, strict=True):
-            inner[columns] += part
-        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, self.n)
-
-
-class _SingleSums(_JointSums):
-    """Sums over samples of one output, of its own features alone."""
-
-    def statistics(self):
-        outer = self.blocks[0, 0]
-        inner = self.inner[0]
-        return Statistics(outer, inner, self.square, self.variance, self.log_determinant, self.n)
+                outer[np.ix_(places[b], places[a])] += block.T
+        for rows, part in zip(places, self.inner, strict=True):
+            inner[rows] += part
+        return Statistics(
+            columns, outer, inner, self.square, self.variance, self.log_determinant, self.n
+        )
 
 
 def _have_common_samples(first, second):

@@ -15,7 +15,7 @@ import numpy as np
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp.inference._missed import Effect
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, tied
 
@@ -77,12 +77,6 @@ def single_output(kernel: MultiOutputKernel) -> MultiOutputKernel | None:
     if not all(isinstance(term, (ConvolvedGaussian, LinearTrend)) for term in kernel.summands()):
         return None
     return _of_terms(_single_output, kernel)
-
-
-def widths_of_single(kernel: MultiOutputKernel) -> Vector:
-    """Return the widths (d,) of the process of all regressors, the last one of a kernel of one output."""
-    processes = [term for term in kernel.summands() if isinstance(term, ConvolvedGaussian)]
-    return processes[-1].filters.length_scale[0, 0]
 
 
 def coarse(kernel: MultiOutputKernel) -> MultiOutputKernel:

@@ -7,6 +7,8 @@ variances of residuals are. As for the noise variance of least squares they are 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
@@ -15,13 +17,23 @@ from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._search import Hyperparameters
 from skdgp.kernels import MultiOutputKernel
 
-#: Largest fraction of the values that hyperparameters count for (benchmark `bands`)
-LARGEST_FRACTION = 0.5
-#: Factor of variances up to which nothing is changed: of more than 21 values for a hyperparameter
-LEAST_FACTOR = 1.05
+
+@dataclass(frozen=True)
+class UnbiasedSettings:
+    """Which variances are multiplied, and by how much at most."""
+
+    #: Largest fraction of the values that hyperparameters count for (benchmark `bands`)
+    largest_fraction: float = 0.5
+    #: Factor of variances up to which nothing is changed: of more than 21 values for a hyperparameter
+    least_factor: float = 1.05
 
 
-def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
+SETTINGS = UnbiasedSettings()
+
+
+def unbiased_factor(
+    kernel: MultiOutputKernel, Y: Matrix, settings: UnbiasedSettings = SETTINGS
+) -> Vector:
     """Return the factor (P,) of the variances learned from Y (n, P).
 
     Hyperparameters are the scales of the slopes and the noise, and of processes the widths and the
@@ -31,19 +43,23 @@ def unbiased_factor(kernel: MultiOutputKernel, Y: Matrix) -> Vector:
     n_learned = kernel.n_features + 1
     if kernel.n_processes:
         n_learned += kernel.n_features + 1
-    return n / (n - np.minimum(n_learned, LARGEST_FRACTION * n))
+    return n / (n - np.minimum(n_learned, settings.largest_fraction * n))
 
 
 def unbiased(
-    learned: Hyperparameters, posterior: ExactPosterior, Y: Matrix, known: KnownNoise
+    learned: Hyperparameters,
+    posterior: ExactPosterior,
+    Y: Matrix,
+    known: KnownNoise,
+    settings: UnbiasedSettings = SETTINGS,
 ) -> Hyperparameters:
     """Return hyperparameters with unbiased variances, the same ones if these are fixed or would leave their bounds.
 
     ``posterior`` is the one of the hyperparameters.
     """
     kernel = learned.kernel
-    factor = unbiased_factor(kernel, Y)
-    if learned.interrupted or factor.max() <= LEAST_FACTOR:
+    factor = unbiased_factor(kernel, Y, settings)
+    if learned.interrupted or factor.max() <= settings.least_factor:
         return learned
     if known.loading is not None or not np.all(known.is_learned):
         return learned

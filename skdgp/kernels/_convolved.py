@@ -536,48 +536,52 @@ def starting_values(
     equal gradients and remain equal.
     """
     rng = check_random_state(random_state)
-    M, P = feeds.shape
-    d = X.shape[1]
+    P = feeds.shape[1]
     x_scale = column_scale(X)
     y_scale = output_scale(Y)
     shared = feeds.sum(axis=1) > 1
-    n_shared = int(shared.sum())
+    amplitude = _starting_amplitude(feeds, shared, Y, rng, settings) * y_scale
+    lengths = _starting_lengths(shared, X, rng, settings)
+    values = {"amplitude": amplitude, "length_scale": np.repeat(lengths[:, None], P, axis=1)}
 
-    directions = np.ones((M, P))
-    directions[shared] = _directions(Y, n_shared, rng, settings)
-    fraction = np.where(shared, settings.shared_variance, 1.0 - settings.shared_variance)
-    variance = fraction[:, None] * feeds * directions**2
-    amplitude = np.sign(directions) * np.sqrt(variance / variance.sum(axis=0)) * y_scale
-
-    # The first latents explain most of the variance and start wide, the last ones narrow.
-    width = np.full(M, settings.private_width)
-    width[shared] = np.geomspace(*settings.shared_widths, n_shared)
-    varies = ~constant_columns(X)  # the others change nothing
-    n_varying = varies.sum()
-    scatter = np.zeros((M, d))
-    scatter[:, varies] = rng.normal(size=(M, 1, n_varying))[:, 0]
-    scatter[~shared] = 0.0
-    lengths = np.sqrt(max(1, n_varying)) * width[:, None] * x_scale
-    lengths = lengths * np.exp(settings.width_scatter * scatter)
-
-    largest = np.broadcast_to(settings.largest_amplitude * y_scale, (M, P))
+    largest = np.broadcast_to(settings.largest_amplitude * y_scale, feeds.shape)
     smallest = -largest
     observed = np.isfinite(Y)
     has_gaps = np.any(observed.any(axis=1) & ~observed.all(axis=1))
-    if n_shared and has_gaps:
+    if shared.any() and has_gaps:
         is_private = ~shared[:, None] & feeds
         smallest = np.where(is_private, settings.least_private * y_scale, smallest)
     widths = np.multiply.outer(x_scale, settings.width_bounds)
-    values = {
-        "amplitude": amplitude,
-        "length_scale": np.repeat(lengths[:, None], P, axis=1),
-    }
     bounds = {
         "amplitude": np.stack([smallest, largest], axis=-1),
-        "length_scale": np.array(np.broadcast_to(widths, (M, P, d, 2))),
+        "length_scale": np.array(np.broadcast_to(widths, (*feeds.shape, *widths.shape))),
         "shift": DEFAULT_BOUNDS["shift"],
     }
     return values, bounds
+
+
+def _starting_amplitude(feeds, shared, Y, rng, settings):
+    """Return the signed amplitudes (M, P), over the scales of the outputs."""
+    directions = np.ones(feeds.shape)
+    directions[shared] = _directions(Y, int(shared.sum()), rng, settings)
+    fraction = np.where(shared, settings.shared_variance, 1.0 - settings.shared_variance)
+    variance = fraction[:, None] * feeds * directions**2
+    return np.sign(directions) * np.sqrt(variance / variance.sum(axis=0))
+
+
+def _starting_lengths(shared, X, rng, settings):
+    """Return the length scales of each latent, (M, d)."""
+    # The first latents explain most of the variance and start wide, the last ones narrow.
+    width = np.full(len(shared), settings.private_width)
+    widest, narrowest = settings.shared_widths
+    width[shared] = np.geomspace(widest, narrowest, int(shared.sum()))
+    varies = ~constant_columns(X)  # the others change nothing
+    n_varying = varies.sum()
+    scatter = np.zeros((len(shared), len(varies)))
+    scatter[:, varies] = rng.normal(size=(len(shared), n_varying))
+    scatter[~shared] = 0.0
+    lengths = np.sqrt(max(1, n_varying)) * width[:, None] * column_scale(X)
+    return lengths * np.exp(settings.width_scatter * scatter)
 
 
 def _directions(Y, n_latent, rng, settings):

@@ -203,13 +203,7 @@ class Coregionalized(MultiOutputKernel):
             parameters.append(FreeParameter(PREFIX + h.name, index, True, h.bounds))
         return parameters
 
-    @property
-    def theta(self):
-        """Free amplitudes, then the theta of ``kernel``, (n_theta,)."""
-        amplitude, *_ = self.free_parameters()
-        return np.concatenate([amplitude.elements(self.weights), self.kernel.theta])
-
-    @theta.setter
+    @MultiOutputKernel.theta.setter  # type: ignore[attr-defined]
     def theta(self, theta: Vector | None):
         amplitude, *_ = self.free_parameters()
         n = amplitude.n_elements

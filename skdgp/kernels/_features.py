@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property, reduce, singledispatch
 from operator import add
 from typing import Any, cast
@@ -43,10 +44,17 @@ class FeaturePaths(BasisPaths):
         return FeaturePaths(self.features, self.coefficients[index])
 
 
-# Variance of white noise in the inducing variables, over their variance; the bound remains a bound
-JITTER = 1e-6
-# Inducing inputs of a term of a single regressor
-ADDITIVE_POINTS = 8
+@dataclass(frozen=True)
+class FeatureSettings:
+    """How inducing variables are placed and rounded."""
+
+    #: Variance of white noise in the inducing variables, over their variance; the bound remains a bound
+    jitter: float = 1e-6
+    #: Inducing inputs of a term of a single regressor
+    additive_points: int = 8
+
+
+SETTINGS = FeatureSettings()
 
 
 class Features(ABC):
@@ -138,6 +146,8 @@ class ValueFeatures(Features):
     all be coupled.
     """
 
+    settings = SETTINGS
+
     def __init__(
         self,
         kernel: MultiOutputKernel,
@@ -164,7 +174,7 @@ class ValueFeatures(Features):
             for g, x, columns in blocks:
                 if self.joint.couples(f, g):
                     K[np.ix_(rows, columns)] = self.joint.block(f, g, z, x)
-        np.einsum("ii->i", K)[:] *= 1.0 + JITTER
+        np.einsum("ii->i", K)[:] *= 1.0 + self.settings.jitter
         return K
 
     def Kfu(self, i: int, X: Matrix) -> Matrix:
@@ -185,15 +195,18 @@ class ValueFeatures(Features):
         return paths, self._values_of(paths, random_state)
 
     def _values_of(self, paths: PathBundle, random_state: Any) -> Matrix:
-        """Return the variables (S, K) of paths of ``joint``, with white noise of variance JITTER."""
+        """Return the variables (S, K) of paths of ``joint``, with a little white noise."""
         blocks = list(zip(self.outputs, self.Z, strict=True))
         # blocks with the same inputs share the values of all outputs there
-        # single precision is exact enough beside the noise of variance JITTER
+        # single precision is exact enough beside this noise
         rounded = paths.rounded()
-        values = {id(z): rounded.values(z[None]) for z in {id(z): z for z in self.Z}.values()}
+        values: dict[int, Array] = {}
+        for z in self.Z:
+            if id(z) not in values:
+                values[id(z)] = rounded.values(z[None])
         u = np.hstack([values[id(z)][..., f] for f, z in blocks])
         variance = np.concatenate([self.joint.block_diag(f, z) for f, z in blocks])
-        return u + np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)
+        return u + np.sqrt(self.settings.jitter * variance) * random_state.standard_normal(u.shape)
 
     def basis(self) -> tuple[Basis, list[Indices]]:
         if not isinstance(self.joint, ConvolvedGaussian):
@@ -399,14 +412,14 @@ def _(kernel: Sum, Z):
     return SumFeatures(inducing_features(kernel.k1, Z), inducing_features(kernel.k2, Z))
 
 
-def _thinned(Z, without_effect):
+def _thinned(Z, without_effect, settings=SETTINGS):
     """Return inducing inputs for functions of a single regressor: fewer than the given ones."""
     used = np.flatnonzero(~without_effect)
-    if len(used) > 1 or len(Z) <= ADDITIVE_POINTS or len(without_effect) == 1:
+    if len(used) > 1 or len(Z) <= settings.additive_points or len(without_effect) == 1:
         return Z
-    chosen = np.tile(Z.mean(axis=0), (ADDITIVE_POINTS, 1))
+    chosen = np.tile(Z.mean(axis=0), (settings.additive_points, 1))
     column = Z[:, used[0]]
-    chosen[:, used[0]] = np.linspace(column.min(), column.max(), ADDITIVE_POINTS)
+    chosen[:, used[0]] = np.linspace(column.min(), column.max(), settings.additive_points)
     return chosen
 
 

@@ -130,12 +130,6 @@ class MeanPaths(PathBundle):
         self.paths = paths
         self.moves = moves
 
-    def take(self, index):
-        return MeanPaths(self.paths.take(index), self.moves)
-
-    def averaged(self, spread):
-        return MeanPaths(self.paths.averaged(spread), self.moves)
-
     def doubles(self, same_points):
         return self.paths.doubles(same_points)
 

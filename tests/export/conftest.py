@@ -1,7 +1,6 @@
 """Small models of every kind of posterior that can be exported, and the model that identify makes."""
 
 import warnings
-from dataclasses import replace
 from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -152,7 +151,6 @@ def portable_of(fitted):
 class Case(NamedTuple):
     """A pipeline, its portable model, and what the PIPELINE predicts at points in and near a flight."""
 
-    kind: str
     pipeline: Any
     model: Any
     flight: pd.DataFrame
@@ -160,14 +158,12 @@ class Case(NamedTuple):
     mean: np.ndarray
     std: np.ndarray  # at exact regressors
     slopes: np.ndarray
-    added: Any = None  # function of X: variance of further columns of the prior
 
     def predict(self, noise):
         """Return mean and standard deviation of the pipeline with a factor of the regressors' noise."""
         table = pd.DataFrame(self.X, columns=self.model.regressor_names)
         tail = self.pipeline[-2:]  # the scaler and the regressor
-        mean, std = tail.predict(table, return_std=True, include_input_noise=noise)
-        return mean, std if self.added is None else np.sqrt(std**2 + self.added(self.X))
+        return tail.predict(table, return_std=True, include_input_noise=noise)
 
     def with_noise(self, noise):
         """Return the case whose moments are those with a factor of the regressors' noise."""
@@ -211,39 +207,19 @@ def case_of(request, fitted, portable_of):
         X = flown[rng.choice(len(flown), 30, replace=False)]
         X[1::2] += 0.5 * flown.std(axis=0) * rng.standard_normal(X[1::2].shape)
         slopes = as_aerodynamics(model.pipeline).gradient(X)
-        return Case(kind, model.pipeline, portable, model.flight, X, X, X, slopes).with_noise(0.0)
+        return Case(model.pipeline, portable, model.flight, X, X, X, slopes).with_noise(0.0)
 
-    def widened():
-        """A model whose linear function has further errors, which no posterior holds: columns of the prior."""
-        case = get("average")
-        model = case.model
-        further = default_rng(1).normal(0.0, 0.1, (6, len(model.regressors) + 1, 9))
-
-        def added(X):
-            z = (X - model.shift) / model.scale
-            p = np.column_stack([np.ones(len(z)), z - model.trend_center])
-            return model.output_scale**2 * np.square(np.einsum("nk,pkr->npr", p, further)).sum(2)
-
-        parts = [
-            replace(part, trend_prior=np.hstack([part.trend_prior, further[j % 6]]))
-            for j, part in enumerate(model.parts)
-        ]
-        known = model.reference
-        std = np.sqrt(known.std**2 + added(known.regressors))
-        model = replace(model, parts=tuple(parts), reference=replace(known, std=std))
-        return case._replace(kind="widened", model=model, added=added).with_noise(0.0)
-
-    return cache(lambda kind: widened() if kind == "widened" else get(kind))
+    return cache(get)
 
 
-@pytest.fixture(params=[IDENTIFIED, "widened", *KINDS])
+@pytest.fixture(params=[IDENTIFIED, *KINDS])
 def case(request, case_of):
     """Return the `Case` of each kind, in turn."""
     return case_of(request.param)
 
 
 # Mixtures, terms that share entries, no functions, no slopes, and little noise: what a writer can meet
-WRITTEN = [IDENTIFIED, "widened", "additive", "trend", "sparse-constant", "precise"]
+WRITTEN = [IDENTIFIED, "average", "additive", "trend", "sparse-constant", "precise"]
 
 
 @pytest.fixture(params=WRITTEN)

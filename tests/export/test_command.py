@@ -2,13 +2,12 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.export import FORMATS, load_portable, portable_model
+from skdgp.export import load_portable, portable_model
 from skdgp.identification import load_model, save_model
 
 
@@ -81,25 +80,13 @@ def test_what_cannot_be_exported(command, path, words, message, tmp_path, capsys
     assert not (tmp_path / "new").exists()
 
 
-def test_what_is_no_format(command, path, tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        command(["export", str(path), "--to", "fortran", "-o", str(tmp_path / "out")])
-    assert end.value.code == 2
-    error = capsys.readouterr().err
-    assert all(name in error for name in FORMATS)
-
-
-def test_code_of_the_page_runs(fitted, flight, tmp_path, monkeypatch):
+def test_code_of_the_page_runs(fitted, flight, code_of_section, tmp_path, monkeypatch):
     """The Python of the section of export.md, in one namespace with a flight."""
-    page = Path(__file__).parents[2] / "docs" / "export.md"
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
     save_model("results/model.joblib", **fitted("sparse"))
     names = {"flight": flight}
-    text = page.read_text(encoding="utf-8").partition("\n## The portable model\n")[2]
-    section = text.partition("\n## ")[0]
-    for block in re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE):
-        exec(compile(block, "export.md", "exec"), names)
+    exec(code_of_section("export.md", "The portable model"), names)
     assert names["slopes"].shape == (30, 6, 6)
     X = names["model"].regressor_values(flight)
     assert_allclose(names["aerodynamics"](X), names["mean"], rtol=0, atol=1e-12)

@@ -84,22 +84,6 @@ def test_the_reference_is_the_prediction_of_the_pipeline(case):
     assert_allclose(reference.std, std, rtol=1e-12)
 
 
-def test_the_discrepancy_is_in_the_deviation(case_of, flight):
-    """Of outputs with different scales: each deviation grows by the variance of its own discrepancy."""
-    case = case_of("identified")
-    pipeline = copy.copy(case.pipeline)
-    learned = copy.deepcopy(pipeline[-1])
-    before = learned.misfit_variance_
-    after = np.array([1e-4, 4e-4, 4e-2, 1e-5, 9e-3, 2e-4])
-    discrepancy = after / learned.scale_**2
-    learned.posterior_.errors = learned.posterior_.errors._replace(discrepancy=discrepancy)
-    pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
-    assert learned.scale_.max() > 3 * learned.scale_.min()
-    changed = portable_model(pipeline, case.model.aircraft).predict(case.X, True, 0.0)[1]
-    growth = changed**2 - case.model.predict(case.X, True, 0.0)[1] ** 2
-    assert_allclose(growth, [after - before] * len(growth), rtol=1e-6, atol=1e-12)
-
-
 def test_members_may_have_trends_about_different_points(fitted):
     pipeline = copy.copy(fitted("joint").pipeline)
     learned = copy.copy(pipeline[-1])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 
 from skdgp.inference import Data
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -19,6 +20,19 @@ def stacked_covariances(features, arrays):
         K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
         row += len(x)
     return K
+
+
+@pytest.fixture(scope="session")
+def wandering():
+    """Return a function to a time series (n,) of variance one whose correlation falls by 1/e in ``memory`` samples."""
+
+    def series(rng, n, memory):
+        keep = np.exp(-1 / memory)
+        values = rng.normal(size=n)
+        values[1:] *= np.sqrt(1 - keep**2)
+        return lfilter([1.0], [1.0, -keep], values)
+
+    return series
 
 
 @pytest.fixture(scope="session")
@@ -39,16 +53,37 @@ def assert_gradient(central_difference):
     return check
 
 
-def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
-    rng = default_rng(seed)
-    widths = {"tied": (2 + P, 1, d)}.get(kind, (2 + P, P, d))
+def noise_covariance(Y, noise, loading=None):
+    """Return the noise covariance of the stacked values, entry by entry.
+
+    ``loading`` (n, P, r) multiplies errors that the outputs of a sample share.
+    """
+    outputs, samples = np.nonzero(np.isfinite(Y.T))
+    S = np.diag(noise[outputs])
+    if loading is not None:
+        G = loading[samples, outputs]
+        S += np.where(samples[:, None] == samples, G @ G.T, 0.0)
+    return S
+
+
+@pytest.fixture(scope="session")
+def noise_of():
+    return noise_covariance
+
+
+def make_problem(kind="diag", n_latent=2, with_trend=True, common_noise=False):
+    rng = default_rng(0)
+    n, P, d = 14, 3, 2
+    M = n_latent + P
+    is_shared = np.arange(M) < n_latent
+    widths = {"tied": (M, 1, d)}.get(kind, (M, P, d))
     kernel = ConvolvedGaussian(
-        2,
+        n_latent,
         covariance_type=kind,
-        amplitude=rng.normal(size=(2 + P, P)) * np.r_[np.ones((2, P)), np.eye(P)],
-        length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (2 + P, P, d)),
-        shift=rng.normal(0, 0.3, (2 + P, P, d))
-        * (np.arange(2 + P) < 2)[:, None, None]
+        amplitude=rng.normal(size=(M, P)) * np.r_[np.ones((n_latent, P)), np.eye(P)],
+        length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (M, P, d)),
+        shift=rng.normal(0, 0.3, (M, P, d))
+        * is_shared[:, None, None]
         * (np.arange(P) > 0)[:, None],
         parameter_bounds={"shift": (-2.0, 2.0)},
     )
@@ -59,19 +94,43 @@ def make_problem(kind="diag", with_trend=True, n=14, P=3, d=2, seed=0):
         )
     X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
     Y[rng.random(Y.shape) < 0.35] = np.nan  # some outputs are not observed here and there
-    data = Data.from_table(X, Y)
+    loading = default_rng(1).normal(0, 0.4, (n, P, 2)) if common_noise else None
+    data = Data.from_table(X, Y, loading)
     noise = rng.uniform(0.05, 0.3, P)
-    K = kernel(data.X) + np.diag(np.repeat(noise, [len(y) for y in data.y]))
+    S = noise_covariance(Y, noise, loading)
     return SimpleNamespace(
-        kernel=kernel, noise=noise, data=data, X=X, Y=Y, K=K, y=np.concatenate(data.y)
+        kernel=kernel,
+        noise=noise,
+        loading=loading,
+        data=data,
+        X=X,
+        Y=Y,
+        S=S,
+        K=kernel(data.X) + S,
+        y=np.concatenate(data.y),
     )
 
 
-@pytest.fixture(params=["diag", "tied", "diag without trend"])
+PROBLEMS = {
+    "diag": {},
+    "tied": {"kind": "tied"},
+    "without trend": {"with_trend": False},
+    "independent outputs": {"n_latent": 0},
+    "common noise": {"common_noise": True},
+}
+
+
+@pytest.fixture(params=PROBLEMS)
 def problem(request):
-    return make_problem(request.param.split()[0], "without" not in request.param)
+    return make_problem(**PROBLEMS[request.param])
 
 
 @pytest.fixture
 def one_problem():
     return make_problem()
+
+
+@pytest.fixture
+def noisy_problem():
+    """Return the problem with noise that two regressors add to all outputs of a sample."""
+    return make_problem(common_noise=True)

@@ -34,17 +34,8 @@ def searched(X, Y, max_iter, width, settings=ERROR_ALONE, **options):
     return fit_exact(start(Y, width, X.shape[1]), X, Y, settings=settings, **options).learned
 
 
-def error_of(learned, X, Y):
-    """Return the root mean square error of each value as predicted by all others, over its output's spread."""
-    data = Data.from_table(X, Y)
-    K = learned.kernel(data.X) + np.diag(np.repeat(learned.noise, N))
-    y = np.concatenate(data.y)
-    errors = np.empty(len(y))
-    for k in range(len(y)):
-        others = np.arange(len(y)) != k
-        weights = np.linalg.solve(K[np.ix_(others, others)], K[others, k])
-        errors[k] = y[k] - weights @ y[others]
-    return np.sqrt(np.mean((errors / np.repeat(Y.std(axis=0), N)) ** 2))
+def error_of(learned, X, Y, n_blocks=None):
+    return held_out_error(learned.kernel, learned.noise, Data.from_table(X, Y), n_blocks)
 
 
 def test_has_converged_where_the_likelihood_alone_rises(tables):
@@ -82,9 +73,7 @@ def test_of_a_time_series_the_errors_of_held_out_blocks_count():
     Y = np.cumsum(rng.normal(size=(N, 2)), axis=0)
     settings = SearchSettings(irrelevant_rise=0.0, relevant_rise=np.inf, n_blocks=4)
     few, many = (searched(X, Y, n, 3.0, settings, time_series=True) for n in (12, 40))
-    data = Data.from_table(X, Y)
-    errors = [held_out_error(each.kernel, each.noise, data, 4) for each in (few, many)]
-    assert_allclose(*errors, rtol=0.02)
+    assert_allclose(error_of(many, X, Y, 4), error_of(few, X, Y, 4), rtol=0.02)
     assert few.converged
     assert not searched(X, Y, 12, 3.0, settings).converged
 

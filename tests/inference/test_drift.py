@@ -10,17 +10,8 @@ from skdgp import DependentGPRegressor
 from skdgp.inference import residual_drift
 
 
-def ornstein_uhlenbeck(rng, n, step, memory, variance):
-    """n values of a process with the covariance variance * exp(-|t - t'| / memory), ``step`` apart."""
-    rho = np.exp(-step / memory)
-    values = rng.normal(0, np.sqrt(variance), n)
-    for k in range(1, n):
-        values[k] = rho * values[k - 1] + np.sqrt(1 - rho**2) * values[k]
-    return values
-
-
 def integral_variance(variance, memory, time):
-    """Variance of the integral of such a process, by quadrature of its covariance."""
+    """Variance of the integral of a drift, by quadrature of its covariance variance * exp(-|t - t'| / memory)."""
     times = np.linspace(0, time, 801)
     return time**2 * np.mean(variance * np.exp(-np.abs(np.subtract.outer(times, times)) / memory))
 
@@ -29,14 +20,14 @@ STEP, MEMORY, DRIFT, WHITE = 0.05, 0.5, 0.09, 0.01
 
 
 @pytest.fixture
-def log():
+def log(wandering):
     """Four flights, each with its own clock from zero and its own drift."""
     rng = default_rng(5)
     time = np.tile(STEP * np.arange(300), 4)
     phase = np.repeat(np.arange(4), 300)
     x = np.sin(2 * np.pi * 0.1 * time + phase) + 0.1 * rng.normal(size=1200)
-    drift = [ornstein_uhlenbeck(rng, 300, STEP, MEMORY, DRIFT) for _ in range(4)]
-    drifting = 2 * x + np.concatenate(drift) + rng.normal(0, np.sqrt(WHITE), 1200)
+    drift = np.concatenate([wandering(rng, 300, MEMORY / STEP) for _ in range(4)])
+    drifting = 2 * x + np.sqrt(DRIFT) * drift + rng.normal(0, np.sqrt(WHITE), 1200)
     steady = rng.normal(0, 0.3, 1200) - x
     return x[:, None], np.column_stack([drifting, steady]), time, phase
 

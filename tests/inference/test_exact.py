@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_limits
 
@@ -85,19 +84,6 @@ class TestLikelihood:
         assert_array_equal(gradient[-3:] == 0, np.arange(3) == silent)
         assert np.isfinite(gradient).all()
 
-    def test_of_outputs_that_are_not_coupled_adds_up(self, one_problem):
-        lengths = default_rng(7).uniform(0.5, 1.5, (3, 3, 2))
-        process = ConvolvedGaussian(0, amplitude=np.diag([0.5, 1.0, 2.0]), length_scale=lengths)
-        kernel = LinearTrend(np.ones(3), np.ones((3, 2)), np.zeros(2)) + process
-        one_problem.Y[:, 1] = np.nan  # an output without values
-        data = Data.from_table(one_problem.X, one_problem.Y)
-        whole, *parts = (
-            log_likelihood(kernel, one_problem.noise, part, eval_gradient=True)
-            for part in (data, data.of_outputs([0]), data.of_outputs([2]))
-        )
-        assert sum(value for value, _ in parts) == pytest.approx(whole[0], rel=1e-10)
-        assert_allclose(sum(slope for _, slope in parts), whole[1], rtol=1e-8, atol=1e-10)
-
 
 def test_posterior_is_equations_17_and_18(problem):
     Ks = cross(problem, NEW)
@@ -109,33 +95,6 @@ def test_posterior_is_equations_17_and_18(problem):
     assert_allclose(mean.T.ravel(), expected, rtol=1e-9)
     assert_allclose(variance.T.ravel(), np.diag(covariance), rtol=1e-8)
     assert_allclose(posterior.predict(NEW), mean, rtol=1e-12)
-
-
-def test_trend_is_integrated_out(one_problem):
-    """Rasmussen & Williams (2006), equations 2.41 to 2.43 with a prior N(0, B) on the weights."""
-    trend, dependent = one_problem.kernel.k1, one_problem.kernel.k2
-
-    def basis(arrays):
-        """Design matrix of all outputs, block-diagonal."""
-        designs = [np.column_stack([np.ones(len(x)), x - trend.center]) for x in arrays]
-        return block_diag(*designs)
-
-    y = one_problem.y
-    B = np.diag(np.column_stack([trend.intercept_scale, trend.slope_scale]).ravel() ** 2)
-    sizes = [len(values) for values in one_problem.data.y]
-    Ky = dependent(one_problem.data.X) + np.diag(np.repeat(one_problem.noise, sizes))
-    H = basis(one_problem.data.X)
-    precision = np.linalg.inv(B) + H.T @ np.linalg.solve(Ky, H)
-    weights = np.linalg.solve(precision, H.T @ np.linalg.solve(Ky, y))
-    Ks = dependent([NEW] * 3, one_problem.data.X)
-    R = basis([NEW] * 3) - Ks @ np.linalg.solve(Ky, H)
-    mean = Ks @ np.linalg.solve(Ky, y) + R @ weights
-    cov = dependent(NEW) - Ks @ np.linalg.solve(Ky, Ks.T) + R @ np.linalg.solve(precision, R.T)
-    posterior = posterior_of(one_problem)
-    assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-8)
-    assert_allclose(posterior.covariance(NEW), cov, rtol=1e-8, atol=1e-9)
-    density = multivariate_normal(cov=Ky + H @ B @ H.T).logpdf(y)
-    assert posterior.log_marginal_likelihood == pytest.approx(density)
 
 
 class TestTiles:

@@ -67,11 +67,6 @@ class TestFit:
         K = found.kernel(np.zeros((1, 1)))
         assert K[0, 1] / np.sqrt(K[0, 0] * K[1, 1]) < -0.7
 
-    def test_value_is_the_likelihood_at_what_was_found(self, fit):
-        posterior = fit(LinearTrend() + ConvolvedGaussian(1), max_iter=5).posterior
-        again = posterior.of(posterior.data, posterior.noise).log_marginal_likelihood
-        assert posterior.log_marginal_likelihood == pytest.approx(again, rel=1e-9)
-
     @pytest.mark.parametrize("threads", [1, 2])
     def test_seed_decides_and_threads_do_not(self, fit, threads):
         options = {"every": 3, "max_iter": 2, "settings": SearchSettings(single_iterations=3)}
@@ -131,16 +126,6 @@ def test_gaps_of_some_outputs_do_not_make_a_search_longer_nor_leave_them_out():
     assert of_output[12] == 20
     assert of_output[:12].min() >= 1800 / 13 / 2
     assert of_output.sum() <= 1.02 * 1800 + 20 * 12
-
-
-def test_a_rare_output_survives_the_subset_of_the_sparse_start():
-    rng = default_rng(0)
-    X = rng.normal(size=(900, 1))
-    Y = np.column_stack([np.sin(X[:, 0]), np.full(900, np.nan)]) + rng.normal(0, 0.1, (900, 2))
-    Y[:4, 1] = np.cos(X[:4, 0])
-    options = OPTIONS | {"max_iter": 2, "settings": SearchSettings(values=(60, 60))}
-    posterior = fit_sparse(ConvolvedGaussian(1), X, Y, n_inducing=10, **options).posterior
-    assert np.isfinite(posterior.predict(X[:5], True)).all()
 
 
 def test_gradient_vanishes_at_the_end_or_points_out_of_the_bounds(drawn):

@@ -12,20 +12,12 @@ from skdgp.inference import misfit_of, misfit_variance
 NOISE = 0.3
 
 
-def log_of(function, n=2000, seed=0, errors=None):
+def log_of(function, n=2000, seed=0):
     """Return regressors (n, 1), noisy values (n, 1) and true ones of a log of one sample a second."""
     rng = default_rng(seed)
     x = rng.uniform(-1, 1, (n, 1))
     truth = function(x)
-    return x, truth + (rng.normal(0, NOISE, x.shape) if errors is None else errors(rng, n)), truth
-
-
-def drifting(rng, n):
-    """Return errors that are correlated over some samples."""
-    errors = np.zeros((n, 1))
-    for k in range(1, n):
-        errors[k] = 0.8 * errors[k - 1] + 0.6 * NOISE * rng.normal()
-    return errors
+    return x, truth + rng.normal(0, NOISE, x.shape), truth
 
 
 class Given:
@@ -42,10 +34,11 @@ def variance_of(function, x, y, scale=1.0, flight=0):
 
 
 class TestVariance:
-    @pytest.mark.parametrize("errors", [None, drifting])
-    def test_is_the_mean_square_of_the_error_of_the_function(self, errors):
-        """Of a wrong function; of the true one it is a small part of the noise."""
-        x, y, truth = log_of(np.abs, 8000, errors=errors)
+    @pytest.mark.parametrize("memory", [0.01, 4.5])
+    def test_is_the_mean_square_of_the_error_of_the_function(self, wandering, memory):
+        """Of a wrong function; of the true one it is a small part of the noise, white or lasting."""
+        x, _, truth = log_of(np.abs, 8000)
+        y = truth + NOISE * wandering(default_rng(1), 8000, memory)[:, None]
         found = variance_of(lambda x: 0.5 * x + 0.4, x, y)
         assert found[0] == pytest.approx(np.mean((truth - 0.5 * x - 0.4) ** 2), rel=0.15)
         assert variance_of(np.abs, x, y)[0] < 0.02 * NOISE**2

@@ -1,4 +1,4 @@
-"""Values whose noise is shared by the outputs of a sample: exact and sparse, against dense references."""
+"""Values whose noise is shared by the outputs of a sample: what of it is learned, and from which slopes."""
 
 import numpy as np
 import pytest
@@ -9,70 +9,31 @@ from scipy.stats import multivariate_normal
 from skdgp.inference import (
     Data,
     ExactPosterior,
-    SparsePosterior,
     input_noise_information,
     log_likelihood,
 )
-from skdgp.kernels import inducing_features
-
-NEW = default_rng(5).normal(size=(6, 2))
-Z = default_rng(6).normal(size=(7, 2))
 
 
-@pytest.fixture
-def noisy(one_problem):
-    """The problem, with noise that two regressors carry into all outputs; S is the noise of the stacked values."""
-    loading = default_rng(1).normal(0, 0.4, (*one_problem.Y.shape, 2))
-    one_problem.loading = loading
-    one_problem.data = Data.from_table(one_problem.X, one_problem.Y, loading)
-    return one_problem
-
-
-def noise_of(problem, scale=(1.0, 1.0)):
-    """The noise covariance of the stacked values, entry by entry."""
-    outputs, samples = np.nonzero(np.isfinite(problem.Y.T))
-    same = samples[:, None] == samples
-    G = problem.loading[samples, outputs]
-    return np.where(same, (G * scale) @ G.T, 0.0) + np.diag(problem.noise[outputs])
-
-
-def dense(problem, *scale):
-    return problem.kernel(problem.data.X) + noise_of(problem, *scale)
-
-
-def sparse(problem):
-    features = inducing_features(problem.kernel, Z)
-    return SparsePosterior(problem.kernel, features, problem.noise, problem.data)
-
-
-def test_every_second_value_keeps_its_own_noise(noisy):
-    some, (samples, loading) = noisy.data.every(2), noisy.data.sample_noise
-    for i, x in enumerate(noisy.data.X):
+def test_every_second_value_keeps_its_own_noise(noisy_problem):
+    data = noisy_problem.data
+    some, (samples, loading) = data.every(2), data.sample_noise
+    for i, x in enumerate(data.X):
         assert_array_equal(some.X[i], x[::2])
         assert_array_equal(some.sample_noise.sample[i], samples[i][::2])
         assert_array_equal(some.sample_noise.loading[i], loading[i][::2])
 
 
-class TestSlopes:
-    """Noise that the slopes of a function carry into the outputs."""
-
-    STD = np.array([[0.2, 0.5], [0.1, 0.3], [0.4, 0.0]])  # by output and regressor
-
-    @pytest.fixture
-    def carried(self, one_problem, central_difference):
-        """The problem with the noise that its mean carries, whose slopes are differences here."""
-        posterior = ExactPosterior(one_problem.kernel, one_problem.noise, one_problem.data)
-        slopes = [
-            central_difference(lambda x: posterior.predict(x[None])[0], x) for x in one_problem.X
-        ]
-        one_problem.loading = np.array(slopes) * self.STD
-        one_problem.data = one_problem.data.with_slopes(posterior.mean_function, self.STD)
-        return one_problem
-
-    def test_loadings_are_slopes_times_deviations(self, carried):
-        for i, loading in enumerate(carried.data.sample_noise.loading):
-            rows = np.isfinite(carried.Y[:, i])
-            assert_allclose(loading, carried.loading[rows, i], atol=1e-6)
+def test_loadings_are_slopes_times_deviations(one_problem, central_difference):
+    """Of a function whose slopes propagate the noise of regressors; the slopes are differences here."""
+    std = np.array([[0.2, 0.5], [0.1, 0.3], [0.4, 0.0]])  # by output and regressor
+    posterior = ExactPosterior(one_problem.kernel, one_problem.noise, one_problem.data)
+    slopes = []
+    for x in one_problem.X:
+        slopes.append(central_difference(lambda x: posterior.predict(x[None])[0], x))
+    data = one_problem.data.with_slopes(posterior.mean_function, std)
+    for i, loading in enumerate(data.sample_noise.loading):
+        rows = np.isfinite(one_problem.Y[:, i])
+        assert_allclose(loading, (slopes * std)[rows, i], atol=1e-6)
 
 
 def test_outputs_of_the_same_rows_share_their_inputs():
@@ -85,46 +46,22 @@ def test_outputs_of_the_same_rows_share_their_inputs():
     assert_array_equal(data.sample[2], [0, 2, 3])
 
 
-class TestExact:
-    def test_likelihood_of_learned_variances_and_its_gradient(self, noisy, assert_gradient):
-        n, scale = noisy.kernel.n_dims, np.array([0.3, 2.0])
-        variances = np.concatenate([noisy.noise, scale])
-        theta = np.concatenate([noisy.kernel.theta, np.log(variances)])
+def test_likelihood_of_learned_variances_and_its_gradient(noisy_problem, noise_of, assert_gradient):
+    kernel, noise, data = noisy_problem.kernel, noisy_problem.noise, noisy_problem.data
+    scale = np.array([0.3, 2.0])
+    variances = np.concatenate([noise, scale])
+    theta = np.concatenate([kernel.theta, np.log(variances)])
 
-        def at(theta):
-            kernel = noisy.kernel.clone_with_theta(theta[:n])
-            return log_likelihood(kernel, np.exp(theta[n:]), noisy.data)
+    def at(theta):
+        moved = kernel.clone_with_theta(theta[: kernel.n_dims])
+        return log_likelihood(moved, np.exp(theta[kernel.n_dims :]), data)
 
-        expected = multivariate_normal(cov=dense(noisy, scale)).logpdf(noisy.y)
-        value, gradient = log_likelihood(noisy.kernel, variances, noisy.data, eval_gradient=True)
-        assert value == pytest.approx(expected, rel=1e-10)
-        assert at(theta) == pytest.approx(expected, rel=1e-10)
-        assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
-
-    def test_posterior(self, noisy):
-        mean, variance = ExactPosterior(noisy.kernel, noisy.noise, noisy.data).predict(NEW, True)
-        cross = noisy.kernel([NEW] * 3, noisy.data.X)
-        expected = cross @ np.linalg.solve(dense(noisy), noisy.y)
-        left = noisy.kernel(NEW) - cross @ np.linalg.solve(dense(noisy), cross.T)
-        assert_allclose(mean.T.ravel(), expected, rtol=1e-8, atol=1e-10)
-        assert_allclose(variance.T.ravel(), np.diag(left), rtol=1e-7, atol=1e-10)
-
-
-class TestSparse:
-    def test_bound_is_titsias_with_that_noise(self, noisy, stacked):
-        features, S = inducing_features(noisy.kernel, Z), noise_of(noisy)
-        Kfu = stacked(features, noisy.data.X)
-        Qff = Kfu @ np.linalg.solve(features.Kuu(), Kfu.T)
-        missing = np.trace(np.linalg.solve(S, noisy.kernel(noisy.data.X) - Qff))
-        expected = multivariate_normal(cov=Qff + S).logpdf(noisy.y) - 0.5 * missing
-        assert sparse(noisy).log_marginal_likelihood == pytest.approx(expected, rel=1e-8)
-
-    def test_posterior(self, noisy, stacked):
-        features, S = inducing_features(noisy.kernel, Z), noise_of(noisy)
-        Kfu, Ksu = stacked(features, noisy.data.X), stacked(features, [NEW] * 3)
-        B = features.Kuu() + Kfu.T @ np.linalg.solve(S, Kfu)
-        expected = Ksu @ np.linalg.solve(B, Kfu.T @ np.linalg.solve(S, noisy.y))
-        assert_allclose(sparse(noisy).predict(NEW).T.ravel(), expected, rtol=1e-7, atol=1e-9)
+    S = noise_of(noisy_problem.Y, noise, noisy_problem.loading * np.sqrt(scale))
+    expected = multivariate_normal(cov=kernel(data.X) + S).logpdf(noisy_problem.y)
+    value, gradient = log_likelihood(kernel, variances, data, eval_gradient=True)
+    assert value == pytest.approx(expected, rel=1e-10)
+    assert at(theta) == pytest.approx(expected, rel=1e-10)
+    assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
 
 
 def test_information_on_the_noise_of_regressors_is_the_curvature_of_the_expected_likelihood():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.gaussian_process.kernels import RBF
 
@@ -19,24 +18,15 @@ KERNELS = {
 }
 
 
-@pytest.fixture
-def data():
-    rng = default_rng(0)
-    X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
-    Z = (X - X.mean(axis=0)) / X.std(axis=0)
-    Y = np.column_stack([np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2]])
-    return X, Y
-
-
 def singles_of(kernel, X, Y):
     alone = single_output(kernel)
     return [starting_kernel(alone, X, Y[:, [i]], 0) for i in range(Y.shape[1])]
 
 
 @pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
-def test_what_outputs_found_alone_is_adopted(kernel, data):
+def test_what_outputs_found_alone_is_adopted(kernel, uneven):
     """The joint kernel starts from it, and stays a covariance."""
-    X, Y = data
+    X, Y = uneven
     singles = singles_of(kernel, X, Y)
     assert [single.n_outputs for single in singles] == [1, 1, 1]
     start = starting_kernel(kernel, X, Y, 0, singles)
@@ -47,8 +37,8 @@ def test_what_outputs_found_alone_is_adopted(kernel, data):
 
 
 @pytest.mark.parametrize(("bounds", "widest"), [(None, 10.0), ("spacing", 500.0)])
-def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, data):
-    X, Y = data
+def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, uneven):
+    X, Y = uneven
     kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
     scale = X.std(axis=0)
     wide = [single.set_params(length_scale=500.0 * scale) for single in singles_of(kernel, X, Y)]
@@ -56,8 +46,8 @@ def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, da
     assert_allclose(np.max(start.length_scale / scale), widest)
 
 
-def test_given_values_stay(data):
-    X, Y = data
+def test_given_values_stay(uneven):
+    X, Y = uneven
     lengths = np.full((4, 3, 3), 2.5)
     kernel = ConvolvedGaussian(1, length_scale=lengths)
     start = starting_kernel(kernel, X, Y, 0)
@@ -70,16 +60,16 @@ def test_given_values_stay(data):
     assert coarse(kernel) is kernel
 
 
-def test_a_narrowed_start_has_narrower_widths_of_regressors_with_an_effect(data):
-    X, Y = data
+def test_a_narrowed_start_has_narrower_widths_of_regressors_with_an_effect(uneven):
+    X, Y = uneven
     kernel = LinearTrend() + ConvolvedGaussian(1, regressors=[0, 2])
     start = starting_kernel(kernel, X, Y, 0)
     ratio = narrowed(kernel, start, 0.1).k2.length_scale / start.k2.length_scale
     assert_allclose(ratio, np.broadcast_to([0.1, 1.0, 0.1], ratio.shape))
 
 
-def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(data):
-    X, Y = data
+def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(uneven):
+    X, Y = uneven
     kernel = LinearTrend() + ConvolvedGaussian(2)
     fitted = starting_kernel(coarse(kernel), X, Y, 1)
     start = from_coarse(kernel, starting_kernel(kernel, X, Y, 0), fitted)

@@ -139,6 +139,30 @@ def equal(a, b, **tolerance):
     assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
 
 
+def with_features(kernel, features, X):
+    """Return the covariance of the outputs at X, output-major, and the inducing variables."""
+    Kfu = np.zeros((kernel.n_outputs, len(X), features.size))
+    for i in range(kernel.n_outputs):
+        Kfu[i][:, features.columns(i)] = features.Kfu(i, X)
+    Kfu = Kfu.reshape(-1, features.size)
+    return np.block([[kernel(X), Kfu], [Kfu.T, features.Kuu()]])
+
+
+def stacked(paths, X):
+    """Return the values of paths at X, output-major, (n_paths, P n)."""
+    values = paths.values(X[None]).swapaxes(1, 2)
+    return values.reshape(len(values), -1)
+
+
+def assert_covariance(draws, K):
+    """Assert that draws (n, N) have mean zero and this covariance, within what so many of them allow."""
+    n = len(draws)
+    variance = np.diag(K)
+    assert (np.abs(draws.mean(axis=0)) < 4.5 * np.sqrt(variance / n)).all()
+    error = np.sqrt((np.outer(variance, variance) + K**2) / n)
+    assert (np.abs(draws.T @ draws / n - K) < 5 * error).all()
+
+
 def test_every_public_kernel_is_in_the_list():
     public = {
         obj
@@ -220,13 +244,9 @@ class TestContract:
 
     def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
         X, features = inputs(kernel, (6, 6, 6))[0], inducing_features(kernel, inputs(kernel)[0])
-        blocks = [features.Kfu(i, X) for i in range(kernel.n_outputs)]
-        Kfu = np.zeros((kernel.n_outputs, len(X), features.size))
-        for i, block in enumerate(blocks):
-            Kfu[i][:, features.columns(i)] = block
-        Kfu = Kfu.reshape(-1, features.size)
-        joint = np.block([[kernel(X), Kfu], [Kfu.T, features.Kuu()]])
+        joint = with_features(kernel, features, X)
         assert np.linalg.eigvalsh(joint).min() > -1e-10 * np.abs(joint).max()
+        blocks = [features.Kfu(i, X) for i in range(kernel.n_outputs)]
         equal(features.basis()[0](X), np.hstack(blocks), rtol=1e-9, atol=1e-10)
 
     def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(
@@ -297,14 +317,9 @@ class TestUse:
         slope = kernel.block_gradient(0, last, many, others, W)
         equal(np.sum(slopes, axis=0), slope, rtol=1e-10, atol=1e-11)
 
-    def test_one_array_for_each_output_picks_rows_of_the_common_matrix(self, kernel):
-        P = kernel.n_outputs
+    def test_one_array_is_of_all_outputs_and_an_output_without_samples_takes_no_room(self, kernel):
         X = default_rng(4).normal(size=(7, n_features(kernel)))
-        seen = default_rng(5).random((P, 7)) < 0.6
-        picked = np.flatnonzero(seen.ravel())
-        assert kernel(X).shape == (7 * P, 7 * P)
-        equal(kernel([X[s] for s in seen]), kernel(X)[np.ix_(picked, picked)])
-        # An output without samples takes no room
+        equal(kernel(X), kernel([X] * kernel.n_outputs))
         some = [np.empty((0, n_features(kernel))), *inputs(kernel)[1:]]
         assert kernel(some).shape == (sum(map(len, some)),) * 2
 
@@ -325,13 +340,16 @@ class TestUse:
     @pytest.mark.parametrize("name", FEW)
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):
         X = default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
-        paths = prior_paths(kernel, 8000, 4, np.random.RandomState(12)).values(X[None])
-        stacked = paths.swapaxes(1, 2).reshape(8000, -1)
-        K = kernel(X)
-        variance = np.diag(K)
-        assert (np.abs(stacked.mean(axis=0)) < 4.5 * np.sqrt(variance / 8000)).all()
-        error = np.sqrt((np.outer(variance, variance) + K**2) / 8000)
-        assert (np.abs(stacked.T @ stacked / 8000 - K) < 5 * error).all()
+        paths = prior_paths(kernel, 8000, 4, np.random.RandomState(12))
+        assert_covariance(stacked(paths, X), kernel(X))
+
+    @pytest.mark.parametrize("name", FEW)
+    def test_inducing_variables_are_drawn_with_the_paths(self, kernel):
+        X = default_rng(11).normal(0, 1.2, (4, n_features(kernel)))
+        features = inducing_features(kernel, inputs(kernel)[0])
+        paths, u = features.prior_paths(8000, 6, np.random.RandomState(4))
+        draws = np.hstack([stacked(paths, X), u])
+        assert_covariance(draws, with_features(kernel, features, X))
 
     @pytest.mark.parametrize("name", FEW)
     def test_slopes_of_paths_are_their_derivatives(self, kernel, central_difference):
@@ -365,7 +383,6 @@ class TestUse:
         equal(other.theta, moved)
         equal(kernel.clone_with_theta(kernel.theta)(X), K)
         changed = clone(kernel)
-        changed(X)  # nothing remembered may outlive the change
         changed.theta = moved
         equal(changed(X), other(X))
         equal(kernel(X), K)  # the kernel that was cloned is left alone
@@ -375,7 +392,6 @@ class TestUse:
             assert not np.allclose(other(X), K)
 
     def test_clone_parameters_and_pickle_go_round(self, kernel):
-        """A pickle holds whatever the kernel remembers of the calls."""
         X = inputs(kernel)
         rebuilt = type(kernel)(**kernel.get_params(deep=False))
         set_again = clone(kernel).set_params(**kernel.get_params())

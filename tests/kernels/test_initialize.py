@@ -21,44 +21,32 @@ OPEN = {
 }
 
 
-@pytest.fixture
-def data():
-    rng = default_rng(0)
-    X = rng.normal(size=(60, 3)) * [1.0, 20.0, 0.01] + [0.0, 500.0, 1.0]
-    Z = (X - X.mean(axis=0)) / X.std(axis=0)
-    Y = np.column_stack(
-        [np.sin(Z[:, 0]), 100 * np.cos(Z[:, 1]) + 3, 0.01 * Z[:, 2] + 0.002 * Z[:, 0] ** 2]
-    )
-    Y[rng.random(Y.shape) < 0.3] = np.nan
-    return X, Y
-
-
 @pytest.mark.parametrize("kernel", OPEN.values(), ids=OPEN.keys())
 class TestOpenKernels:
-    def test_values_lie_within_their_bounds(self, kernel, data):
-        found = clone(kernel).initialize(*data, 0)
+    def test_values_lie_within_their_bounds(self, kernel, uneven):
+        found = clone(kernel).initialize(*uneven, 0)
         assert found.n_outputs == 3
         low, high = found.bounds.T
         assert (low < found.theta).all()
         assert (found.theta < high).all()
 
-    def test_variances_are_of_the_size_of_the_outputs(self, kernel, data):
-        X, Y = data
+    def test_variances_are_of_the_size_of_the_outputs(self, kernel, uneven):
+        X, Y = uneven
         variances = clone(kernel).initialize(X, Y, 0).diag(X).reshape(3, -1).mean(axis=1)
         ratio = variances / np.nanvar(Y, axis=0)
         assert (ratio > 0.05).all()
         assert (ratio < 10).all()
 
-    def test_seed_decides(self, kernel, data):
-        first, again, other = (kernel.initialize(*data, seed) for seed in (3, 3, 4))
+    def test_seed_decides(self, kernel, uneven):
+        first, again, other = (kernel.initialize(*uneven, seed) for seed in (3, 3, 4))
         assert_allclose(first.theta, again.theta, rtol=1e-9, atol=1e-10)
         # Only shared latents need chance, to part from each other.
         chance = not np.allclose(first.theta, other.theta)
         assert chance == ("ConvolvedGaussian" in repr(kernel) and "n_latent=0" not in repr(kernel))
 
     @pytest.mark.parametrize("what", ["regressor", "output"])
-    def test_constant_columns_give_finite_values(self, kernel, data, what):
-        X, Y = (array.copy() for array in data)
+    def test_constant_columns_give_finite_values(self, kernel, uneven, what):
+        X, Y = (array.copy() for array in uneven)
         (X if what == "regressor" else Y)[:, 1] = 7.0
         found = kernel.initialize(X, Y, 0)
         assert np.isfinite(found.theta).all()
@@ -66,14 +54,14 @@ class TestOpenKernels:
 
 
 class TestGivenValues:
-    def test_stay(self, data):
+    def test_stay(self, uneven):
         amplitude = [[1.0, 2.0, 3.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
         for kernel, given in (
             (ConvolvedGaussian, {"amplitude": amplitude}),
             (ConvolvedGaussian, {"length_scale": np.full((4, 3, 3), 2.5)}),
             (LinearTrend, {"slope_scale": np.full((3, 3), 2.0), "center": [1.0, 2.0, 3.0]}),
         ):
-            found = kernel(**given).initialize(*data, 0)
+            found = kernel(**given).initialize(*uneven, 0)
             for name, value in given.items():
                 assert_array_equal(getattr(found, name), value)
 
@@ -95,9 +83,9 @@ class TestGivenValues:
         ],
         ids=repr,
     )
-    def test_of_another_shape_are_refused(self, kernel, message, data):
+    def test_of_another_shape_are_refused(self, kernel, message, uneven):
         with pytest.raises(ValueError, match=message):
-            kernel.initialize(*data, 0)
+            kernel.initialize(*uneven, 0)
 
 
 class TestSpacing:
@@ -112,21 +100,21 @@ class TestSpacing:
         return least / np.where(std > 0, std, 1.0)
 
     @pytest.mark.parametrize("kind", KINDS)
-    def test_is_of_the_output_that_is_observed_most(self, data, kind):
-        X, Y = data
+    def test_is_of_the_output_that_is_observed_most(self, uneven, kind):
+        X, Y = uneven
         most = np.isfinite(Y).sum(axis=0).max()
         assert_allclose(self.smallest(X, Y, covariance_type=kind), most ** (-1 / 3))
 
-    def test_only_regressors_with_an_effect_count(self, data):
-        X, Y = data
+    def test_only_regressors_with_an_effect_count(self, uneven):
+        X, Y = uneven
         most = np.isfinite(Y).sum(axis=0).max()
         assert_allclose(self.smallest(X, Y, regressors=[0, 2])[..., [0, 2]], most ** (-1 / 2))
         still = np.column_stack([X, np.full(len(X), 3.0)])
         assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
 
-    def test_is_never_below_the_bound_of_other_kernels(self, data):
-        assert_allclose(self.smallest(*data, None), 0.05)
-        assert_allclose(self.smallest(*data, regressors=[0])[..., 0], 0.05)
+    def test_is_never_below_the_bound_of_other_kernels(self, uneven):
+        assert_allclose(self.smallest(*uneven, None), 0.05)
+        assert_allclose(self.smallest(*uneven, regressors=[0])[..., 0], 0.05)
 
     def test_counts_at_most_400_samples(self):
         X = default_rng(0).normal(size=(900, 9))
@@ -187,9 +175,12 @@ class TestBounds:
             ),
         ],
     )
-    def test_of_what_is_no_parameter(self, bounds, error, message, data):
+    def test_of_what_is_no_parameter(self, bounds, error, message, uneven):
         kernel = clone(self.kernel).set_params(parameter_bounds=bounds)
-        for use in (lambda: kernel.theta, lambda: kernel.initialize(data[0], data[1][:, :2], 0)):
+        for use in (
+            lambda: kernel.theta,
+            lambda: kernel.initialize(uneven[0], uneven[1][:, :2], 0),
+        ):
             with pytest.raises(error, match=message):
                 use()
 

@@ -39,17 +39,3 @@ def test_trend_is_a_bayesian_linear_model(rng):
     priors = [np.diag(np.append(a, b) ** 2) for a, b in zip(intercept, slope, strict=True)]
     expected = block_diag(*(Phi @ prior @ Phi.T for prior in priors))
     assert_allclose(LinearTrend(intercept, slope, center)(X), expected, rtol=1e-12)
-
-
-def test_a_sum_of_processes_of_single_regressors_has_no_interactions(rng):
-    """Cov of f(a, b) - f(a', b) - f(a, b') + f(a', b'), zero for every function g(a) + h(b)."""
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-    signs = np.array([1.0, -1.0, -1.0, 1.0])
-    X, Y = rng.normal(size=(60, 2)), rng.normal(size=(60, 2))
-    one, other, both = (
-        ConvolvedGaussian(0, regressors=columns).initialize(X, Y, 0)
-        for columns in ([0], [1], [0, 1])
-    )
-    left = [signs @ kernel.block(0, 0, square, square) @ signs for kernel in (one + other, both)]
-    assert left[0] == pytest.approx(0.0, abs=1e-8)
-    assert left[1] > 1e-3

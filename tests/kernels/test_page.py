@@ -9,8 +9,6 @@ from types import ModuleType
 import pytest
 from numpy.random import default_rng
 
-from skdgp.kernels import prior_paths
-
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs" / "kernels.md"
 NAME = "four methods, of the page"
@@ -51,9 +49,3 @@ class TestContractOfThePage(contract.TestContract):
     @pytest.fixture
     def kernel(self, name):
         return contract.KERNELS[name]
-
-
-def test_paths_that_a_kernel_lacks_are_said_to_be_missing():
-    for name in (NAME, RESCALED):
-        with pytest.raises(NotImplementedError, match=r"SharedMatern.*sample_y.*prior_paths"):
-            prior_paths(contract.KERNELS[name], 1, 4, None)

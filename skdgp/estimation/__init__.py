@@ -34,6 +34,7 @@ from skdgp.estimation._sensors import KNOWN_ARM as KNOWN_ARM
 from skdgp.estimation._servos import delayed_surfaces
 from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
 from skdgp.estimation._shift import without_lag
+from skdgp.estimation._vibration import vibration_covariance as vibration_covariance
 
 __all__ = [
     "CALIBRATED",

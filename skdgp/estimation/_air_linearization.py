@@ -51,7 +51,14 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Linearization
-from skdgp.estimation._sensors import AIRSPEED, BIASED, FORCE_READINGS, SensorErrors
+from skdgp.estimation._sensors import (
+    AIRSPEED,
+    BIASED,
+    FORCE_READINGS,
+    INERTIAL_READINGS,
+    SENSORS,
+    SensorErrors,
+)
 from skdgp.estimation._servos import servo_output, servo_slopes
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
@@ -229,6 +236,8 @@ def linearized(
     measured = record.measured[1:, record.sampled]
     is_sampled = np.isfinite(measured)
     not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
+    vibration = np.zeros((len(SENSORS), len(SENSORS)))
+    vibration[INERTIAL_READINGS, INERTIAL_READINGS] = record.vibration
     innovation_states, innovation_slopes = _split(past.slopes)
     residual_states, residual_slopes = _split(path.slopes)
     return Linearization(
@@ -247,6 +256,7 @@ def linearized(
         surface_noise=expansion.surface_noise(by_start),
         surface_readings=expansion.surface_readings(past.by_variables),
         missing=np.where(is_sampled, 0.0, not_sampled),
+        vibration=vibration[np.ix_(record.sampled, record.sampled)],
         instrument_terms=_means(instrument_terms),
     )
 

@@ -116,6 +116,9 @@ class AirMotion:
     is_complete : bool
         Whether ``air`` is of all records of the flights, none of which was shortened or too short
         to learn from.
+    vibrates : bool
+        Whether an oscillation shakes accelerometers and gyros of a flight. What they share then counts as
+        noise, and ``std`` is larger by half.
     """
 
     derivatives: pd.DataFrame
@@ -128,6 +131,7 @@ class AirMotion:
     seconds: float
     misfit: float = 1.0
     is_complete: bool = False
+    vibrates: bool = False
 
     @property
     def summary(self) -> str:
@@ -149,6 +153,8 @@ class AirMotion:
         elif self.misfit > 1:
             wider = f"{self.misfit:.1f} times as wide"
             parts.append(f"sensors' constants are improbable: bands {wider}")
+        if self.vibrates:
+            parts.append("inertial sensors vibrate: bands wider by half")
         return "; ".join(parts)
 
     @property
@@ -250,7 +256,8 @@ def estimate_air_motion(
     of a symmetric aircraft without offset of the thrust line. The covariance is
     :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
-    samples of a slow clock make much of the innovations. For nonlinear effects 4 % of each derivative are
+    samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
+    Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
     added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.
     Where surfaces hardly move a term, so that errors of path and sensors make most of its motion,
     ``std`` approaches ``prior_std``.
@@ -443,10 +450,13 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
     misfit = 1.0
+    vibrates = any(record.vibration.any() for record in fit.records)
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)
         covariance = inflate_for_misfit(covariance, misfit)
         covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
+        if vibrates:
+            covariance = inflate_for_misfit(covariance, fit.settings.vibrating)
         covariance = with_model_errors(covariance, fit)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
@@ -467,4 +477,5 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         converged=converged,
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
+        vibrates=vibrates,
     )

@@ -23,6 +23,7 @@ from skdgp.estimation._path import estimate_path
 from skdgp.estimation._sensors import (
     GUSTS,
     INERTIAL_BIASES,
+    INERTIAL_READINGS,
     LAGS,
     PATH_NOISE,
     RATE_READINGS,
@@ -32,6 +33,7 @@ from skdgp.estimation._sensors import (
     third_differences,
 )
 from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._vibration import vibration_covariance, without_vibration
 
 
 class Record(NamedTuple):
@@ -48,6 +50,7 @@ class Record(NamedTuple):
     surface_errors: Matrix  # (n, k) size between samples of a slow clock, zero at these [rad]
     inputs: Inputs  # as logged
     periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
+    vibration: Matrix  # (6, 6) covariance of what all inertial sensors share and is no motion [SI]
     # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
     answers: Matrix | None = None
 
@@ -163,7 +166,7 @@ def records_of(
     records = []
     for number, flight in enumerate(flights_of(table)):
         rows = flight.rows
-        record = _whole_flight(number, flight, logged[rows], vanes[rows], len(surfaces))
+        record = _whole_flight(number, flight, logged[rows], vanes[rows], len(surfaces), settings)
         for segment in flight.sensors.segments():
             if len(segment) < fewest:
                 continue
@@ -174,15 +177,23 @@ def records_of(
 
 
 def _whole_flight(
-    number: int, flight: NamedFlight, logged: Matrix, vanes: Matrix, n_surfaces: int
+    number: int,
+    flight: NamedFlight,
+    logged: Matrix,
+    vanes: Matrix,
+    n_surfaces: int,
+    settings: AirSettings,
 ) -> Record:
     """Return a flight with its gaps as one record, by its path without air data."""
     sensors = flight.sensors.without_air_data()
     learn = PATH_NOISE.keys() - {*AIR_DATA}
     free = [*INERTIAL_BIASES, *LAGS]
-    path = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free).path
+    estimate = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free)
+    path = estimate.path
     to_body = path.attitude.inv()
     force, rates = path.inertial(sensors)
+    inertial = sensors.readings[:, INERTIAL_READINGS]
+    vibration = vibration_covariance(inertial, estimate.off_path, settings)
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
     periods, surface_errors = _own_clocks(sensors.time, surfaces)
@@ -198,6 +209,7 @@ def _whole_flight(
         surface_errors=surface_errors,
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
         periods=periods,
+        vibration=vibration,
     )
 
 
@@ -241,6 +253,12 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
 
     Gusts shake one axis more than another; all have the same sensor.
     """
-    noises = [third_differences(record.measured[:, sensors]) for record in records]
+    noises = []
+    for record in records:
+        measured = record.measured[:, INERTIAL_READINGS]
+        if record.vibration.any():
+            inertial = np.concatenate([record.force, record.rates], axis=1)
+            measured = without_vibration(inertial, record.vibration)
+        noises.append(third_differences(measured[:, sensors]))
     variances = np.mean(np.concatenate(noises) ** 2, axis=0)
     return max(np.sqrt(np.nanmin(variances)), least)

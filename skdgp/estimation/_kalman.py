@@ -63,12 +63,14 @@ class Linearization(NamedTuple):
     surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
     surface_readings: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
     missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
+    vibration: Matrix  # (m, m) covariance of the sensors by vibration
     # terms of the coefficients in the motion that surfaces alone cause
     instrument_terms: Matrix  # (n - 1, f)
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
         parts = {name: values[first:last] for name, values in self._asdict().items()}
+        parts["vibration"] = self.vibration
         parts["states"] = self.states[first : last + 1]
         return Linearization(**parts)
 
@@ -224,7 +226,7 @@ def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
         Q=Q,
         c=shift[:, :, None],
         H=linear.residual_states,
-        R=sensor[..., None] * np.eye(sensor.shape[-1]),
+        R=sensor[..., None] * np.eye(sensor.shape[-1]) + linear.vibration,
         y=linear.residual[:, :, None],
     )
 

@@ -25,6 +25,7 @@ from skdgp.estimation._path_equations import (
     ATTITUDE_LAG,
     EQUATION_NOISE,
     GUST,
+    INERTIAL_ROWS,
     MIRROR,
     ODD,
     PLACE,
@@ -58,12 +59,15 @@ class PathEstimate(NamedTuple):
         Of the free constants.
     converged : bool
         Whether the search converged; else the sensors may contradict one another.
+    off_path : ndarray (n - 1, 6)
+        Readings of accelerometers and gyros by the path less the measured ones, means of two samples [SI].
     """
 
     path: FlightPath
     noise: dict[str, float]
     covariance: Matrix
     converged: bool
+    off_path: Matrix
 
 
 def estimate_path(
@@ -121,7 +125,8 @@ def estimate_path(
             break
     if not search.has_alpha:
         noise = noise | {"gust_vertical": noise["gust_horizontal"]}
-    return PathEstimate(path, noise, posterior.covariance, converged)
+    off_path = search.off_path(path, delays)
+    return PathEstimate(path, noise, posterior.covariance, converged, off_path)
 
 
 class _Search:
@@ -155,6 +160,12 @@ class _Search:
         scale[:-1, GUST] *= np.sqrt(growth)[:, None]
         equations.whiten(scale)
         return equations
+
+    def off_path(self, path: FlightPath, delays: Indices) -> Matrix:
+        """Return what the equations of the inertial sensors (n - 1, 6) leave at a path [SI]."""
+        least = self.settings.least_airspeed
+        equations = path_equations(path, self.sensors, self.correlation, delays, least)
+        return equations.residual[:-1, INERTIAL_ROWS]
 
     def _stds(self, noise: Mapping[str, float]) -> Vector:
         """Return the noise of each equation."""

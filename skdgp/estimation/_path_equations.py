@@ -49,6 +49,7 @@ ATTITUDE = slice(3, 6)
 GUST = slice(6, 9)
 """Places in a state's errors: NED velocity, rotation vector in body axes, NED gust."""
 PROCESS_ROWS = slice(0, 9)
+INERTIAL_ROWS = slice(0, 6)
 AIR_DATA_ROWS = slice(9, 12)
 GPS_ROWS = slice(12, 15)
 ATTITUDE_ROWS = slice(15, 18)

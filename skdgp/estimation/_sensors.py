@@ -27,9 +27,10 @@ from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, n
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
 FORCE_READINGS = slice(0, 3)
 RATE_READINGS = slice(3, 6)
+INERTIAL_READINGS = slice(0, 6)
 AIR_READINGS = slice(6, 9)
 AIRSPEED = SENSORS.index("airspeed")
-"""Places of specific force, rates, air data and airspeed among the sensors."""
+"""Places of specific force, rates, both, air data and airspeed among the sensors."""
 READINGS_OF = {
     "gyro": RATE_READINGS,
     "accelerometer": FORCE_READINGS,

@@ -189,6 +189,14 @@ class AirSettings:
     # largest step of a derivative, in standard deviations of its prior
     largest_step: float = 2.0
 
+    # variance of vibration in its second direction, over the usual noise: 18 flights that vibrate have 13 and
+    # more, in 18 others fast motion has up to 5
+    least_vibration: float = 10.0
+    # the same over the third direction: 2.7 and more; errors of the attitude are alike in three, 1.5 at most
+    vibration_ratio: float = 2.0
+    # factor of the standard deviations where flights vibrate; trials on these flights
+    vibrating: float = 1.5
+
     # length of the sums of scores whose covariance is taken [s]
     block: float = 2.0
     # standard deviation of a lag by the motion of a surface between samples, in steps

@@ -76,6 +76,7 @@ def flight_of_sines(n=30):
         np.zeros((n, 3)),
         inputs,
         np.zeros(3),
+        np.zeros((6, 6)),
     )
     by_thrust = {"Cm": (*TERMS["Cm"], "thrust"), "Cn": (*TERMS["Cn"], "thrust")}
     derivatives = derivatives_of(TERMS | by_thrust, SURFACES)
@@ -100,9 +101,8 @@ def still_flight(airspeed):
     attitude = np.broadcast_to(np.eye(3), (n, 3, 3))
     inputs = Inputs(still, np.zeros((n, 6)), np.full(n, 1.2))
     force, position, periods = still, np.zeros(3), np.zeros(3)
-    return Record(
-        0, np.arange(n), time, velocity, attitude, measured, force, position, still, inputs, periods
-    )
+    path = velocity, attitude, measured, force, position, still
+    return Record(0, np.arange(n), time, *path, inputs, periods, np.zeros((6, 6)))
 
 
 @pytest.mark.parametrize("gust", [0.0, 1.0])
@@ -237,6 +237,7 @@ def linear_system(rng, n=7, N=3, m=2):
     Phi = 0.5 * rng.standard_normal((n - 1, N, N))
     H = rng.standard_normal((n - 1, m, N))
     y = rng.standard_normal((n - 1, m))
+    shared = rng.standard_normal((m, 1))
     zero = np.zeros((n - 1, 0, 0))
     linear = Linearization(
         states=np.zeros((n, N)),
@@ -254,6 +255,7 @@ def linear_system(rng, n=7, N=3, m=2):
         surface_noise=np.zeros((n - 1, N, N)),
         surface_readings=np.zeros((n - 1, m)),
         missing=np.zeros((n - 1, m)),
+        vibration=shared @ shared.T,
         instrument_terms=zero,
     )
     noises = Noise(
@@ -285,7 +287,8 @@ def joint_distribution(linear, noises):
     M = M.reshape(n * N, n * N)
     X = M @ block_diag(*Q) @ M.T
     H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.residual_states)])
-    return X, H, H @ X @ H.T + np.diag(np.tile(noises.sensor[0], n - 1))
+    R = np.diag(noises.sensor[0]) + linear.vibration
+    return X, H, H @ X @ H.T + block_diag(*[R] * (n - 1))
 
 
 def test_linear_filter_has_the_innovations_of_the_joint_distribution():

@@ -209,6 +209,24 @@ def test_rows_without_a_sample_tell_nothing_of_the_noise():
 
 
 @pytest.mark.slow
+def test_derivatives_of_a_flight_that_vibrates():
+    """All inertial sensors feel the propeller, by 15 and 6 times their noise, at frequencies that follow its speed."""
+    flight = flown(GUSTY, 40.0)
+    table = flight.table
+    shake = benchmark().vibration(default_rng(2), table["throttle"].to_numpy(), 0.02)
+    table[["ax", "ay", "az", "p", "q", "r"]] += shake
+    found = flight.estimate()
+    assert found.converged
+    assert found.vibrates
+    assert "vibrate" in found.summary
+    value, std, prior_std, truth = flight.compared(found)
+    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.9
+    assert np.median(abs(value / truth - 1)) < 0.2
+    assert np.median(std / prior_std) < 0.3
+    assert not in_gusts().estimate(settings=AirSettings(max_passes=1)).vibrates
+
+
+@pytest.mark.slow
 def test_moments_of_the_thrust_are_couplings():
     """A thrust line above the centre of gravity, and the torque of the propeller, in changing speeds."""
     flight = flown(GUSTY, 20.0, thrust_arm=(-0.02, 0.1))

@@ -1,0 +1,62 @@
+r"""Vibration of the inertial sensors: readings that all six share, and that are no motion.
+
+A propeller or an engine shakes all accelerometers and gyros at one frequency. With phases
+:math:`\delta_i` and sizes :math:`a_i`, an oscillation :math:`a_i \sin(\varphi(t) + \delta_i)` is in two
+directions of the six readings, those of sine and cosine, whatever its frequency, and whatever the
+sampling folds this to. The other four directions are free of it.
+
+Both the third differences of the readings and the readings less those of the path over the ground show it,
+fast vibration the former and slow vibration the latter. In units of usual noises their
+covariance C has the eigenvalues :math:`\lambda_1 \le ... \le \lambda_6`. Readings vibrate where two are large,
+:math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skdgp._compute.typing import Matrix
+from skdgp.estimation._sensors import AIR_NOISE, third_differences
+from skdgp.estimation._settings import AirSettings
+
+USUAL = np.array([AIR_NOISE[name][0] for name in ("ax", "ay", "az", "gyro", "gyro", "gyro")])
+"""Usual noises of the inertial sensors (6,) [SI]."""
+DIRECTIONS = 2
+"""Directions of an oscillation."""
+
+
+def vibration_covariance(readings: Matrix, off_path: Matrix, settings: AirSettings) -> Matrix:
+    """Return the covariance (6, 6) of the vibration of readings (n, 6) [SI]; zero where they do not vibrate.
+
+    It is as large as the readings in the directions of the vibration, which also contain motion: vibration
+    is not white, and slow parts of it are larger than of white noise of its variance.
+
+    Parameters
+    ----------
+    readings : ndarray (n, 6)
+        Of accelerometers and gyros.
+    off_path : ndarray (k, 6)
+        The readings by the path over the ground less those of the sensors.
+    settings : AirSettings
+    """
+    scaled = readings / USUAL
+    shown = []
+    for differences in (third_differences(scaled), off_path / USUAL):
+        shown.append(np.linalg.eigh(np.cov(differences.T)))
+    values, directions = max(shown, key=lambda pair: pair[0][-DIRECTIONS])
+    rest, smaller = values[-DIRECTIONS - 1], values[-DIRECTIONS]
+    if smaller < max(settings.least_vibration, settings.vibration_ratio * rest):
+        return np.zeros((6, 6))
+    B = directions[:, -DIRECTIONS:]
+    shown_sum = values[-DIRECTIONS:].sum()
+    whole = np.var(scaled @ B, axis=0).sum()
+    variances = (values[-DIRECTIONS:] - rest) * whole / shown_sum
+    return np.outer(USUAL, USUAL) * ((B * variances) @ B.T)
+
+
+def without_vibration(readings: Matrix, vibration: Matrix) -> Matrix:
+    """Return readings (n, 6) [SI] without those in the directions of a vibration (6, 6)."""
+    _, directions = np.linalg.eigh(vibration / np.outer(USUAL, USUAL))
+    B = directions[:, -DIRECTIONS:]
+    scaled = readings / USUAL
+    return USUAL * (scaled - scaled @ B @ B.T)

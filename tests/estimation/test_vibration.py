@@ -1,0 +1,56 @@
+"""Directions in which an oscillation shakes the six inertial sensors."""
+
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_less
+
+from skdgp.estimation import AirSettings, vibration_covariance
+
+NOISE = np.array([0.1, 0.1, 0.1, 0.005, 0.005, 0.005])  # [m/s^2], [rad/s]
+SIZES = np.array([2.0, 1.5, 2.5, 0.03, 0.05, 0.02])
+PHASES = np.array([0.3, 1.9, -2.5, 0.8, -1.2, 2.9])
+MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+STEP, N_ROWS = 0.02, 4000
+
+
+def oscillation(frequency, sizes=SIZES, phases=PHASES):
+    """Return readings (n, 6) of an oscillation [Hz]."""
+    turn = 2 * np.pi * frequency * STEP * np.arange(N_ROWS)
+    return sizes * np.sin(turn[:, None] + phases)
+
+
+def covariance_of(shake, seen_by_path=0.0):
+    """Return what is found in noisy readings of an oscillation, of which the path sees a part."""
+    noise = default_rng(0).normal(0.0, NOISE, shake.shape)
+    readings = shake + noise
+    return vibration_covariance(readings, -seen_by_path * readings, AirSettings())
+
+
+@pytest.mark.parametrize(("frequency", "seen_by_path"), [(11.3, 0.0), (88.0, 0.0), (1.7, 0.5)])
+def test_noise_of_its_two_directions(frequency, seen_by_path):
+    """Fast ones are seen in the readings alone, 88 Hz as 12 Hz; slow ones by the path over the ground."""
+    shake = oscillation(frequency)
+    found = covariance_of(shake, seen_by_path) / np.outer(NOISE, NOISE)
+    variances, directions = np.linalg.eigh(found)
+    assert_allclose(variances[:4], 0.0, atol=1e-9 * variances[-1])
+    left = (shake / NOISE) @ directions[:, :4]
+    assert_array_less(left.std(axis=0), 0.5)  # of the noise; the oscillation has 20
+    within = (shake / NOISE) @ directions[:, 4:]
+    assert_array_less(0.9 * within.var(axis=0).sum(), variances[-2:].sum())
+
+
+def test_of_a_mirrored_flight():
+    shake = oscillation(8.0)
+    direct = vibration_covariance(shake, 0.0 * shake, AirSettings())
+    mirrored = vibration_covariance(MIRROR * shake, 0.0 * shake, AirSettings())
+    assert_allclose(mirrored, np.outer(MIRROR, MIRROR) * direct, atol=1e-12)
+
+
+def test_none_of_noise_motion_and_errors_of_the_attitude():
+    rng = default_rng(1)
+    noise = rng.normal(0.0, NOISE, (N_ROWS, 6))
+    one_axis = oscillation(9.0, sizes=np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+    attitude = rng.normal(0.0, 10 * NOISE, (N_ROWS, 6)) * [0, 0, 0, 1, 1, 1]
+    for readings, off_path in ((noise, noise), (one_axis + noise, noise), (noise, attitude)):
+        assert not vibration_covariance(readings, off_path, AirSettings()).any()

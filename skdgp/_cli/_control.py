@@ -52,6 +52,7 @@ def margins(run: Run) -> None:
         random_state=options.seed,
         thrust=thrust,
         delay=options.delay,
+        perturbation=None if options.slopes == "local" else "flown",
     )
     now = margins_of(linear, loops, flight=flight)
     servo_lag = as_aerodynamics(model.pipeline).servo_lag
@@ -224,6 +225,11 @@ COMMANDS: opt.Commands = {
                 "type": opt.from_zero(),
                 "default": 0.02,
                 "help": "of the commands [s], from computing and sampling (default: 0.02)",
+            },
+            "--slopes": {
+                "choices": ["flown", "local"],
+                "default": "flown",
+                "help": "over the motion flown, or of small oscillations (default: flown)",
             },
             "--flight": {
                 "metavar": "LOG",

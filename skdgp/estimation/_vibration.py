@@ -8,14 +8,16 @@ sampling folds this to. The other four directions are free of it.
 Both the third differences of the readings and the readings less those of the path over the ground show it,
 fast vibration the former and slow vibration the latter. In units of usual noises their
 covariance C has the eigenvalues :math:`\lambda_1 \le ... \le \lambda_6`. Readings vibrate where two are large,
-:math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`.
+:math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`. Their directions are the
+two common factors of the third differences (Lawley & Maxwell 1971), or eigenvectors of what the path shows.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from sklearn.decomposition import FactorAnalysis
 
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.estimation._sensors import AIR_NOISE, third_differences
 from skdgp.estimation._settings import AirSettings
 
@@ -40,18 +42,26 @@ def vibration_covariance(readings: Matrix, off_path: Matrix, settings: AirSettin
     settings : AirSettings
     """
     scaled = readings / USUAL
-    shown = []
-    for differences in (third_differences(scaled), off_path / USUAL):
-        shown.append(np.linalg.eigh(np.cov(differences.T)))
-    values, directions = max(shown, key=lambda pair: pair[0][-DIRECTIONS])
-    rest, smaller = values[-DIRECTIONS - 1], values[-DIRECTIONS]
+    differences = third_differences(scaled)
+    fast, _ = _principal(differences)
+    slow, directions = _principal(off_path / USUAL)
+    rest, smaller = max((fast[-3:-1], slow[-3:-1]), key=lambda pair: pair[1])
     if smaller < max(settings.least_vibration, settings.vibration_ratio * rest):
         return np.zeros((6, 6))
-    B = directions[:, -DIRECTIONS:]
-    shown_sum = values[-DIRECTIONS:].sum()
-    whole = np.var(scaled @ B, axis=0).sum()
-    variances = (values[-DIRECTIONS:] - rest) * whole / shown_sum
-    return np.outer(USUAL, USUAL) * ((B * variances) @ B.T)
+    if fast[-2] >= slow[-2]:
+        # gusts shake az, and little else: one channel alone is no vibration
+        B = FactorAnalysis(DIRECTIONS, svd_method="lapack").fit(differences).components_.T
+    else:
+        B = directions[:, -DIRECTIONS:] * np.sqrt(slow[-DIRECTIONS:] - rest)
+    plane, _ = np.linalg.qr(B)
+    whole = np.var(scaled @ plane, axis=0).sum()
+    return np.outer(USUAL, USUAL) * (B @ B.T) * whole / np.sum(B**2)
+
+
+def _principal(values: Matrix) -> tuple[Vector, Matrix]:
+    """Return eigenvalues of the covariance of values (n, 6), ascending, and eigenvectors."""
+    eigenvalues, eigenvectors = np.linalg.eigh(np.cov(values.T))
+    return eigenvalues, eigenvectors
 
 
 def without_vibration(readings: Matrix, vibration: Matrix) -> Matrix:

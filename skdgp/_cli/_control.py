@@ -139,7 +139,8 @@ def fly(run: Run) -> None:
 
     Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins on its
     wheels, whose places are guessed, or with --height in the air. --full gives deflections [rad] at full output,
-    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv.
+    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv, the flight since
+    the simulator's last start.
 
     For example:
       skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35

@@ -51,6 +51,7 @@ POSITIVE = {
     "PTCH2SRV_TCONST",
 }
 NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d")
 # Beginnings of the names that control laws use, and of gains of multicopters
 OF_LAWS = (
     "FW_",
@@ -181,12 +182,15 @@ def read_parameters(path: str | Path) -> dict[str, float]:
         for name, value in pairwise(words):
             if NAME.fullmatch(name):
                 number = _number(value)
+                behind = text.split(name, 1)[1].lstrip(" \t,:=")
+                if DECIMAL_COMMA.match(behind):
+                    number = None
                 if number is not None:
                     found[name] = number
                 elif name.startswith(OF_LAWS):
                     raise ValueError(
-                        f"Got the line {line.strip()!r} in {path}, but expected a number behind {name}: "
-                        "save the parameters again."
+                        f"Got the line {line.strip()!r} in {path}, but expected a number with a decimal point "
+                        f"behind {name}: save the parameters again."
                     )
                 break
     if not found:

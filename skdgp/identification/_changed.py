@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import matmul_toeplitz
+from scipy.signal import correlate
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 from sklearn.pipeline import Pipeline
@@ -45,6 +47,8 @@ class ChangeSettings:
     block_times: float = 4.0
     # shortest block in autocorrelation times; in a shorter flight nothing can be told
     fewest_times: float = 1.0
+    # lag at which the window of the autocovariances ends, as a fraction of the flight, a guess
+    longest_lag: float = 0.25
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
     # variance of the unknown correlation of the errors of two longitudinal, or two lateral
@@ -125,15 +129,17 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     squares on the regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
     likely change of its derivatives. Without a change their covariance is
 
-    .. math:: C = \frac{B - 1}{B} \sum_b w_b w_b^T + G Q^T K Q G, \quad
-              w_b = G (I - Q_b^T Q_b G)^{-1} Q_b^T e_b.
+    .. math:: C = \frac{C_1 + C_2}{2} + G Q^T K Q G, \quad C_1 = \frac{B - 1}{B} \sum_b w_b w_b^T, \quad
+              C_2 = G Q^T R Q G, \quad w_b = G (I - Q_b^T Q_b G)^{-1} Q_b^T e_b.
 
-    The first part is the jackknife over B blocks of the flight, which are longer than the residuals
-    e of this fit are correlated (Bell & McCaffrey 2002): rougher air widens it. The second part is
-    the uncertainty K of the function, in which the bias of the fit is replaced. Errors of the
-    regressors bias the slopes of least squares. With the covariance :math:`S_0` of the regressors in
-    the fit, and S in the flight, and the covariance c of the regressors with the errors, which is
-    the same in both, the bias of the flight differs by
+    C_1 is the jackknife over B blocks of the flight, which are longer than the residuals e of this
+    fit are correlated (Bell & McCaffrey 2002): rougher air widens it. It is no estimate of a weight
+    that a single block determines, as of a control that moves once, since the fit leaves no residual
+    there. C_2 is the covariance for errors with the autocovariance R of e, whatever the regressors,
+    with Bartlett's window (Newey & West 1987). K is the uncertainty of the function, in which the
+    bias of the fit is replaced. Errors of the regressors bias the slopes of least squares. With the
+    covariance :math:`S_0` of the regressors in the fit, and S in the flight, and the covariance c of
+    the regressors with the errors, which is the same in both, the bias of the flight differs by
 
     .. math:: a = (S^{-1} - S_0^{-1})\, c, \quad c_k = \sum_j \rho_{jk} s_j s_k J_j,
 
@@ -145,10 +151,15 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     its sign in the mirrored flight, and the equations of motion do not.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
-    :math:`F(k, \nu - k + 1)`. The degrees of freedom follow from the fraction M of C that is the
-    first part, as the second one is no estimate from B blocks (Krishnamoorthy & Yu 2004):
+    :math:`F(k, \nu - k + 1)`. The first part of C has the degrees of freedom of its blocks, which
+    are few if few blocks hold the motion (Pustejovsky & Tipton 2018); those of C follow from the
+    fraction M of C that is the first part, as K is no estimate from blocks (Krishnamoorthy & Yu 2004):
 
-    .. math:: \nu = (B - 1) \frac{k + k^2}{\mathrm{tr}\, M^2 + (\mathrm{tr}\, M)^2}.
+    .. math:: \nu_1 = \frac{k + k^2}{\sum_b \mathrm{tr}\, T_b^2 + (\mathrm{tr}\, T_b)^2}, \quad
+              T_b = Q_b^T Q_b G, \quad
+              \nu = \nu_1 \frac{k + k^2}{\mathrm{tr}\, M^2 + (\mathrm{tr}\, M)^2}.
+
+    Where :math:`\nu` is less than k the flight is too short.
 
     The p-values of the coefficients are combined into the whole by Simes' test, which allows for
     positive dependence (Simes 1986).
@@ -223,11 +234,11 @@ def changes_of(
         row = {}
         changes = {}
         for i, coefficient in enumerate(COEFFICIENTS):
-            weights, scatter, n_blocks = block_weights(X, residuals[:, i], settings)
-            of_flight = scatter[among_learned]
+            of_flight = flight_weights(X, residuals[:, i], settings)
             of_model = uncertainty[i][among_learned]
-            row[coefficient] = _p_value(weights[learned], of_flight, of_model, n_blocks)
-            std = np.sqrt(np.diag(of_flight + of_model))
+            row[coefficient] = _p_value(of_flight, learned, of_model)
+            std = np.sqrt(np.diag(of_flight.covariance[among_learned] + of_model))
+            weights = of_flight.weights
             names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
             for k, error in zip(learned, std, strict=True):
                 changes[names[k]] = {"change": weights[k] / scale[k], "std": error / scale[k]}
@@ -314,44 +325,87 @@ def _biases(
     return in_fit, (X[rows] - X.mean(axis=0)) @ further
 
 
-def block_weights(
-    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS
-) -> tuple[Vector, Matrix, int]:
-    """Return weights (d + 1,) of least squares, their jackknife covariance and the number of blocks.
+class FlightWeights(NamedTuple):
+    """Weights of least squares in a flight."""
 
-    The number is 0, and the covariance NaN, if the rows (n, d) are too few for blocks that are
-    longer than the correlation of the residuals.
+    #: (d + 1,)
+    weights: Vector
+    #: Covariance, (d + 1, d + 1)
+    covariance: Matrix
+    #: Degrees of freedom of the covariance; 0, and the covariance NaN, if the flight is too short
+    freedom: float
+
+
+def flight_weights(
+    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS
+) -> FlightWeights:
+    """Return the weights of least squares on the regressors (n, d).
+
+    The flight is too short if its blocks are shorter than the residuals are correlated.
     """
     Q = _terms(X)
     n, k = Q.shape
-    G = np.linalg.pinv(Q.T @ Q, hermitian=True)
+    G = np.asarray(np.linalg.pinv(Q.T @ Q, hermitian=True), dtype=float)
     weights = G @ (Q.T @ residual)
     e = residual - Q @ weights
     correlated = autocorrelation_time(residual)
     wanted = max(settings.block_times * correlated, n / settings.n_blocks)
     length = min(wanted, n / (k + settings.spare_blocks))
     if length < max(settings.fewest_times * correlated, 2.0):
-        return weights, np.full((k, k), np.nan), 0
-    n_blocks = int(n / length)
-    of_blocks = []
-    for rows in np.array_split(np.arange(n), n_blocks):
-        left_out = np.eye(k) - Q[rows].T @ Q[rows] @ G
+        return FlightWeights(weights, np.full((k, k), np.nan), 0.0)
+    blocks = np.array_split(np.arange(n), int(n / length))
+    by_blocks = _jackknife(Q, e, G, blocks)
+    by_correlation = _stationary(Q, e, G, settings)
+    covariance = (by_blocks + by_correlation) / 2
+    return FlightWeights(weights, covariance, _freedom(Q, G, blocks))
+
+
+def _jackknife(Q: Matrix, e: Vector, G: Matrix, blocks: Sequence[Indices]) -> Matrix:
+    """Return the covariance of the weights by their changes w_b without each block."""
+    errors = []
+    for rows in blocks:
+        left_out = np.eye(len(G)) - Q[rows].T @ Q[rows] @ G
         score = Q[rows].T @ e[rows]
-        of_blocks.append(G @ (np.linalg.pinv(left_out) @ score))
-    errors = np.array(of_blocks)
-    return weights, errors.T @ errors * (n_blocks - 1) / n_blocks, n_blocks
+        errors.append(G @ (np.linalg.pinv(left_out) @ score))
+    w = np.array(errors)
+    n_blocks = len(blocks)
+    return w.T @ w * (n_blocks - 1) / n_blocks
 
 
-def _p_value(weights: Vector, scatter: Matrix, uncertainty: Matrix, n_blocks: int) -> float:
-    """Return the probability of weights as far from zero, NaN without blocks."""
-    if n_blocks == 0:
+def _stationary(Q: Matrix, e: Vector, G: Matrix, settings: ChangeSettings) -> Matrix:
+    """Return the covariance G Q^T R Q G of the weights, for errors of the autocovariance of e (n,)."""
+    n, k = Q.shape
+    autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k)
+    lags = np.arange(n) / (settings.longest_lag * n)
+    window = np.maximum(1 - lags, 0.0)
+    return G @ Q.T @ matmul_toeplitz(autocovariance * window, Q) @ G
+
+
+def _freedom(Q: Matrix, G: Matrix, blocks: Sequence[Indices]) -> float:
+    """Return the degrees of freedom of a covariance from blocks, (k + k^2) / sum_b (tr T_b^2 + (tr T_b)^2)."""
+    squares = 0.0
+    rank = 0.0
+    for rows in blocks:
+        T = Q[rows].T @ Q[rows] @ G
+        rank += np.trace(T)
+        squares += np.trace(T @ T) + np.trace(T) ** 2
+    return float((rank + rank**2) / squares)
+
+
+def _p_value(flight: FlightWeights, learned: Indices, uncertainty: Matrix) -> float:
+    """Return the probability of the ``learned`` weights as far from zero, NaN if the flight is too short."""
+    if flight.freedom == 0:
         return float("nan")
+    weights = flight.weights[learned]
+    scatter = flight.covariance[np.ix_(learned, learned)]
     k = len(weights)
     inverse = np.linalg.pinv(scatter + uncertainty, hermitian=True)
     fraction = scatter @ inverse
-    # of Krishnamoorthy & Yu 2004; n_blocks - 1 if the scatter is all
+    # of Krishnamoorthy & Yu 2004; those of the flight if the scatter is all
     estimated = np.trace(fraction @ fraction) + np.trace(fraction) ** 2
-    freedom = (n_blocks - 1) * (k + k**2) / estimated
+    freedom = flight.freedom * (k + k**2) / estimated
+    if freedom <= k - 1:
+        return float("nan")
     statistic = weights @ inverse @ weights * (freedom - k + 1) / (freedom * k)
     return float(f_distribution.sf(statistic, k, freedom - k + 1))
 

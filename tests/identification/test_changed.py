@@ -222,3 +222,22 @@ def test_a_short_flight_tells_nothing(model):
     result = changes(model, {"short": (X[:25], Y[:25])}, change=1.0)
     assert result.p_values.isna().all(axis=None)
     assert "too short" in result.summary()[0]
+
+
+def flight_with_one_pulse(seed, change=0.0):
+    """Return a flight of 160 rows whose elevator moves once, for 6 rows."""
+    X, Y = flight(seed, 0.02)
+    X, Y = X[:160], Y[:160]
+    pulse = np.zeros(len(X))
+    pulse[70:76] = 0.1
+    Y = Y + np.outer(pulse - X["elevator"], SLOPES[2])
+    Y[:, 4] += change * pulse
+    return X.assign(elevator=pulse), Y
+
+
+def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
+    """The fit leaves no residual where a single block determines a weight, so blocks show no error."""
+    same = {str(seed): flight_with_one_pulse(seed) for seed in range(1, 41)}
+    assert (changes(model, same).p_values < 0.05).mean().max() < 0.2
+    changed_effect = {"other": flight_with_one_pulse(41, change=1.0)}
+    assert changes(model, changed_effect).p_values.loc["other", "Cm"] < 0.01

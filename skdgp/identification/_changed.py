@@ -150,6 +150,11 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     an optimal smoother. Between a longitudinal and a lateral regressor it is small, as it changes
     its sign in the mirrored flight, and the equations of motion do not.
 
+    A model learns from every m-th row of its flights. Where errors stand at certain times, such as
+    those of a surface's timing at the steps of an input, its weights depend on which rows these are.
+    K has the covariance of the weights by every m-th row of the flight, from each first one on, about
+    those by all, as far as their variance exceeds the one by chance.
+
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The first part of C has the degrees of freedom of its blocks, which
     are few if few blocks hold the motion (Pustejovsky & Tipton 2018); those of C follow from the
@@ -185,13 +190,25 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     named = named_flights(flights, servos=options.get("servos"))
     tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
     samples = {}
+    strides = {}
     for name, table in tables.items():
         X, noise_ratio = flight_regressors(model.pipeline, table)
         mean = model.pipeline.mean_of_rows(X, noise_ratio)
         corrected = model.pipeline.corrected(table)
         residuals = residuals_without_smoothing(corrected, mean, model.aircraft, options)
         samples[name] = X, residuals
-    return changes_of(model.pipeline, samples, settings)
+        strides[name] = _stride(model.pipeline, table["time"].to_numpy(float))
+    return changes_of(model.pipeline, samples, settings, strides=strides)
+
+
+def _stride(pipeline: Pipeline, time: Vector) -> int:
+    """Return the interval of the rows of the fit, in rows of a flight, at least 1."""
+    seconds = getattr(pipeline, "seconds_", None)
+    if seconds is None or len(time) < 2:
+        return 1
+    n_rows = max(map(len, pipeline[-1].posterior_.data.X))
+    interval = seconds / n_rows
+    return max(1, round(interval / float(np.median(np.diff(time)))))
 
 
 def residuals_without_smoothing(
@@ -210,10 +227,13 @@ def changes_of(
     pipeline: Pipeline,
     samples: dict[str, tuple[Matrix, Matrix]],
     settings: ChangeSettings = SETTINGS,
+    *,
+    strides: Mapping[str, int] | None = None,
 ) -> Changes:
     """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
 
-    Measured coefficients in the residuals are not smoothed.
+    Measured coefficients in the residuals are not smoothed. ``strides`` are the intervals of the
+    rows of the fit, in rows of each flight; without, the fit had all rows.
     """
     p_values = {}
     tables = {}
@@ -231,11 +251,12 @@ def changes_of(
         learned = np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
         among_learned = np.ix_(learned, learned)
         uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
+        stride = 1 if strides is None else strides[flight]
         row = {}
         changes = {}
         for i, coefficient in enumerate(COEFFICIENTS):
-            of_flight = flight_weights(X, residuals[:, i], settings)
-            of_model = uncertainty[i][among_learned]
+            of_flight = flight_weights(X, residuals[:, i], settings, stride)
+            of_model = (uncertainty[i] + of_flight.of_stride)[among_learned]
             row[coefficient] = _p_value(of_flight, learned, of_model)
             std = np.sqrt(np.diag(of_flight.covariance[among_learned] + of_model))
             weights = of_flight.weights
@@ -332,12 +353,14 @@ class FlightWeights(NamedTuple):
     weights: Vector
     #: Covariance, (d + 1, d + 1)
     covariance: Matrix
+    #: Covariance of the difference to weights from rows of a stride only, (d + 1, d + 1)
+    of_stride: Matrix
     #: Degrees of freedom of the covariance; 0, and the covariance NaN, if the flight is too short
     freedom: float
 
 
 def flight_weights(
-    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS
+    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS, stride: int = 1
 ) -> FlightWeights:
     """Return the weights of least squares on the regressors (n, d).
 
@@ -352,12 +375,14 @@ def flight_weights(
     wanted = max(settings.block_times * correlated, n / settings.n_blocks)
     length = min(wanted, n / (k + settings.spare_blocks))
     if length < max(settings.fewest_times * correlated, 2.0):
-        return FlightWeights(weights, np.full((k, k), np.nan), 0.0)
+        unknown = np.full((k, k), np.nan)
+        return FlightWeights(weights, unknown, unknown, 0.0)
     blocks = np.array_split(np.arange(n), int(n / length))
     by_blocks = _jackknife(Q, e, G, blocks)
     by_correlation = _stationary(Q, e, G, settings)
     covariance = (by_blocks + by_correlation) / 2
-    return FlightWeights(weights, covariance, _freedom(Q, G, blocks))
+    of_stride = _stride_covariance(Q, e, G, stride)
+    return FlightWeights(weights, covariance, of_stride, _freedom(Q, G, blocks))
 
 
 def _jackknife(Q: Matrix, e: Vector, G: Matrix, blocks: Sequence[Indices]) -> Matrix:
@@ -379,6 +404,26 @@ def _stationary(Q: Matrix, e: Vector, G: Matrix, settings: ChangeSettings) -> Ma
     lags = np.arange(n) / (settings.longest_lag * n)
     window = np.maximum(1 - lags, 0.0)
     return G @ Q.T @ matmul_toeplitz(autocovariance * window, Q) @ G
+
+
+def _stride_covariance(Q: Matrix, e: Vector, G: Matrix, stride: int) -> Matrix:
+    """Return the covariance of the weights by rows of a stride about those by all, beyond chance.
+
+    White errors make the chance, which the uncertainty of the function has.
+    """
+    n, k = Q.shape
+    errors = []
+    for first in range(stride):
+        rows = slice(first, None, stride)
+        errors.append(stride * G @ (Q[rows].T @ e[rows]))
+    w = np.array(errors)
+    covariance = w.T @ w / stride
+    variance = np.diag(covariance)
+    by_chance = (stride - 1) * (e @ e) / (n - k) * np.diag(G)
+    beyond_chance = np.maximum(variance - by_chance, 0.0)
+    fraction = np.divide(beyond_chance, variance, out=np.zeros(k), where=variance > 0)
+    scale = np.sqrt(fraction)
+    return covariance * scale[:, None] * scale
 
 
 def _freedom(Q: Matrix, G: Matrix, blocks: Sequence[Indices]) -> float:

@@ -27,6 +27,7 @@ from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import (
+    FlightPipeline,
     flight_regressors,
     reconstruction_of,
     regressor_names,
@@ -209,13 +210,12 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     return replace(changes, p_values=changes.p_values.where(is_long, axis=0))
 
 
-def _stride(pipeline: Pipeline, time: Vector) -> int:
+def _stride(pipeline: FlightPipeline, time: Vector) -> int:
     """Return the interval of the rows of the fit, in rows of a flight, at least 1."""
-    seconds = getattr(pipeline, "seconds_", None)
-    if seconds is None or len(time) < 2:
+    if pipeline.seconds_ is None or len(time) < 2:
         return 1
     n_rows = max(map(len, pipeline[-1].posterior_.data.X))
-    interval = seconds / n_rows
+    interval = pipeline.seconds_ / n_rows
     return max(1, round(interval / float(np.median(np.diff(time)))))
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.linalg import matmul_toeplitz
+from scipy.signal import correlate
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 from sklearn.pipeline import Pipeline
@@ -25,6 +27,7 @@ from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import (
+    FlightPipeline,
     flight_regressors,
     reconstruction_of,
     regressor_names,
@@ -45,6 +48,10 @@ class ChangeSettings:
     block_times: float = 4.0
     # shortest block in autocorrelation times; in a shorter flight nothing can be told
     fewest_times: float = 1.0
+    # shortest flight [s]: of unchanged aircraft 12 % raise an alarm in 4 s, 5 % in 6 s
+    fewest_seconds: float = 5.0
+    # lag at which the window of the autocovariances ends, as a fraction of the flight, a guess
+    longest_lag: float = 0.25
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
     # variance of the unknown correlation of the errors of two longitudinal, or two lateral
@@ -125,15 +132,17 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     squares on the regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
     likely change of its derivatives. Without a change their covariance is
 
-    .. math:: C = \frac{B - 1}{B} \sum_b w_b w_b^T + G Q^T K Q G, \quad
-              w_b = G (I - Q_b^T Q_b G)^{-1} Q_b^T e_b.
+    .. math:: C = \frac{C_1 + C_2}{2} + G Q^T K Q G, \quad C_1 = \frac{B - 1}{B} \sum_b w_b w_b^T, \quad
+              C_2 = G Q^T R Q G, \quad w_b = G (I - Q_b^T Q_b G)^{-1} Q_b^T e_b.
 
-    The first part is the jackknife over B blocks of the flight, which are longer than the residuals
-    e of this fit are correlated (Bell & McCaffrey 2002): rougher air widens it. The second part is
-    the uncertainty K of the function, in which the bias of the fit is replaced. Errors of the
-    regressors bias the slopes of least squares. With the covariance :math:`S_0` of the regressors in
-    the fit, and S in the flight, and the covariance c of the regressors with the errors, which is
-    the same in both, the bias of the flight differs by
+    C_1 is the jackknife over B blocks of the flight, which are longer than the residuals e of this
+    fit are correlated (Bell & McCaffrey 2002): rougher air widens it. It is no estimate of a weight
+    that a single block determines, as of a control that moves once, since the fit leaves no residual
+    there. C_2 is the covariance for errors with the autocovariance R of e, whatever the regressors,
+    with Bartlett's window (Newey & West 1987). K is the uncertainty of the function, in which the
+    bias of the fit is replaced. Errors of the regressors bias the slopes of least squares. With the
+    covariance :math:`S_0` of the regressors in the fit, and S in the flight, and the covariance c of
+    the regressors with the errors, which is the same in both, the bias of the flight differs by
 
     .. math:: a = (S^{-1} - S_0^{-1})\, c, \quad c_k = \sum_j \rho_{jk} s_j s_k J_j,
 
@@ -144,11 +153,22 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     an optimal smoother. Between a longitudinal and a lateral regressor it is small, as it changes
     its sign in the mirrored flight, and the equations of motion do not.
 
-    With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
-    :math:`F(k, \nu - k + 1)`. The degrees of freedom follow from the fraction M of C that is the
-    first part, as the second one is no estimate from B blocks (Krishnamoorthy & Yu 2004):
+    A model learns from every m-th row of its flights. Where errors stand at certain times, such as
+    those of a surface's timing at the steps of an input, its weights depend on which rows these are.
+    K has the covariance of the weights by every m-th row of the flight, from each first one on, about
+    those by all, as far as their variance exceeds the one by chance.
 
-    .. math:: \nu = (B - 1) \frac{k + k^2}{\mathrm{tr}\, M^2 + (\mathrm{tr}\, M)^2}.
+    With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
+    :math:`F(k, \nu - k + 1)`. The first part of C has the degrees of freedom of its blocks, which
+    are few if few blocks hold the motion (Pustejovsky & Tipton 2018); those of C follow from the
+    fraction M of C that is the first part, as K is no estimate from blocks (Krishnamoorthy & Yu 2004):
+
+    .. math:: \nu_1 = \frac{k + k^2}{\sum_b \mathrm{tr}\, T_b^2 + (\mathrm{tr}\, T_b)^2}, \quad
+              T_b = Q_b^T Q_b G, \quad
+              \nu = \nu_1 \frac{k + k^2}{\mathrm{tr}\, M^2 + (\mathrm{tr}\, M)^2}.
+
+    Where :math:`\nu` is less than k, or the flight lasts less than ``settings.fewest_seconds``, it
+    is too short: errors that last longer do not show in it.
 
     The p-values of the coefficients are combined into the whole by Simes' test, which allows for
     positive dependence (Simes 1986).
@@ -174,13 +194,29 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     named = named_flights(flights, servos=options.get("servos"))
     tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
     samples = {}
+    strides = {}
+    seconds = {}
     for name, table in tables.items():
+        time = table["time"].to_numpy(float)
+        seconds[name] = time[-1] - time[0]
         X, noise_ratio = flight_regressors(model.pipeline, table)
         mean = model.pipeline.mean_of_rows(X, noise_ratio)
         corrected = model.pipeline.corrected(table)
         residuals = residuals_without_smoothing(corrected, mean, model.aircraft, options)
         samples[name] = X, residuals
-    return changes_of(model.pipeline, samples, settings)
+        strides[name] = _stride(model.pipeline, time)
+    changes = changes_of(model.pipeline, samples, settings, strides=strides)
+    is_long = pd.Series(seconds) >= settings.fewest_seconds
+    return replace(changes, p_values=changes.p_values.where(is_long, axis=0))
+
+
+def _stride(pipeline: FlightPipeline, time: Vector) -> int:
+    """Return the interval of the rows of the fit, in rows of a flight, at least 1."""
+    if pipeline.seconds_ is None or len(time) < 2:
+        return 1
+    n_rows = max(map(len, pipeline[-1].posterior_.data.X))
+    interval = pipeline.seconds_ / n_rows
+    return max(1, round(interval / float(np.median(np.diff(time)))))
 
 
 def residuals_without_smoothing(
@@ -199,10 +235,13 @@ def changes_of(
     pipeline: Pipeline,
     samples: dict[str, tuple[Matrix, Matrix]],
     settings: ChangeSettings = SETTINGS,
+    *,
+    strides: Mapping[str, int] | None = None,
 ) -> Changes:
     """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
 
-    Measured coefficients in the residuals are not smoothed.
+    Measured coefficients in the residuals are not smoothed. ``strides`` are the intervals of the
+    rows of the fit, in rows of each flight; without, the fit had all rows.
     """
     p_values = {}
     tables = {}
@@ -220,14 +259,15 @@ def changes_of(
         learned = np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
         among_learned = np.ix_(learned, learned)
         uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
+        stride = 1 if strides is None else strides[flight]
         row = {}
         changes = {}
         for i, coefficient in enumerate(COEFFICIENTS):
-            weights, scatter, n_blocks = block_weights(X, residuals[:, i], settings)
-            of_flight = scatter[among_learned]
-            of_model = uncertainty[i][among_learned]
-            row[coefficient] = _p_value(weights[learned], of_flight, of_model, n_blocks)
-            std = np.sqrt(np.diag(of_flight + of_model))
+            of_flight = flight_weights(X, residuals[:, i], settings, stride)
+            of_model = (uncertainty[i] + of_flight.of_stride)[among_learned]
+            row[coefficient] = _p_value(of_flight, learned, of_model)
+            std = np.sqrt(np.diag(of_flight.covariance[among_learned] + of_model))
+            weights = of_flight.weights
             names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
             for k, error in zip(learned, std, strict=True):
                 changes[names[k]] = {"change": weights[k] / scale[k], "std": error / scale[k]}
@@ -314,44 +354,111 @@ def _biases(
     return in_fit, (X[rows] - X.mean(axis=0)) @ further
 
 
-def block_weights(
-    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS
-) -> tuple[Vector, Matrix, int]:
-    """Return weights (d + 1,) of least squares, their jackknife covariance and the number of blocks.
+class FlightWeights(NamedTuple):
+    """Weights of least squares in a flight."""
 
-    The number is 0, and the covariance NaN, if the rows (n, d) are too few for blocks that are
-    longer than the correlation of the residuals.
+    #: (d + 1,)
+    weights: Vector
+    #: Covariance, (d + 1, d + 1)
+    covariance: Matrix
+    #: Covariance of the difference to weights from rows of a stride only, (d + 1, d + 1)
+    of_stride: Matrix
+    #: Degrees of freedom of the covariance; 0, and the covariance NaN, if the flight is too short
+    freedom: float
+
+
+def flight_weights(
+    X: Matrix, residual: Vector, settings: ChangeSettings = SETTINGS, stride: int = 1
+) -> FlightWeights:
+    """Return the weights of least squares on the regressors (n, d).
+
+    The flight is too short if its blocks are shorter than the residuals are correlated.
     """
     Q = _terms(X)
     n, k = Q.shape
-    G = np.linalg.pinv(Q.T @ Q, hermitian=True)
+    G = np.asarray(np.linalg.pinv(Q.T @ Q, hermitian=True), dtype=float)
     weights = G @ (Q.T @ residual)
     e = residual - Q @ weights
     correlated = autocorrelation_time(residual)
     wanted = max(settings.block_times * correlated, n / settings.n_blocks)
     length = min(wanted, n / (k + settings.spare_blocks))
     if length < max(settings.fewest_times * correlated, 2.0):
-        return weights, np.full((k, k), np.nan), 0
-    n_blocks = int(n / length)
-    of_blocks = []
-    for rows in np.array_split(np.arange(n), n_blocks):
-        left_out = np.eye(k) - Q[rows].T @ Q[rows] @ G
+        unknown = np.full((k, k), np.nan)
+        return FlightWeights(weights, unknown, unknown, 0.0)
+    blocks = np.array_split(np.arange(n), int(n / length))
+    by_blocks = _jackknife(Q, e, G, blocks)
+    by_correlation = _stationary(Q, e, G, settings)
+    covariance = (by_blocks + by_correlation) / 2
+    of_stride = _stride_covariance(Q, e, G, stride)
+    return FlightWeights(weights, covariance, of_stride, _freedom(Q, G, blocks))
+
+
+def _jackknife(Q: Matrix, e: Vector, G: Matrix, blocks: Sequence[Indices]) -> Matrix:
+    """Return the covariance of the weights by their changes w_b without each block."""
+    errors = []
+    for rows in blocks:
+        left_out = np.eye(len(G)) - Q[rows].T @ Q[rows] @ G
         score = Q[rows].T @ e[rows]
-        of_blocks.append(G @ (np.linalg.pinv(left_out) @ score))
-    errors = np.array(of_blocks)
-    return weights, errors.T @ errors * (n_blocks - 1) / n_blocks, n_blocks
+        errors.append(G @ (np.linalg.pinv(left_out) @ score))
+    w = np.array(errors)
+    n_blocks = len(blocks)
+    return w.T @ w * (n_blocks - 1) / n_blocks
 
 
-def _p_value(weights: Vector, scatter: Matrix, uncertainty: Matrix, n_blocks: int) -> float:
-    """Return the probability of weights as far from zero, NaN without blocks."""
-    if n_blocks == 0:
+def _stationary(Q: Matrix, e: Vector, G: Matrix, settings: ChangeSettings) -> Matrix:
+    """Return the covariance G Q^T R Q G of the weights, for errors of the autocovariance of e (n,)."""
+    n, k = Q.shape
+    autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k)
+    lags = np.arange(n) / (settings.longest_lag * n)
+    window = np.maximum(1 - lags, 0.0)
+    return G @ Q.T @ matmul_toeplitz(autocovariance * window, Q) @ G
+
+
+def _stride_covariance(Q: Matrix, e: Vector, G: Matrix, stride: int) -> Matrix:
+    """Return the covariance of the weights by rows of a stride about those by all, beyond chance.
+
+    White errors make the chance, which the uncertainty of the function has.
+    """
+    n, k = Q.shape
+    errors = []
+    for first in range(stride):
+        rows = slice(first, None, stride)
+        errors.append(stride * G @ (Q[rows].T @ e[rows]))
+    w = np.array(errors)
+    covariance = w.T @ w / stride
+    variance = np.diag(covariance)
+    by_chance = (stride - 1) * (e @ e) / (n - k) * np.diag(G)
+    beyond_chance = np.maximum(variance - by_chance, 0.0)
+    fraction = np.divide(beyond_chance, variance, out=np.zeros(k), where=variance > 0)
+    scale = np.sqrt(fraction)
+    return covariance * scale[:, None] * scale
+
+
+def _freedom(Q: Matrix, G: Matrix, blocks: Sequence[Indices]) -> float:
+    """Return the degrees of freedom of a covariance from blocks, (k + k^2) / sum_b (tr T_b^2 + (tr T_b)^2)."""
+    squares = 0.0
+    rank = 0.0
+    for rows in blocks:
+        T = Q[rows].T @ Q[rows] @ G
+        rank += np.trace(T)
+        squares += np.trace(T @ T) + np.trace(T) ** 2
+    return float((rank + rank**2) / squares)
+
+
+def _p_value(flight: FlightWeights, learned: Indices, uncertainty: Matrix) -> float:
+    """Return the probability of the ``learned`` weights as far from zero, NaN if the flight is too short."""
+    if flight.freedom == 0:
         return float("nan")
+    weights = flight.weights[learned]
+    scatter = flight.covariance[np.ix_(learned, learned)]
     k = len(weights)
     inverse = np.linalg.pinv(scatter + uncertainty, hermitian=True)
     fraction = scatter @ inverse
-    # of Krishnamoorthy & Yu 2004; n_blocks - 1 if the scatter is all
+    # of Krishnamoorthy & Yu 2004; those of the flight if the scatter is all
     estimated = np.trace(fraction @ fraction) + np.trace(fraction) ** 2
-    freedom = (n_blocks - 1) * (k + k**2) / estimated
+    freedom = flight.freedom * (k + k**2) / estimated
+    if freedom <= k - 1:
+        return float("nan")
     statistic = weights @ inverse @ weights * (freedom - k + 1) / (freedom * k)
     return float(f_distribution.sf(statistic, k, freedom - k + 1))
 

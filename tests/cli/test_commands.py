@@ -149,6 +149,13 @@ class TestValidate:
         report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
         assert "a model on other flights" in report
 
+    def test_four_seconds_are_too_short_for_a_change(self, model):
+        flight = pd.read_csv("test.csv")
+        short = flight[flight["time"] < flight["time"].iloc[0] + 4.0]
+        changes = changed(model, short)
+        assert changes.p_values.isna().all(axis=None)
+        assert "too short" in changes.summary()[0]
+
     def test_needs_no_folder_and_no_facts(self, command, model, tmp_path, capsys):
         bare = save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
         assert command(["validate", str(bare), "test.csv", "--horizons", "1"]) == 0

@@ -60,7 +60,7 @@ def changes(model, flights, change=0.0):
 
 def test_flights_of_the_same_aircraft_in_other_gusts_raise_few_alarms(model):
     flights = {
-        str(seed): flight(seed, noise) for seed, noise in enumerate([0.01, 0.02, 0.04] * 20, 1)
+        str(seed): flight(seed, noise) for seed, noise in enumerate([0.01, 0.02, 0.04] * 15, 1)
     }
     p_values = changes(model, flights).p_values
     assert (p_values < 0.05).mean().max() < 0.2
@@ -222,3 +222,54 @@ def test_a_short_flight_tells_nothing(model):
     result = changes(model, {"short": (X[:25], Y[:25])}, change=1.0)
     assert result.p_values.isna().all(axis=None)
     assert "too short" in result.summary()[0]
+
+
+def flight_with_one_pulse(seed, change=0.0):
+    """Return a flight of 160 rows whose elevator moves once, for 6 rows."""
+    X, Y = flight(seed, 0.02)
+    X, Y = X[:160], Y[:160]
+    pulse = np.zeros(len(X))
+    pulse[70:76] = 0.1
+    Y = Y + np.outer(pulse - X["elevator"], SLOPES[2])
+    Y[:, 4] += change * pulse
+    return X.assign(elevator=pulse), Y
+
+
+def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
+    """The fit leaves no residual where a single block determines a weight, so blocks show no error."""
+    same = {str(seed): flight_with_one_pulse(seed) for seed in range(1, 21)}
+    assert (changes(model, same).p_values < 0.05).mean().max() < 0.2
+    changed_effect = {"other": flight_with_one_pulse(21, change=1.0)}
+    assert changes(model, changed_effect).p_values.loc["other", "Cm"] < 0.01
+
+
+def flight_with_late_steps(seed):
+    """Return a flight whose elevator steps at every fourth row, half a row later than it is logged."""
+    X, Y = flight(seed, 0.005)
+    signs = np.random.default_rng(1000 + seed).choice([-0.1, 0.1], size=len(X) // 8 + 1)
+    logged = np.repeat(signs, 8)[: len(X)]
+    late = (logged + np.append(logged[0], logged[:-1])) / 2
+    Y = Y + np.outer(late - X["elevator"], SLOPES[2])
+    return X.assign(elevator=logged), Y
+
+
+def test_steps_that_the_rows_of_the_fit_miss_are_no_change():
+    """The fit has the rows between the steps, which alone show the error of their timing."""
+    stride = 4
+    X, Y = flight_with_late_steps(0)
+    rows = slice(2, None, stride)
+    regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
+    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
+    time = np.arange(len(X)) * 0.05
+    pipeline.fit(X[rows], Y[rows], dependentgpregressor__time=time[rows])
+    samples = {}
+    for seed in range(1, 9):
+        X, Y = flight_with_late_steps(seed)
+        samples[str(seed)] = np.asarray(pipeline[:-1].transform(X)), Y - pipeline.predict(X)
+    assert (changes_of(pipeline, samples).p_values["Cm"] < 0.05).mean() > 0.8
+    strides = dict.fromkeys(samples, stride)
+    assert (changes_of(pipeline, samples, strides=strides).p_values["Cm"] < 0.05).mean() < 0.2
+    X, measured = samples["1"]
+    measured[:, 4] -= 0.3 * SLOPES[2, 4] * X[:, 2] * pipeline["standardscaler"].scale_[2]
+    weak = changes_of(pipeline, {"weak": (X, measured)}, strides={"weak": stride})
+    assert weak.p_values.loc["weak", "Cm"] < 0.01

@@ -240,8 +240,18 @@ def changes_of(
 ) -> Changes:
     """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
 
-    Measured coefficients in the residuals are not smoothed. ``strides`` are the intervals of the
-    rows of the fit, in rows of each flight; without, the fit had all rows.
+    Parameters
+    ----------
+    pipeline : Pipeline
+    samples : dict of str to (ndarray (n, d), ndarray (n, 6))
+        Of each flight; measured coefficients in the residuals are not smoothed.
+    settings : ChangeSettings
+    strides : mapping of str to int, optional
+        Intervals of the rows of the fit, in rows of each flight; by default the fit had all rows.
+
+    Returns
+    -------
+    Changes
     """
     p_values = {}
     tables = {}

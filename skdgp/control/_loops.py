@@ -250,6 +250,11 @@ def autopilot_loops(
     _check_full(full)
     is_px4 = "FW_RR_P" in known or "FW_PR_P" in known
     is_ardupilot = "RLL_RATE_P" in known or "PTCH_RATE_P" in known
+    if known.get("YAW_RATE_ENABLE", 0) and "rudder" in full:
+        raise ValueError(
+            "Got YAW_RATE_ENABLE=1 and the rudder in full, but the law of ArduPilot's yaw rate controller is not "
+            "known here: leave the rudder out of full."
+        )
     if is_px4 and is_ardupilot:
         raise ValueError(
             "Got gains of PX4 (FW_RR_P, FW_PR_P) and of ArduPilot (RLL_RATE_P, PTCH_RATE_P), but expected those of "
@@ -293,18 +298,16 @@ def autopilot_loops(
 
 
 def _check_parameters(known):
-    """Raise ValueError of parameters of control laws that are no finite numbers, or of which laws are not known."""
+    """Raise ValueError of parameters of control laws that are no finite numbers, or divide and are not above zero."""
     for name, value in known.items():
         is_number = isinstance(value, NUMBERS) and np.isfinite(value)
-        if name.startswith(OF_LAWS) and not is_number:
+        if str(name).startswith(OF_LAWS) and not is_number:
             raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
-        if name in POSITIVE and not value > 0:
-            raise ValueError(f"Got {name}={value:g}, but expected a number above zero.")
-    if known.get("YAW_RATE_ENABLE", 0):
-        raise ValueError(
-            "Got YAW_RATE_ENABLE=1, but expected 0: the law of ArduPilot's yaw rate controller is not known here. "
-            "Set YAW_RATE_ENABLE to 0 in the file to leave the yaw loop to YAW2SRV_*."
-        )
+    # without scaling by the airspeed that of the trim does not count
+    is_scaled = known.get("FW_ARSP_SCALE_EN", 1)
+    for name in POSITIVE & {*known}:
+        if not known[name] > 0 and (is_scaled or not name.startswith("FW_AIRSPD")):
+            raise ValueError(f"Got {name}={known[name]:g}, but expected a number above zero.")
 
 
 def _check_full(full):
@@ -420,8 +423,9 @@ def _loop(name, parameters, unit, known, full, **settings):
     control = LOOP_AXES[name][2]
     values = {gain: known.get(parameter, 0.0) for gain, parameter in parameters.items()}
     feeds_back = any(values[gain] for gain in ("P", "I", "D"))
-    # FF closes the loop of the attitude
-    feeds_attitude = values["FF"] and np.isfinite(settings["time_constant"])
+    # FF closes the loop of the attitude, or of the turn
+    commands = np.isfinite(settings["time_constant"]) or settings.get("coordination", 0.0)
+    feeds_attitude = values["FF"] and commands
     if control not in full or not (feeds_back or feeds_attitude):
         return []
     named = {parameter: known[parameter] for parameter in parameters.values() if parameter in known}

@@ -192,8 +192,9 @@ def _whole_flight(
     path = estimate.path
     to_body = path.attitude.inv()
     force, rates = path.inertial(sensors)
-    inertial = sensors.readings[:, INERTIAL_READINGS]
-    vibration = vibration_covariance(inertial, estimate.off_path, settings)
+    inertial = np.concatenate([force + sensors.acceleration, rates], axis=1)
+    rate = 1 / np.median(np.diff(sensors.time))
+    vibration = vibration_covariance(inertial, estimate.off_path, rate, settings)
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
     periods, surface_errors = _own_clocks(sensors.time, surfaces)
@@ -257,8 +258,10 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
     for record in records:
         measured = record.measured[:, INERTIAL_READINGS]
         if record.vibration.any():
-            inertial = np.concatenate([record.force, record.rates], axis=1)
-            measured = without_vibration(inertial, record.vibration)
+            # the axial force may stand in place of CX
+            of_path = np.concatenate([record.force, record.rates], axis=1)
+            complete = np.where(np.isnan(measured), of_path, measured)
+            measured = without_vibration(complete, record.vibration)
         noises.append(third_differences(measured[:, sensors]))
     variances = np.mean(np.concatenate(noises) ** 2, axis=0)
     return max(np.sqrt(np.nanmin(variances)), least)

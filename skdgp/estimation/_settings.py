@@ -194,6 +194,12 @@ class AirSettings:
     least_vibration: float = 10.0
     # the same over the third direction: 2.7 and more; errors of the attitude are alike in three, 1.5 at most
     vibration_ratio: float = 2.0
+    # sum of the two largest eigenvalues of their correlations, of 6: 4.1 and more where an oscillation is in all,
+    # 2.1 of separate noises
+    least_shared: float = 3.5
+    # rate of samples [Hz] below which motion itself has large third differences: there is none of 12 flights at
+    # 50 Hz taken for vibration, but 3 at 25 Hz
+    least_vibration_rate: float = 40.0
     # factor of the standard deviations where flights vibrate; trials on these flights
     vibrating: float = 1.5
 

@@ -8,7 +8,8 @@ sampling folds this to. The other four directions are free of it.
 Both the third differences of the readings and the readings less those of the path over the ground show it,
 fast vibration the former and slow vibration the latter. In units of usual noises their
 covariance C has the eigenvalues :math:`\lambda_1 \le ... \le \lambda_6`. Readings vibrate where two are large,
-:math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`. Their directions are the
+:math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`, and where two directions
+make most of every channel. These are the
 two common factors of the third differences (Lawley & Maxwell 1971), or eigenvectors of what the path shows.
 """
 
@@ -17,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from sklearn.decomposition import FactorAnalysis
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.estimation._sensors import AIR_NOISE, third_differences
 from skdgp.estimation._settings import AirSettings
@@ -27,7 +29,9 @@ DIRECTIONS = 2
 """Directions of an oscillation."""
 
 
-def vibration_covariance(readings: Matrix, off_path: Matrix, settings: AirSettings) -> Matrix:
+def vibration_covariance(
+    readings: Matrix, off_path: Matrix, rate: float, settings: AirSettings
+) -> Matrix:
     """Return the covariance (6, 6) of the vibration of readings (n, 6) [SI]; zero where they do not vibrate.
 
     It is as large as the readings in the directions of the vibration, which also contain motion: vibration
@@ -39,16 +43,24 @@ def vibration_covariance(readings: Matrix, off_path: Matrix, settings: AirSettin
         Of accelerometers and gyros.
     off_path : ndarray (k, 6)
         The readings by the path over the ground less those of the sensors.
+    rate : float
+        Of the samples [Hz]. Slow logs tell no vibration from motion.
     settings : AirSettings
     """
+    none = np.zeros((6, 6))
+    if rate < settings.least_vibration_rate:
+        return none
     scaled = readings / USUAL
     differences = third_differences(scaled)
     fast, _ = _principal(differences)
     slow, directions = _principal(off_path / USUAL)
     rest, smaller = max((fast[-3:-1], slow[-3:-1]), key=lambda pair: pair[1])
     if smaller < max(settings.least_vibration, settings.vibration_ratio * rest):
-        return np.zeros((6, 6))
-    if fast[-2] >= slow[-2]:
+        return none
+    is_fast = fast[-2] >= slow[-2]
+    if not _is_shared(differences if is_fast else off_path, settings):
+        return none
+    if is_fast:
         # gusts shake az, and little else: one channel alone is no vibration
         B = FactorAnalysis(DIRECTIONS, svd_method="lapack").fit(differences).components_.T
     else:
@@ -56,6 +68,14 @@ def vibration_covariance(readings: Matrix, off_path: Matrix, settings: AirSettin
     plane, _ = np.linalg.qr(B)
     whole = np.var(scaled @ plane, axis=0).sum()
     return np.outer(USUAL, USUAL) * (B @ B.T) * whole / np.sum(B**2)
+
+
+def _is_shared(values: Matrix, settings: AirSettings) -> bool:
+    """Return whether two directions make most of all channels of values (n, 6), none of which is constant."""
+    if constant_columns(values).any():
+        return False
+    correlations = np.corrcoef(values.T)
+    return bool(np.linalg.eigvalsh(correlations)[-DIRECTIONS:].sum() >= settings.least_shared)
 
 
 def _principal(values: Matrix) -> tuple[Vector, Matrix]:

@@ -65,6 +65,7 @@ TYPES = {
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
+OF_TEXTS = ("n", "N", "Z")
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 # messages that describe the log, and are no topics
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -338,8 +339,12 @@ def _read_texts(path: Path) -> dict[str, Messages]:
     messages = {}
     for name in rows:
         codes, columns = formats[name]
-        table = pd.DataFrame(rows[name], columns=columns, dtype=object)
-        by_name = {column: _numbers_or_texts(table[column]) for column in columns}
+        cells_of = dict(zip(columns, zip(*rows[name], strict=True), strict=True))
+        code_of = dict(zip(columns, codes, strict=False))
+        by_name = {}
+        for column, values in cells_of.items():
+            texts = np.array(values, dtype=object)
+            by_name[column] = texts if code_of.get(column, "") in OF_TEXTS else _numbers(texts)
         messages[name] = Messages(codes, by_name, np.array(places[name], float))
     return messages
 
@@ -349,10 +354,10 @@ def _cells(line: str, most: int = -1) -> list[str]:
     return [cell.strip() for cell in line.split(",", most)]
 
 
-def _numbers_or_texts(column: pd.Series) -> np.ndarray:
-    """Return the numbers of a column of texts, NaN where there is none; as it is without any number."""
-    numbers = pd.to_numeric(column, errors="coerce").to_numpy(float)
-    return numbers if np.isfinite(numbers).any() else column.to_numpy()
+def _numbers(texts: np.ndarray) -> np.ndarray:
+    """Return the numbers of texts, NaN where there is none; as they are without any number."""
+    numbers = pd.to_numeric(pd.Series(texts), errors="coerce").to_numpy(float)
+    return numbers if np.isfinite(numbers).any() else texts
 
 
 def _log(

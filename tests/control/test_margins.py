@@ -162,6 +162,14 @@ def test_a_feed_forward_alone_closes_the_loop_of_the_attitude():
     assert_allclose(laws["phi"], -0.4 * 0.3 / 0.5)
 
 
+def test_parameters_that_do_not_count_are_no_errors():
+    """The trim's airspeed of gains that are not scaled, the yaw controller of a rudder that is left out."""
+    autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4})
+    autopilot_loops({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"aileron": 0.4})
+    yaw = UNFILTERED | {"FW_RR_P": 0.0, "FW_YR_FF": 0.3}
+    assert autopilot_loops(yaw, {"rudder": 0.3})[0].name == "yaw"
+
+
 def test_a_control_without_gains_is_named():
     with pytest.warns(UserWarning, match="no gains other than zero for rudder"):
         autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
@@ -322,7 +330,7 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4}, "above zero"),
         ({"FW_RR_P": 0.1, "FW_R_TC": 0.0}, {"aileron": 0.4}, "above zero"),
         ({"RLL_RATE_P": 0.1, "AIRSPEED_MIN": 0.0}, {"aileron": 0.4}, "above zero"),
-        ({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"aileron": 0.4}, "yaw rate controller"),
+        ({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"rudder": 0.4}, "yaw rate controller"),
     ],
 )
 def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):

@@ -11,7 +11,7 @@ NOISE = np.array([0.1, 0.1, 0.1, 0.005, 0.005, 0.005])  # [m/s^2], [rad/s]
 SIZES = np.array([2.0, 1.5, 2.5, 0.03, 0.05, 0.02])
 PHASES = np.array([0.3, 1.9, -2.5, 0.8, -1.2, 2.9])
 MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-STEP, N_ROWS = 0.02, 4000
+STEP, N_ROWS, RATE = 0.02, 4000, 50.0
 
 
 def oscillation(frequency, sizes=SIZES, phases=PHASES):
@@ -24,7 +24,7 @@ def covariance_of(shake, seen_by_path=0.0):
     """Return what is found in noisy readings of an oscillation, of which the path sees a part."""
     noise = default_rng(0).normal(0.0, NOISE, shake.shape)
     readings = shake + noise
-    return vibration_covariance(readings, -seen_by_path * readings, AirSettings())
+    return vibration_covariance(readings, -seen_by_path * readings, RATE, AirSettings())
 
 
 @pytest.mark.parametrize(("frequency", "seen_by_path"), [(11.3, 0.0), (88.0, 0.0), (1.7, 0.5)])
@@ -42,8 +42,8 @@ def test_noise_of_its_two_directions(frequency, seen_by_path):
 
 def test_of_a_mirrored_flight():
     shake = oscillation(8.0)
-    direct = vibration_covariance(shake, 0.0 * shake, AirSettings())
-    mirrored = vibration_covariance(MIRROR * shake, 0.0 * shake, AirSettings())
+    direct = vibration_covariance(shake, 0.0 * shake, RATE, AirSettings())
+    mirrored = vibration_covariance(MIRROR * shake, 0.0 * shake, RATE, AirSettings())
     assert_allclose(mirrored, np.outer(MIRROR, MIRROR) * direct, atol=1e-12)
 
 
@@ -52,5 +52,19 @@ def test_none_of_noise_motion_and_errors_of_the_attitude():
     noise = rng.normal(0.0, NOISE, (N_ROWS, 6))
     one_axis = oscillation(9.0, sizes=np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
     attitude = rng.normal(0.0, 10 * NOISE, (N_ROWS, 6)) * [0, 0, 0, 1, 1, 1]
-    for readings, off_path in ((noise, noise), (one_axis + noise, noise), (noise, attitude)):
-        assert not vibration_covariance(readings, off_path, AirSettings()).any()
+    two_noisy = rng.normal(0.0, NOISE, (N_ROWS, 6)) * [1, 10, 10, 1, 1, 1]
+    still = np.zeros_like(noise)
+    for readings, off_path in (
+        (noise, noise),
+        (one_axis + noise, noise),
+        (noise, attitude),
+        (two_noisy, noise),
+        (still, still),
+    ):
+        assert not vibration_covariance(readings, off_path, RATE, AirSettings()).any()
+
+
+def test_slow_logs_do_not_tell_it_from_motion():
+    shake = oscillation(8.0)
+    assert vibration_covariance(shake, shake, RATE, AirSettings()).any()
+    assert not vibration_covariance(shake, shake, 25.0, AirSettings()).any()

@@ -152,6 +152,9 @@ def test_a_log_in_text(told, parse):
         "FMT, 130, 23, ARSP, QBfBB, TimeUS,I,Airspeed,H,Pri",
         "FMT, 131, 23, PARM, QNf, TimeUS,Name,Value",
         "FMT, 132, 23, PIDR, Qff, TimeUS,P,I",
+        "FMT, 133, 75, MSG, QZ, TimeUS,Message",
+        "MSG, 0, ArduPlane V4.5.1 (abc)",
+        "MSG, 1, 42",
         "PARM, 0, AIRSPEED_MIN, 12",
         "PARM, 0, SERVO1_FUNCTION, damaged",
         "PARM, 0",
@@ -165,7 +168,9 @@ def test_a_log_in_text(told, parse):
     text = "\n".join(lines)
     table = told("ARSP#1", text, "sortie.log")
     assert table.airspeed.min() == table.airspeed.max() == 20.0
-    assert [*parse(text, "sortie.log").topics] == ["ARSP", "ARSP#1", "IMU", "PIDR"]
+    log = parse(text, "sortie.log")
+    assert [*log.topics] == ["ARSP", "ARSP#1", "IMU", "PIDR"]
+    assert log.firmware.startswith("ArduPlane V4.5.1")
     assert_allclose(table.p, 0.05 * table.time, atol=1e-3)
 
 

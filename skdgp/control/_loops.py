@@ -343,10 +343,16 @@ def _px4_loops(known, full):
     is_measured = known.get("FW_USE_AIRSPD", 1) and not known.get("FW_ARSP_MODE", 0)
     if known.get("FW_ARSP_SCALE_EN", 1) and is_measured:
         trim = _airspeed(known, "FW_AIRSPD_TRIM")
+        # the firmware refuses a trim beyond its limits: defaults that a file lacks hold where they include it
+        limits = {"FW_AIRSPD_STALL": 0.1, "FW_AIRSPD_MAX": 1000.0}
+        if DEFAULTS["FW_AIRSPD_STALL"] < trim:
+            limits["FW_AIRSPD_STALL"] = DEFAULTS["FW_AIRSPD_STALL"]
+        if DEFAULTS["FW_AIRSPD_MAX"] > trim:
+            limits["FW_AIRSPD_MAX"] = DEFAULTS["FW_AIRSPD_MAX"]
         scaling = {
             "scaling_speed": trim,
-            "least_scaling": trim / _airspeed(known, "FW_AIRSPD_MAX"),
-            "most_scaling": trim / _airspeed(known, "FW_AIRSPD_STALL"),
+            "least_scaling": trim / known.get("FW_AIRSPD_MAX", limits["FW_AIRSPD_MAX"]),
+            "most_scaling": trim / known.get("FW_AIRSPD_STALL", limits["FW_AIRSPD_STALL"]),
         }
     filters = {
         "gyro_corner": _corner(known, "IMU_GYRO_CUTOFF", 40.0),

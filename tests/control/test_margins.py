@@ -124,6 +124,7 @@ def test_px4_without_airspeed_does_not_scale_its_gains():
     [
         ({"FW_RR_P": 0.1}, (7.0, 20.0), 15.0),
         ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 12.0, "FW_AIRSPD_STALL": 9.0}, (9.0, 20.0), 12.0),
+        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 30.0}, (7.0, 1000.0), 30.0),
         ({"RLL_RATE_P": 0.1}, (0.7 * 9.0, 44.0), 15.0),
     ],
 )

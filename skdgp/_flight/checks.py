@@ -161,10 +161,15 @@ def check_number(
     raise ValueError(f"Got {name}={value!r}, but expected {bound}.")
 
 
-def check_full_deflection(name: str, value: object, unit: str = "rad") -> float:
-    """Return the value of a control at full output, of surfaces at most a right angle; raise ValueError at others."""
+def check_full_deflection(name: str, value: object, unit: str = "") -> float:
+    """Return the value of a control at full output, which is above zero; raise ValueError at others.
+
+    The unit of surfaces is by default rad, and a right angle is the most.
+    """
+    if not unit and name in (*ALL_SURFACES, *HIGH_LIFT):
+        unit = "rad"
     number = check_number(f"full deflection of the {name}", value, unit=unit)
-    if name in (*ALL_SURFACES, *HIGH_LIFT) and number > np.pi / 2:
+    if unit == "rad" and number > np.pi / 2:
         raise ValueError(
             f"Got a full deflection of the {name} of {number:g} rad, but expected at most {np.pi / 2:.3g}: "
             "radians, not degrees."

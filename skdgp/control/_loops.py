@@ -223,7 +223,8 @@ def autopilot_loops(
         rudder's ``FW_RLL_TO_YAW_FF``. ArduPilot Plane 4.1 and newer: ``RLL_RATE_*``, ``PTCH_RATE_*``,
         ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``, ``SCALING_SPEED``,
         ``INS_GYRO_FILTER``. Gains that are missing are zero, and a missing time constant of PX4 means that
-        only the rate is fed back; other missing parameters have the firmware's defaults.
+        only the rate is fed back; other missing parameters have the firmware's defaults, limits of the airspeed if
+        they include that of the trim.
     full : mapping of str to float
         Deflection [rad] of aileron, elevator and rudder at an output of 1, positive. Loops of controls
         that are not named are left out.
@@ -291,7 +292,6 @@ def autopilot_loops(
         warn(
             f"The parameters have no gains other than zero for {' and '.join(open_controls)}: no loop moves "
             "them. Leave them out of full, or save all parameters of the autopilot.",
-            UserWarning,
             stacklevel=2,
         )
     return loops
@@ -343,16 +343,17 @@ def _px4_loops(known, full):
     is_measured = known.get("FW_USE_AIRSPD", 1) and not known.get("FW_ARSP_MODE", 0)
     if known.get("FW_ARSP_SCALE_EN", 1) and is_measured:
         trim = _airspeed(known, "FW_AIRSPD_TRIM")
-        # the firmware refuses a trim beyond its limits: defaults that a file lacks hold where they include it
-        limits = {"FW_AIRSPD_STALL": 0.1, "FW_AIRSPD_MAX": 1000.0}
-        if DEFAULTS["FW_AIRSPD_STALL"] < trim:
-            limits["FW_AIRSPD_STALL"] = DEFAULTS["FW_AIRSPD_STALL"]
-        if DEFAULTS["FW_AIRSPD_MAX"] > trim:
-            limits["FW_AIRSPD_MAX"] = DEFAULTS["FW_AIRSPD_MAX"]
+        slowest = _airspeed(known, "FW_AIRSPD_STALL")
+        fastest = _airspeed(known, "FW_AIRSPD_MAX")
+        # the firmware refuses a trim beyond its limits, so a default that excludes the trim is not its limit
+        if slowest > trim and "FW_AIRSPD_STALL" not in known:
+            slowest = 0.1
+        if fastest < trim and "FW_AIRSPD_MAX" not in known:
+            fastest = 1000.0
         scaling = {
             "scaling_speed": trim,
-            "least_scaling": trim / known.get("FW_AIRSPD_MAX", limits["FW_AIRSPD_MAX"]),
-            "most_scaling": trim / known.get("FW_AIRSPD_STALL", limits["FW_AIRSPD_STALL"]),
+            "least_scaling": trim / fastest,
+            "most_scaling": trim / slowest,
         }
     filters = {
         "gyro_corner": _corner(known, "IMU_GYRO_CUTOFF", 40.0),

@@ -92,17 +92,6 @@ def errors_of_sizes(
     return errors
 
 
-def log_errors(
-    deviations: Mapping[str, ScaleFactor],
-    inertia: Array,
-    regressors: tuple[str, ...],
-    values: Array,
-) -> Array:
-    """Return errors of coefficients and slopes by each error of the log, as of `errors_of_sizes`."""
-    of_log = {name: factor for name, factor in deviations.items() if factor.of_log}
-    return errors_of_sizes(of_log, inertia, regressors, values)
-
-
 def _added(factor: ScaleFactor, regressors: tuple[str, ...]) -> Array:
     """Return what a factor adds to coefficients and slopes, (6, 1 + regressors)."""
     added = np.zeros((len(COEFFICIENTS), 1 + len(regressors)))

@@ -197,8 +197,8 @@ class AirSettings:
     # sum of the two largest eigenvalues of their correlations, of 6: 4.1 and more where an oscillation is in all,
     # 2.1 of separate noises
     least_shared: float = 3.5
-    # rate of samples [Hz] below which motion itself has large third differences: there is none of 12 flights at
-    # 50 Hz taken for vibration, but 3 at 25 Hz
+    # least rate of samples [Hz]: at slower ones third differences show motion too; of 12 flights without
+    # vibration 3 were taken for it at 25 Hz, none at 50 Hz
     least_vibration_rate: float = 40.0
     # factor of the standard deviations where flights vibrate; trials on these flights
     vibrating: float = 1.5

@@ -44,7 +44,7 @@ def vibration_covariance(
     off_path : ndarray (k, 6)
         The readings by the path over the ground less those of the sensors.
     rate : float
-        Of the samples [Hz]. Slow logs tell no vibration from motion.
+        Of the samples [Hz]; slow ones do not tell vibration from motion.
     settings : AirSettings
     """
     none = np.zeros((6, 6))
@@ -54,10 +54,10 @@ def vibration_covariance(
     differences = third_differences(scaled)
     fast, _ = _principal(differences)
     slow, directions = _principal(off_path / USUAL)
-    rest, smaller = max((fast[-3:-1], slow[-3:-1]), key=lambda pair: pair[1])
+    is_fast = fast[-2] >= slow[-2]
+    rest, smaller, _ = (fast if is_fast else slow)[-3:]
     if smaller < max(settings.least_vibration, settings.vibration_ratio * rest):
         return none
-    is_fast = fast[-2] >= slow[-2]
     if not _is_shared(differences if is_fast else off_path, settings):
         return none
     if is_fast:

@@ -155,8 +155,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
 
     A model learns from every m-th row of its flights. Where errors stand at certain times, such as
     those of a surface's timing at the steps of an input, its weights depend on which rows these are.
-    K has the covariance of the weights by every m-th row of the flight, from each first one on, about
-    those by all, as far as their variance exceeds the one by chance.
+    C therefore also has the covariance of the weights by every m-th row of the flight, from each first
+    one on, about those by all, as far as their variance exceeds the one by chance.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The first part of C has the degrees of freedom of its blocks, which
@@ -214,8 +214,7 @@ def _stride(pipeline: FlightPipeline, time: Vector) -> int:
     """Return the interval of the rows of the fit, in rows of a flight, at least 1."""
     if pipeline.seconds_ is None or len(time) < 2:
         return 1
-    n_rows = max(map(len, pipeline[-1].posterior_.data.X))
-    interval = pipeline.seconds_ / n_rows
+    interval = pipeline.seconds_ / len(training_inputs(pipeline[-1].posterior_))
     return max(1, round(interval / float(np.median(np.diff(time)))))
 
 

@@ -345,7 +345,8 @@ def _read_texts(path: Path) -> dict[str, Messages]:
         for column, values in cells_of.items():
             texts = np.array(values, dtype=object)
             by_name[column] = texts if code_of.get(column, "") in OF_TEXTS else _numbers(texts)
-        messages[name] = Messages(codes, by_name, np.array(places[name], float))
+        letters = "".join(code_of.get(column, " ") for column in by_name)
+        messages[name] = Messages(letters, by_name, np.array(places[name], float))
     return messages
 
 

@@ -260,14 +260,11 @@ def test_suggested_gains_are_the_largest_that_have_the_margins(linear, probabili
 
 
 def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
-    """However many rounds the search takes."""
-    weak = [loop.scaled(1e-4) for loop in autopilot_loops(PX4, FULL)]
-    try:
-        chosen = suggest_gains(linear, weak)
-    except ValueError:
-        return
-    for before, after in zip(weak, chosen, strict=True):
-        assert 1 / 20.5 <= after.P / before.P <= 20.5
+    """However many rounds the search takes; these could be raised much farther."""
+    (pitch,) = autopilot_loops(PX4, {"elevator": FULL["elevator"]})
+    weak = pitch.scaled(1e-3)
+    (chosen,) = suggest_gains(linear, [weak])
+    assert_allclose(chosen.P / weak.P, 10 ** (26 / 20))
 
 
 def linear_of_path(linear, number):

@@ -139,8 +139,8 @@ def fly(run: Run) -> None:
 
     Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins on its
     wheels, whose places are guessed, or with --height in the air. --full gives deflections [rad] at full output,
-    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv, the flight since
-    the simulator's last start.
+    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv; each start of
+    the simulator is a flight in it.
 
     For example:
       skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35
@@ -180,7 +180,9 @@ def fly(run: Run) -> None:
         ready=ready,
     )
     rate = flown.steps / max(flown.computing, 1e-9)
-    duration = float(flown.table["time"].max()) if len(flown.table) else 0.0
+    duration = 0.0
+    if len(flown.table):
+        duration = float(flown.table.groupby("flight")["time"].max().sum())
     lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
     if run.folder is not None:
         written = run.write({"flight.csv": csv_writer(flown.table)})

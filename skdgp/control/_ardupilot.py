@@ -106,6 +106,8 @@ class FlySettings:
     gust_height: float = 100.0
     # Largest speed [m/s] of a flight that has not diverged
     fastest: float = 1000.0
+    # Silence [s] of an autopilot after which another one may fly
+    handover: float = 1.0
 
 
 FLY = FlySettings()
@@ -457,7 +459,8 @@ class Link:
 class Flown(NamedTuple):
     """A flight behind an autopilot."""
 
-    table: pd.DataFrame  #: A flight table with at most 50 rows a second, of the last start
+    #: A flight table with at most 50 rows a second; each start of the autopilot is a ``flight``
+    table: pd.DataFrame
     steps: int  #: Packets that were answered by a step
     computing: float  #: Time that the steps took [s]
     reason: str  #: Why the flight is over
@@ -487,7 +490,7 @@ def fly(
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
     that of ``SIM_JSON.cpp``. The aircraft has the servo lag of its model. A restart of the autopilot
-    starts the flight again; silence, ``seconds`` or Ctrl-C end it.
+    starts another flight; silence, ``seconds`` or Ctrl-C end it.
 
     Parameters
     ----------
@@ -520,7 +523,7 @@ def fly(
     wait : float, default=60.0
         Longest silence of the autopilot [s].
     seconds : float, optional
-        Duration of the flight; by default until the autopilot is silent.
+        Duration of the last flight; by default until the autopilot is silent.
     ready : callable, optional
         Called once packets are expected.
     settings : FlySettings
@@ -538,7 +541,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, which are ignored.
+        If other bytes come, or packets of a second autopilot, which are ignored.
     """
     check_number("height", height, is_open=False, unit="m")
     check_number("wait", wait, unit="s")
@@ -560,16 +563,20 @@ def fly(
 
 
 class _Served:
-    """A flight that answers packets, until the autopilot is silent or the flight is over."""
+    """Flights that answer packets, until the autopilot is silent or a flight is over."""
 
     def __init__(self, flight: ModelInFlight, outputs: Outputs) -> None:
         self.flight = flight
         self.outputs = outputs
         self.rows: list[dict[str, float]] = []
+        self.n_starts = 1
         self.n_steps = 0
         self.computing = 0.0
         self._last = -1
         self._line = ""
+        self._row_time = -np.inf  # of the last row of this flight [s]
+        self._autopilot: Any = None  # address of the sender
+        self._heard = -np.inf  # time of its last packet [s]
 
     def run(self, link: Link, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
@@ -578,6 +585,13 @@ class _Served:
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
+            if not self._is_autopilot(sender):
+                warn(
+                    f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
+                    "second are ignored.",
+                    stacklevel=5,
+                )
+                continue
             # ArduPilot repeats a packet whose answer it did not get
             if packet.number != self._last:
                 self._step(packet)
@@ -586,11 +600,22 @@ class _Served:
             link.answer(self._line, sender)
         return f"{seconds:g} s were flown"
 
+    def _is_autopilot(self, sender: Any) -> bool:
+        """Return whether a sender flies: no other one does, or that one has been silent."""
+        now = time.monotonic()
+        is_silent = now - self._heard > self.flight.settings.handover
+        if sender != self._autopilot and not is_silent:
+            return False
+        self._autopilot = sender
+        self._heard = now
+        return True
+
     def _step(self, packet: Packet) -> None:
         flight = self.flight
         if packet.number < self._last:
             flight.start()
-            self.rows.clear()
+            self.n_starts += 1
+            self._row_time = -np.inf
         began = time.perf_counter()
         commands = self.outputs.commands(packet.pulses)
         flight.advance(commands, min(1.0 / max(packet.rate, 1), flight.settings.longest_frame))
@@ -600,8 +625,10 @@ class _Served:
         self.computing += time.perf_counter() - began
         self.n_steps += 1
         self._last = packet.number
-        if not self.rows or flight.time - self.rows[-1]["time"] > flight.settings.row_step:
-            self.rows.append(flight.channels() | commands)
+        if flight.time - self._row_time > flight.settings.row_step:
+            self._row_time = flight.time
+            name = {"flight": f"start {self.n_starts}"}
+            self.rows.append(name | flight.channels() | commands)
 
 
 def _serve(

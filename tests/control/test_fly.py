@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.control import fly
+from skdgp.control import FlySettings, fly
 from skdgp.dynamics import Aerodynamics, Turbulence, simulate, standard_density, trim
 
 GRAVITY = 9.80665
@@ -239,7 +239,36 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
         assert autopilot.send(count=8)["timestamp"] == 2 / RATE
         assert autopilot.send(count=0) == first
 
-    assert flown(play, height=50.0).steps == 3
+    result = flown(play, height=50.0)
+    assert result.steps == 3
+    assert result.table["flight"].tolist() == ["start 1", "start 2"]
+    assert result.table["time"].tolist() == [1 / RATE, 1 / RATE]
+
+
+def test_a_second_autopilot_is_ignored(flown):
+    def play(autopilot):
+        autopilot.send(count=5)
+        other = Autopilot(autopilot.target[1])
+        other.socket.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            other.send(count=1)
+        other.socket.close()
+        assert autopilot.send(count=6)["timestamp"] == 2 / RATE
+
+    with pytest.warns(UserWarning, match="Got packets of two autopilots"):
+        result = flown(play, height=50.0)
+    assert set(result.table["flight"]) == {"start 1"}
+
+
+def test_another_autopilot_flies_after_silence(flown):
+    def play(autopilot):
+        autopilot.send(count=5)
+        other = Autopilot(autopilot.target[1])
+        assert other.send(count=1)["timestamp"] == 1 / RATE
+        other.socket.close()
+
+    table = flown(play, height=50.0, settings=FlySettings(handover=0.0)).table
+    assert table["flight"].tolist() == ["start 1", "start 2"]
 
 
 def test_ctrl_c_ends_the_flight_and_keeps_its_table(flown, glider):

@@ -101,7 +101,7 @@ def add_attenuation(
 
 def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> Matrix:
     """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
-    covariance = sandwich(sums.information, sums.scatter)
+    covariance = np.linalg.inv(sums.information)
     scatter = correlated_scatter(fit.block_scores(fitted))
     return widen(covariance, sandwich(sums.information, scatter))
 

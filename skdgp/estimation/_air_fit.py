@@ -6,6 +6,8 @@ at given gains and the projection P on instruments, a pass sums score and inform
 .. math:: g = \sum_k Z_k^T L_k^{-1} e_k + \Lambda (\theta - \theta_0), \quad
           A = \sum_k Z_k^T L_k^{-1} D_k + \Lambda, \quad Z_k = P (L_k^{-1} D_k),
 
+(as P is a projection, :math:`Z^T L^{-1} D` is also :math:`Z^T Z`, the covariance of the score)
+
 and a damped Gauss-Newton step solves :math:`A\,\Delta\theta = -g` (Jategaonkar 2015, chapter 5; instrumental
 variables: Soderstrom & Stoica 1989, chapter 8). Noises move by Fisher scoring (``_air_noise.py``).
 """
@@ -196,18 +198,20 @@ class AirFit:
         The slopes are by the parameters of a flight and, behind these, by the instruments.
         """
         places = self.parameters.places[flight]
-        is_free = places >= self.parameters.n_held
-        D = slopes[:, :, np.flatnonzero(is_free)]
-        Z = D
+        own = np.flatnonzero(places >= self.parameters.n_held)
+        rows = slopes.reshape(-1, slopes.shape[2])
+        products = rows.T @ rows
+        weighted = (e[:, None] @ slopes)[:, 0]
         if has_instruments:
-            instruments = slopes[:, :, self.layout.n_derivatives :]
-            Z = _projected(D, instruments, self.settings.least_direction)
-        scores = (e[:, None] @ Z)[:, 0]
-        D_rows = D.reshape(-1, D.shape[2])
-        Z_rows = Z.reshape(D_rows.shape)
-        information = Z_rows.T @ D_rows
-        scatter = Z_rows.T @ Z_rows
-        sums.add(places[is_free], scores.sum(axis=0), information, scatter)
+            used = np.arange(self.layout.n_derivatives, slopes.shape[2])
+            of_own = products[np.ix_(used, own)]
+            weights = _projection(products[np.ix_(used, used)], of_own, self.settings)
+            scores = weighted[:, used] @ weights
+            information = weights.T @ of_own
+        else:
+            scores = weighted[:, own]
+            information = products[np.ix_(own, own)]
+        sums.add(places[own], scores.sum(axis=0), information)
         return scores
 
     def block_scores(self, fitted: list[FittedRecord]) -> Matrix:
@@ -229,14 +233,14 @@ class AirFit:
         return linearized(record, self.layout, self.aircraft, value, states, decay, self.settings)
 
 
-def _projected(slopes: Array, instruments: Array, least: float) -> Array:
-    """Return slopes (n, m, p) projected on instruments (n, m, q), whose directions below ``least`` are left out."""
-    rows = instruments.reshape(-1, instruments.shape[2])
-    size = np.linalg.norm(rows, axis=0)
-    moved = size > 0
-    rows = rows[:, moved] / size[moved]
-    squares, V = np.linalg.eigh(rows.T @ rows)  # squares of singular values
-    is_direction = squares > least**2 * squares[-1]
-    V = V[:, is_direction]
-    by_direction = V.T @ (rows.T @ slopes.reshape(len(rows), -1)) / squares[is_direction, None]
-    return (rows @ (V @ by_direction)).reshape(slopes.shape)
+def _projection(squares: Matrix, products: Matrix, settings: AirSettings) -> Matrix:
+    """Return weights (q, p): instruments R times these are slopes D projected on R.
+
+    ``squares`` are R^T R, ``products`` R^T D. Directions of R that are small are left out.
+    """
+    size = np.sqrt(np.diag(squares))
+    unit = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+    variance, V = np.linalg.eigh(unit[:, None] * squares * unit)  # squares of singular values
+    is_direction = variance > settings.least_direction**2 * variance[-1]
+    V = unit[:, None] * V[:, is_direction]
+    return V @ (V.T @ products / variance[is_direction, None])

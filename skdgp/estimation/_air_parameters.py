@@ -123,23 +123,19 @@ class Parameters(NamedTuple):
 
 
 class Sums:
-    """Score and information of parameters x, and the covariance of the score: of the prior, and of what is added."""
+    """Score and information of parameters x: of the prior, and of what is added."""
 
     def __init__(self, x: Vector, parameters: Parameters) -> None:
         precision = parameters.std**-2.0
         self.free = slice(parameters.n_held, None)
         self.score = (x - parameters.mean) * precision
         self.information = np.diag(precision)
-        self.scatter = np.diag(precision)
 
-    def add(
-        self, places: Indices, score: Vector, information: Matrix, scatter: Matrix | None = None
-    ) -> None:
-        """Add sums over samples for the parameters at some places; the scatter is the information unless given."""
+    def add(self, places: Indices, score: Vector, information: Matrix) -> None:
+        """Add sums over samples for the parameters at some places."""
         block = np.ix_(places, places)
         self.score[places] += score
         self.information[block] += information
-        self.scatter[block] += information if scatter is None else scatter
 
     def damped(self, damping: float) -> tuple[Matrix, Vector]:
         """Return information and score of the estimated parameters, with a larger diagonal (Levenberg 1944)."""

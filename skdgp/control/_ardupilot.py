@@ -568,7 +568,7 @@ class _Served:
     def __init__(self, flight: ModelInFlight, outputs: Outputs) -> None:
         self.flight = flight
         self.outputs = outputs
-        self.rows: list[dict[str, float]] = []
+        self.rows: list[dict[str, Any]] = []
         self.n_starts = 1
         self.n_steps = 0
         self.computing = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -101,7 +102,7 @@ def add_attenuation(
 
 def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> Matrix:
     """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
-    covariance = np.linalg.inv(sums.information)
+    covariance: Any = np.linalg.inv(sums.information)
     scatter = correlated_scatter(fit.block_scores(fitted))
     return widen(covariance, sandwich(sums.information, scatter))
 

@@ -38,6 +38,7 @@ from skdgp.estimation._air_model import (
     N_VARIABLES,
     AirMotionModel,
     Inputs,
+    Slipstream,
     differentiated,
 )
 from skdgp.estimation._air_parameters import (
@@ -45,6 +46,7 @@ from skdgp.estimation._air_parameters import (
     ARM,
     FLIGHT_CONSTANTS,
     STATE_TERMS,
+    TAIL,
     WINDS,
     is_coupling,
     stacked,
@@ -69,6 +71,8 @@ PATH_ERROR_Y = 6
 PATH_ERROR_Z = 7
 RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
+COEFFICIENT_CONSTANTS = ("servo_lag", "thrust_scale", "slipstream")
+"""Constants that change the coefficients."""
 BIASES = {name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED}
 """Places of the biased among the sensors."""
 
@@ -79,7 +83,7 @@ class Layout(NamedTuple):
     rows: Indices  # (d,) coefficient of each derivative
     columns: Indices  # (d,) its term
     names: list[str]  # of the k parameters of a flight
-    n_terms: int
+    surfaces: list[str]
     #: Whether slopes by the instruments follow those by the parameters; not where derivatives are held
     by_instruments: bool = True
 
@@ -97,9 +101,14 @@ class Layout(NamedTuple):
             np.array(rows),
             np.array(columns),
             names,
-            len(terms),
+            surfaces,
             by_instruments=by_instruments,
         )
+
+    @property
+    def n_terms(self) -> int:
+        """Number f of terms."""
+        return len(STATE_TERMS) + len(self.surfaces)
 
     @property
     def n_derivatives(self) -> int:
@@ -142,18 +151,18 @@ class Layout(NamedTuple):
         attitude: Array,
         rates: Matrix,
         air_by_state: Array,
-        by_lag_and_thrust: Array | float = 0.0,
+        of_coefficients: Array | float = 0.0,
     ) -> Array:
         """Return d variables of the model / d states and constants, (n, 12, N + c).
 
-        They are zero by derivatives. ``by_lag_and_thrust`` (n, 6, 2) are slopes of the coefficients.
+        They are zero by derivatives. ``of_coefficients`` (n, 6, 3) are slopes by `COEFFICIENT_CONSTANTS`.
         """
         slopes = np.zeros((len(rates), N_VARIABLES, self.constants.stop - self.n_derivatives))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
         by_constants = slopes[..., N_STATES:]
-        lag_and_thrust = self.place_of_constants("servo_lag", "thrust_scale")
-        by_constants[:, COEFFICIENT_ERRORS, lag_and_thrust] = by_lag_and_thrust
+        places = self.place_of_constants(*COEFFICIENT_CONSTANTS)
+        by_constants[:, COEFFICIENT_ERRORS, places] = of_coefficients
         by_constants[:, AIR_VELOCITY, self.place_of_constants(*WINDS)] = -attitude
         by_constants[:, AIR_VELOCITY, self.place_of_constants(*ARM)] = -cross_matrix(rates)
         return slopes
@@ -187,7 +196,10 @@ def motion_model(
     derivatives = np.zeros((6, layout.n_terms))
     names = layout.names[: layout.n_derivatives]
     derivatives[layout.rows, layout.columns] = [value[name] for name in names]
-    return AirMotionModel(aircraft, derivatives, record.position + stacked(value, *ARM))
+    reached = np.isin(layout.surfaces, TAIL).astype(float)
+    slipstream = Slipstream(value["slipstream"], record.loading, reached)
+    arm = record.position + stacked(value, *ARM)
+    return AirMotionModel(aircraft, derivatives, arm, slipstream)
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -297,7 +309,9 @@ class _Expansion:
         self.inputs = Inputs(surfaces, thrust, logged.density)
         self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
-        self.by_lag_and_thrust = self.model.lag_and_thrust_slopes(self.air, logged, by_lag)
+        self.constant_slopes = self.model.constant_slopes(
+            self.air, self.inputs, by_lag, logged.thrust
+        )
         self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
         # gusts and errors of the path decay, and the air velocity with them
         self.remaining = np.exp(-record.step[:, None] * decay)
@@ -351,7 +365,7 @@ class _Expansion:
             self.record.attitude[:-1],
             self.start[:, BODY_RATES],
             self.air_by_state[:-1],
-            _means(self.by_lag_and_thrust),
+            _means(self.constant_slopes),
         )
         terms = 0.5 * (terms + end_terms)
         slopes = self.layout.chained(by_start, variables, terms, _means(instrument_terms))
@@ -410,7 +424,7 @@ class _Expansion:
             self.record.attitude[1:],
             end[:, BODY_RATES],
             self.air_by_state[1:],
-            self.by_lag_and_thrust[1:],
+            self.constant_slopes[1:],
         )
 
     def surface_noise(self, by_start: Array) -> Array:

@@ -58,6 +58,26 @@ class Inputs(NamedTuple):
         return Inputs(mean(self.surfaces), mean(self.thrust), mean(self.density))
 
 
+class Slipstream(NamedTuple):
+    r"""The effect of k surfaces with thrust: :math:`1 + s (T / \bar q S - \tau_0)` on those in the slipstream.
+
+    By momentum theory the dynamic pressure behind a propeller of the disk A is :math:`\bar q + T / A`, so
+    s is the wing area over A for a tail that lies in it, and zero before a pusher.
+    """
+
+    factor: float  # s
+    mean: float  # tau_0, at which derivatives by these surfaces hold
+    reached: Vector  # (k,) one of each surface that the slipstream may reach, else zero
+
+    def effect(self, loading: Array) -> Array:
+        """Return the relative effect (..., k) at thrust over dynamic pressure and wing area (...)."""
+        return 1.0 + self.factor * self.slope(loading)
+
+    def slope(self, loading: Array) -> Array:
+        """Return d effect / d s (..., k)."""
+        return (loading - self.mean)[..., None] * self.reached
+
+
 class AirMotionModel:
     """Equations of motion and sensors of an aircraft with coefficients linear in their derivatives.
 
@@ -68,12 +88,17 @@ class AirMotionModel:
         Of CX ... Cn by `STATE_TERMS` and the surfaces.
     arm : ndarray (3,)
         Position of the inertial sensors relative to the centre of gravity [m].
+    slipstream : Slipstream
+        Of the propeller on surfaces of the tail.
     """
 
-    def __init__(self, aircraft: Aircraft, derivatives: Matrix, arm: Vector) -> None:
+    def __init__(
+        self, aircraft: Aircraft, derivatives: Matrix, arm: Vector, slipstream: Slipstream
+    ) -> None:
         self.aircraft = aircraft
         self.derivatives = derivatives
         self.arm = arm
+        self.slipstream = slipstream
 
     @property
     def by_surfaces(self) -> Matrix:
@@ -93,7 +118,7 @@ class AirMotionModel:
         )
         pressure = dynamic_pressure(airspeed, inputs.density)
         X[..., 7] = inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
-        X[..., 8:] = inputs.surfaces
+        X[..., 8:] = inputs.surfaces * self.slipstream.effect(X[..., 7])
         return X
 
     def accelerations(self, state: Array, inputs: Inputs) -> Array:
@@ -164,10 +189,23 @@ class AirMotionModel:
         spin = self.accelerations(state, inputs)[:, 3:]
         return cross_matrix(spin) + turn @ turn
 
-    def lag_and_thrust_slopes(self, air: Matrix, inputs: Inputs, by_lag: Matrix) -> Array:
-        """Return d coefficients / d (lag, thrust_scale), (n, 6, 2), by slopes of the surfaces ``by_lag`` (n, k)."""
-        by_thrust = inputs.thrust / self.load_units(air, inputs)
-        return np.stack([by_lag @ self.by_surfaces.T, by_thrust], axis=-1)
+    def constant_slopes(
+        self, air: Matrix, inputs: Inputs, by_lag: Matrix, logged_thrust: Matrix
+    ) -> Array:
+        """Return d coefficients / d (servo_lag, thrust_scale, slipstream), (n, 6, 3).
+
+        ``by_lag`` (n, k) are slopes of the surfaces; slopes by the scale are the logged thrust (n, 6).
+        """
+        units = self.load_units(air, inputs)
+        loading = inputs.thrust[:, 0] / units[:, 0]
+        by_lag = by_lag * self.slipstream.effect(loading)
+        by_slipstream = inputs.surfaces * self.slipstream.slope(loading)
+        slopes = [
+            by_lag @ self.by_surfaces.T,
+            logged_thrust / units,
+            by_slipstream @ self.by_surfaces.T,
+        ]
+        return np.stack(slopes, axis=-1)
 
 
 def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:

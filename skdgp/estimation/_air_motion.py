@@ -33,6 +33,7 @@ from skdgp._flight.units import check_radians
 from skdgp.dynamics import (
     Aircraft,
     check_aircraft,
+    dynamic_pressure,
     propeller_speed_of,
     propulsive_loads,
     with_sensor_position,
@@ -66,6 +67,7 @@ from skdgp.estimation._air_parameters import (
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import (
+    AIRSPEED,
     FORCE_READINGS,
     KNOWN_ARM,
     PATH_CHANNELS,
@@ -93,7 +95,8 @@ class AirMotion:
     covariance : DataFrame (p, p)
         Joint covariance of the derivatives.
     constants : DataFrame
-        The same columns for servo_lag [s], thrust_scale, airspeed_scale, error of the position of the
+        The same columns for servo_lag [s], thrust_scale, slipstream (effect of elevator and rudder by
+        thrust over dynamic pressure and wing area), airspeed_scale, error of the position of the
         inertial sensors arm_x, arm_y, arm_z [m] (from the centre of gravity where it is not known),
         and for each flight wind and biases.
     noise : dict of str to float
@@ -119,6 +122,8 @@ class AirMotion:
     vibrates : bool
         Whether an oscillation shakes accelerometers and gyros of a flight. What they share then counts as
         noise, and ``std`` is larger by half.
+    loading : float
+        Mean thrust over dynamic pressure and wing area, at which derivatives by elevator and rudder hold.
     """
 
     derivatives: pd.DataFrame
@@ -132,6 +137,7 @@ class AirMotion:
     misfit: float = 1.0
     is_complete: bool = False
     vibrates: bool = False
+    loading: float = 0.0
 
     @property
     def summary(self) -> str:
@@ -148,6 +154,9 @@ class AirMotion:
             f"wind {np.hypot(north, east):.1f} m/s from {origin:.0f} deg",
             f"servos {1e3 * servo['value']:.0f} ± {1e3 * servo['std']:.0f} ms late",
         ]
+        slipstream = self.constants.loc["slipstream"]
+        if abs(slipstream["value"]) > 3 * slipstream["std"]:
+            parts.append(f"slipstream {slipstream['value']:.1f} ± {slipstream['std']:.1f}")
         if not self.converged:
             parts.append("not converged: do not use")
         elif self.misfit > 1:
@@ -321,6 +330,8 @@ def estimate_air_motion(
         derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
+    loading = mean_loading(records, aircraft) if known is None else known.loading
+    records = [record._replace(loading=loading) for record in records]
     constants = dict(AIRCRAFT_CONSTANTS)
     if knows_position:
         constants |= KNOWN_ARM
@@ -352,6 +363,16 @@ def _records(
     if thrust is None:
         records = [record.with_axial_force(aircraft.mass) for record in records]
     return records
+
+
+def mean_loading(records: list[Record], aircraft: Aircraft) -> float:
+    """Return the mean thrust over dynamic pressure and wing area, at the mean airspeed of each record."""
+    loadings = []
+    for record in records:
+        airspeed = np.nanmean(record.measured[:, AIRSPEED])
+        pressure = dynamic_pressure(airspeed, record.inputs.density)
+        loadings.append(record.inputs.thrust[:, 0] / (pressure * aircraft.wing_area))
+    return float(np.concatenate(loadings).mean())
 
 
 def _to_learn_from(records: list[Record], settings: AirSettings) -> list[Record]:
@@ -420,7 +441,7 @@ def _parameters(
         n_held = len(derivatives) + len(shared)
     if not _has_drag(derivatives):
         # a measured force takes the place of thrust
-        shared["thrust_scale"] = (0.0, 1e-6)
+        shared |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, 1e-6))
     return Parameters.of(dict(derivatives) | shared, FLIGHT_CONSTANTS, n_flights, n_held)
 
 
@@ -478,4 +499,5 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
         vibrates=vibrates,
+        loading=fit.records[0].loading,
     )

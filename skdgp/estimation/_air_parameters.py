@@ -40,6 +40,8 @@ DERIVATIVES: Prior = {
 """Of small aircraft (Beard & McLain 2012, appendix E; Paw 2009), with wide standard deviations [1/rad]."""
 COUPLING_STD = {"CX": 0.05, "CY": 0.05, "CZ": 0.1, "Cl": 0.02, "Cm": 0.05, "Cn": 0.01}
 """Standard deviations of couplings, of zero in the mean [1/rad]; trials on one aircraft."""
+TAIL = ("elevator", "rudder")
+"""Surfaces that a slipstream may reach."""
 WINDS = ("wind_north", "wind_east", "wind_down")
 PITOT = ("airspeed_scale", "wind_north", "wind_east")
 """Parameters of the airspeed in a steady wind."""
@@ -47,6 +49,10 @@ ARM = ("arm_x", "arm_y", "arm_z")
 AIRCRAFT_CONSTANTS: Prior = {
     "servo_lag": (0.03, 0.05),  # [s]
     "thrust_scale": (0.0, 0.1),
+    "slipstream": (
+        0.0,
+        1.0,
+    ),  # effect of the tail's surfaces by thrust over dynamic pressure and wing area
     **AIR_SENSOR_ERRORS,
 }
 """Constants of an aircraft and its sensors."""

@@ -25,7 +25,7 @@ from skdgp.estimation._air_covariance import (
     without_estimate,
 )
 from skdgp.estimation._air_linearization import N_STATES, Layout, linearized
-from skdgp.estimation._air_model import Inputs
+from skdgp.estimation._air_model import Inputs, Slipstream
 from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
     DERIVATIVES,
@@ -103,6 +103,14 @@ def still_flight(airspeed):
     force, position, periods = still, np.zeros(3), np.zeros(3)
     path = velocity, attitude, measured, force, position, still
     return Record(0, np.arange(n), time, *path, inputs, periods, np.zeros((6, 6)))
+
+
+def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
+    """Behind a propeller of the disk A it is that of the air and the thrust over A; other surfaces feel the air."""
+    pressure, thrust, wing_area, disk = 180.0, 9.0, 0.4, 0.08
+    wake = Slipstream(wing_area / disk, 0.0, np.array([1.0, 0.0]))
+    effect = wake.effect(np.array(thrust / (pressure * wing_area)))
+    assert_allclose(effect, [(pressure + thrust / disk) / pressure, 1.0])
 
 
 @pytest.mark.parametrize("gust", [0.0, 1.0])

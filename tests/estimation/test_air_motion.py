@@ -68,18 +68,31 @@ def pulses(time, starts):
 
 
 def flown(
-    case, seconds, *, inputs=True, seed=3, deflections=False, bank=0.0, arm=None, thrust_arm=(0, 0)
+    case,
+    seconds,
+    *,
+    inputs=True,
+    seed=3,
+    deflections=False,
+    bank=0.0,
+    arm=None,
+    thrust_arm=(0, 0),
+    slipstream=0.0,
 ):
     """Return a flight of the trainer, with commands of servos 50 ms late, or deflections.
 
     The aircraft states that its inertial sensors are at ``arm`` [m], None: at the centre of gravity,
-    and unknown. ``thrust_arm`` are Cl and Cm by thrust.
+    and unknown. ``thrust_arm`` are Cl and Cm by thrust. With a ``slipstream`` on the tail airspeeds
+    change every 15 s.
     """
     module = benchmark()
     rng = default_rng(seed)
-    plane = module.AIRCRAFT["trainer"] | {"thrust_arm": np.array(thrust_arm)}
+    plane = module.AIRCRAFT["trainer"]
+    plane = plane | {"thrust_arm": np.array(thrust_arm), "slipstream": slipstream}
     fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
-    fleet.legs = [(bank + 0 * banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
+    fleet.legs = [(bank + 0 * banks, speeds) for banks, speeds in fleet.legs]
+    if not slipstream:
+        fleet.legs = [(banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
     starts = np.arange(0.5, seconds - 2, 2.0) if inputs else np.zeros(0)
     starts = starts + rng.uniform(0.0, 0.02, len(starts))  # between samples
     fleet.pulses[:] = 0.0
@@ -93,7 +106,9 @@ def flown(
     alpha = table.pop("alpha_true")
     sizes = ("mass", "wing_area", "span", "chord", "inertia")
     aircraft = Aircraft(**{name: plane[name] for name in sizes}, sensor_position=arm)
-    return Flown(table, alpha, module.truth_of(plane, alpha.mean(), 0.0), aircraft)
+    pressure = 0.5 * table["density"] * table["airspeed"] ** 2
+    loading = (table["thrust_x"] / (pressure * plane["wing_area"])).mean()
+    return Flown(table, alpha, module.truth_of(plane, alpha.mean(), loading), aircraft)
 
 
 @cache
@@ -237,6 +252,18 @@ def test_moments_of_the_thrust_are_couplings():
         assert abs(value - moment) < 2 * std
     value, std, _, truth = flight.compared(found)
     assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
+
+
+@pytest.mark.slow
+def test_a_slipstream_makes_the_tail_stronger_with_thrust():
+    flight = flown(GUSTY, 60.0, slipstream=2.0)
+    found = flight.estimate()
+    assert found.converged
+    factor, std = found.constants.loc["slipstream", ["value", "std"]]
+    assert abs(factor - 2.0) < 2.5 * std
+    assert std < 0.3
+    value, std, _, truth = flight.compared(found)
+    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.8
 
 
 @pytest.mark.slow

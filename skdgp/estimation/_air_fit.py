@@ -45,6 +45,14 @@ class FittedRecord(NamedTuple):
     log_likelihood: float  # of the innovations, but for a constant
 
 
+class _Point(NamedTuple):
+    """Parameters and logarithms of noises, and the likelihood there."""
+
+    likelihood: float
+    x: Vector
+    psi: Vector
+
+
 class AirFit:
     """Parameters x, noises and filtered states of the records, which `search` improves.
 
@@ -70,6 +78,7 @@ class AirFit:
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
         self.history: list[Vector] = []  # of x in the search
+        self.went_back = False  # to an earlier pass of larger likelihood
         self.winds = []
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
@@ -85,9 +94,10 @@ class AirFit:
     def search(self, n_before: int) -> bool:
         """Improve parameters and noises; return whether the search converged.
 
-        The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges, or ends
-        far below the likelihood of an earlier pass: instruments are weak far from the solution, and
-        their equations have others.
+        The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges. It may
+        end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
+        and their equations have others: then parameters and noises are those of this pass, and the
+        search did not converge.
         """
         keep_freed_memory()
         settings = self.settings
@@ -95,7 +105,7 @@ class AirFit:
         fraction = 1.0  # of a step that is taken
         last_step = np.zeros(len(self.x) - self.parameters.n_held)
         was_small = False
-        best = -np.inf  # likelihood of a pass
+        best = _Point(-np.inf, self.x, self.noise_search.psi)
         lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
         for number in range(settings.max_passes):
             # filter about the states of the last pass
@@ -103,7 +113,8 @@ class AirFit:
             self.records = [item.record for item in fitted]
             self.states = [item.run.states for item in fitted]
             likelihood = sum(item.log_likelihood for item in fitted)
-            best = max(best, likelihood)
+            if likelihood > best.likelihood:
+                best = _Point(likelihood, self.x.copy(), self.noise_search.psi.copy())
 
             # step of the parameters
             information, score = sums.damped(damping)
@@ -119,12 +130,22 @@ class AirFit:
             is_small = sums.squared_length(step) < settings.tolerance
             is_still = was_small and is_small and noise_length < settings.noise_tolerance
             if is_still and number > n_before:
-                if likelihood < best - lost:
-                    raise np.linalg.LinAlgError
+                if likelihood < best.likelihood - lost:
+                    self._go_back(best)
+                    return False
                 return True
             last_step, was_small = step, is_small
             damping *= settings.less_damping
         return False
+
+    def _go_back(self, point: _Point) -> None:
+        """Take parameters, noises and states of an earlier pass."""
+        self.went_back = True
+        self.x = point.x
+        self.noise_search.psi = point.psi
+        self.history.append(self.x.copy())
+        _, fitted = self.run()
+        self.states = [item.run.states for item in fitted]
 
     def _next_fraction(self, fraction: float, turns_back: bool) -> float:
         """Return the fraction of a step to take: less where steps turn back, so that no two solutions alternate."""

@@ -343,6 +343,8 @@ def estimate_air_motion(
             # a search that diverges leaves the range of numbers
             with np.errstate(over="ignore", invalid="ignore"):
                 converged = fit.search(n_before)
+            if fit.went_back and n_before != settings.attempts[-1]:
+                continue  # more passes without instruments may lead elsewhere
             motion = _air_motion(fit, converged, surfaces, len(table))
             return replace(motion, is_complete=is_complete)
         except np.linalg.LinAlgError:  # the search diverged

@@ -471,10 +471,13 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
 @pytest.mark.slow
 def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none():
     flight = flown("calm", 12.0)
-    assert flight.estimate().converged
-    without_allowance = AirSettings(lost_likelihood=-np.inf)
-    with pytest.raises(ValueError, match="diverged"):
-        flight.estimate(settings=without_allowance)
+    found = flight.estimate()
+    assert found.converged
+    none = flight.estimate(settings=AirSettings(lost_likelihood=-np.inf))
+    assert not none.converged
+    assert np.median(none.derivatives["std"] / found.derivatives["std"]) > 1.5
+    value, std, _, truth = flight.compared(none)
+    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.9
 
 
 def test_flight_that_is_too_short_to_estimate_gusts_is_refused_or_in_doubt():

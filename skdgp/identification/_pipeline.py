@@ -14,6 +14,7 @@ from sklearn.base import clone
 from sklearn.metrics import r2_score
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
+from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.messages import without_warnings
@@ -207,7 +208,8 @@ class FlightPipeline(Pipeline):
     The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)``
     includes the noise of the regressors, which is larger in rougher air, see
     :func:`flight_regressors`. Where flights vibrate, or legs of several headings show an error of
-    their airspeed, the fit and predictions remove both from the regressors.
+    their airspeed, the fit and predictions remove both from the regressors. So does ``transform`` of the
+    first steps, such as ``pipeline[:-1]``, which gives the regressors of `predict`.
 
     Parameters
     ----------
@@ -314,6 +316,30 @@ class FlightPipeline(Pipeline):
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return flights X without the error of the airspeed."""
         return without_airspeed_error(X, self.airspeed_scale_)
+
+    def __getitem__(self, ind: Any) -> Any:
+        """Return a step, or a pipeline of the steps of a slice; the first steps keep the errors of the log."""
+        part = super().__getitem__(ind)
+        if isinstance(ind, slice) and part.steps[:1] == self.steps[:1]:
+            part.airspeed_scale_ = self.airspeed_scale_
+            part.band_ = self.band_
+        return part
+
+    def _ends_with_transform(self) -> bool:
+        """Return whether the last step transforms."""
+        last = self.steps[-1][1]
+        return last == "passthrough" or hasattr(last, "transform")
+
+    @available_if(_ends_with_transform)
+    def transform(self, X: pd.DataFrame, **params: Any) -> Any:
+        """Transform flights by all steps, without the errors of the log that the fit has found."""
+        values = super().transform(self.corrected(X), **params)
+        if np.isinf(self.band_) or "regressorselector" not in self.named_steps:
+            return values
+        limited = band_limited(np.asarray(values), X, self.band_)
+        if isinstance(values, pd.DataFrame):
+            return pd.DataFrame(limited, values.index, values.columns)
+        return limited
 
     def _fit_transforms(
         self, X: pd.DataFrame, y: Any, choose_engine: bool

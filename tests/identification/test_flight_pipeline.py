@@ -245,6 +245,15 @@ def assert_slopes_of_truth(learned, train):
         assert found == pytest.approx(true.loc[coefficient, name], rel=0.1)
 
 
+def assert_first_steps_give_the_regressors(pipeline, flight):
+    """Assert that the last step predicts from them as the pipeline does."""
+    regressors = pipeline[:-1].transform(flight)
+    assert_allclose(pipeline[-1].predict(regressors), pipeline.predict(flight), rtol=1e-9)
+    table = pipeline[:-1].set_output(transform="pandas").transform(flight)
+    assert_allclose(table, regressors)
+    assert not hasattr(pipeline, "transform")
+
+
 @pytest.mark.usefixtures("no_mechanics")
 def test_vibration_does_not_bias_slopes_of_identify(flights):
     train = flights.train[flights.train["flight"] == "latlon"]
@@ -273,6 +282,7 @@ def test_vibration_does_not_bias_slopes_of_a_pipeline(flights):
     pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor)
     pipeline.fit(shaken(train), thin_targets(Y, 200))
     assert_slopes_of_truth(learned_slopes(pipeline), train)
+    assert_first_steps_give_the_regressors(pipeline, shaken(flights.test[:400]))
 
 
 def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
@@ -294,6 +304,7 @@ def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
     assert normalized_rmse(wanted, found) < 1e-3
     Y = Y.fillna(0.0)
     assert pipeline.score(too_much, Y) == pytest.approx(r2_score(Y, found))
+    assert_first_steps_give_the_regressors(pipeline, too_much)
 
 
 def test_spikes_are_no_errors_of_the_log(flights):

@@ -350,6 +350,11 @@ def _px4_loops(known, full):
             slowest = 0.1
         if fastest < trim and "FW_AIRSPD_MAX" not in known:
             fastest = 1000.0
+        if not slowest <= trim <= fastest:
+            raise ValueError(
+                f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, but expected airspeeds that "
+                "increase: the firmware does not fly with others."
+            )
         scaling = {
             "scaling_speed": trim,
             "least_scaling": trim / fastest,

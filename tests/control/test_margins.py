@@ -327,6 +327,11 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ({"FW_RR_P": "0.1"}, {"aileron": 0.4}, "FW_RR_P='0.1'"),
         ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4}, "above zero"),
         ({"FW_RR_P": 0.1, "FW_R_TC": 0.0}, {"aileron": 0.4}, "above zero"),
+        (
+            {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 25.0, "FW_AIRSPD_MAX": 20.0},
+            {"aileron": 0.4},
+            "airspeeds that increase",
+        ),
         ({"RLL_RATE_P": 0.1, "AIRSPEED_MIN": 0.0}, {"aileron": 0.4}, "above zero"),
         ({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"rudder": 0.4}, "yaw rate controller"),
     ],

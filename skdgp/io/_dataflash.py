@@ -715,31 +715,36 @@ def _flaperons(
 def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> dict[str, Control]:
     """Return the controls of differential spoilers (ArduPlane/servos.cpp).
 
-    Outer spoilers are -+ aileron + rudder of one side, inner ones the rudder against it.
+    Outer spoilers are -+ aileron + rudder of one side, inner ones the rudder against it; of a flying
+    wing with its elevator. The rudder is in one side's sum and difference of either pair, and in none of
+    both pairs.
     """
     if not servos.keys() >= {*OUTER}:
         return {}
     options = SpoilerOption(whole(parameters.get("DSPOILER_OPTS", 3.0)))
-    outer = _against_each_other(servos, OUTER)
-    controls: dict[str, Control] = {"aileron": outer}
+    difference = _halves(servos, OUTER, -0.5, 0.5)
+    total = _halves(servos, OUTER, -0.5, -0.5)
+    controls: dict[str, Control] = {"aileron": difference, "elevator": total}
     if servos.keys() >= {*INNER}:
-        inner = _against_each_other(servos, INNER)
+        of_inner = _halves(servos, INNER, -0.5, 0.5)
+        controls["aileron"] = (*difference, *of_inner)
+        controls["elevator"] = (*total, *_halves(servos, INNER, -0.5, -0.5))
+        controls["rudder"] = scaled(of_inner, 2.0)
         if SpoilerOption.FULL_SPAN in options:
-            controls["aileron"] = scaled((*outer, *inner), 0.5)
-            controls["rudder"] = (*scaled(outer, -1.0), *inner)
-        else:
-            controls["aileron"] = (*outer, *inner)
-            controls["rudder"] = scaled(inner, 2.0)
-    if SpoilerOption.FLYING_WING in options:
-        (_, left), (_, right) = outer
-        controls["elevator"] = ((-0.5, left), (-0.5, right))
+            controls["aileron"] = scaled(controls["aileron"], 0.5)
+            controls["elevator"] = scaled(controls["elevator"], 0.5)
+            controls["rudder"] = (*scaled(difference, -1.0), *of_inner)
+    if SpoilerOption.FLYING_WING not in options:
+        del controls["elevator"]
     return controls
 
 
-def _against_each_other(servos: Mapping[int, Servo], pair: tuple[int, int]) -> Control:
-    """Return half of the right less half of the left servo of a pair of functions."""
+def _halves(
+    servos: Mapping[int, Servo], pair: tuple[int, int], of_left: float, of_right: float
+) -> Control:
+    """Return the weighted servos of a pair of functions."""
     left, right = pair
-    return ((-0.5, servos[left]), (0.5, servos[right]))
+    return ((of_left, servos[left]), (of_right, servos[right]))
 
 
 def _servo(parameters: Mapping[str, float], output: Output) -> Servo:

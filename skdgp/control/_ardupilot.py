@@ -11,6 +11,7 @@ import math
 import re
 import socket
 import struct
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -569,14 +570,15 @@ class _Served:
         self.flight = flight
         self.outputs = outputs
         self.rows: list[dict[str, Any]] = []
-        self.n_starts = 1
+        self.n_starts = 0
         self.n_steps = 0
         self.computing = 0.0
-        self._last = -1
+        self._last = sys.maxsize  # number of the last packet
         self._line = ""
         self._row_time = -np.inf  # of the last row of this flight [s]
         self._autopilot: Any = None  # address of the sender
         self._heard = -np.inf  # time of its last packet [s]
+        self._ignored: set[Any] = set()  # addresses of others
 
     def run(self, link: Link, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
@@ -586,6 +588,9 @@ class _Served:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
             if not self._is_autopilot(sender):
+                if sender in self._ignored:
+                    continue
+                self._ignored.add(sender)
                 warn(
                     f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
                     "second are ignored.",
@@ -603,10 +608,11 @@ class _Served:
     def _is_autopilot(self, sender: Any) -> bool:
         """Return whether a sender flies: no other one does, or that one has been silent."""
         now = time.monotonic()
-        is_silent = now - self._heard > self.flight.settings.handover
-        if sender != self._autopilot and not is_silent:
-            return False
-        self._autopilot = sender
+        if sender != self._autopilot:
+            if now - self._heard <= self.flight.settings.handover:
+                return False
+            self._autopilot = sender
+            self._last = sys.maxsize  # its first packet starts a flight
         self._heard = now
         return True
 

@@ -352,8 +352,8 @@ def _px4_loops(known, full):
             fastest = 1000.0
         if not slowest <= trim <= fastest:
             raise ValueError(
-                f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, but expected airspeeds that "
-                "increase: the firmware does not fly with others."
+                f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, given or by default, but "
+                "expected airspeeds that increase: give all three."
             )
         scaling = {
             "scaling_speed": trim,

@@ -105,6 +105,7 @@ class AirFit:
         fraction = 1.0  # of a step that is taken
         last_step = np.zeros(len(self.x) - self.parameters.n_held)
         was_small = False
+        likelihood = -np.inf
         best = _Point(-np.inf, self.x, self.noise_search.psi)
         lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
         for number in range(settings.max_passes):
@@ -136,15 +137,18 @@ class AirFit:
                 return True
             last_step, was_small = step, is_small
             damping *= settings.less_damping
+        if likelihood < best.likelihood - lost:
+            self._go_back(best)
         return False
 
     def _go_back(self, point: _Point) -> None:
-        """Take parameters, noises and states of an earlier pass."""
+        """Take parameters and noises of an earlier pass, and the states of one more pass there."""
         self.went_back = True
         self.x = point.x
         self.noise_search.psi = point.psi
         self.history.append(self.x.copy())
         _, fitted = self.run()
+        self.records = [item.record for item in fitted]
         self.states = [item.run.states for item in fitted]
 
     def _next_fraction(self, fraction: float, turns_back: bool) -> float:

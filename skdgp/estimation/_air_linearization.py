@@ -309,6 +309,8 @@ class _Expansion:
         self.inputs = Inputs(surfaces, thrust, logged.density)
         self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
+        loading = self.model.loading(self.air, self.inputs)
+        self.surface_effect = self.model.slipstream.effect(loading)  # (n, k)
         self.constant_slopes = self.model.constant_slopes(
             self.air, self.inputs, by_lag, logged.thrust
         )
@@ -341,7 +343,8 @@ class _Expansion:
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
         A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
         B = by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
-        motion = _motion(A, matrix_vector(B, _means(late - late.mean(axis=0))))
+        moved = (late - late.mean(axis=0)) * self.surface_effect
+        motion = _motion(A, matrix_vector(B, _means(moved)))
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         return self.model.terms(motion, commanded._replace(surfaces=late))
 
@@ -434,6 +437,7 @@ class _Expansion:
         """
         jump = np.diff(self.inputs.surfaces, axis=0)
         error = np.where(self.record.periods > 0, _means(self.record.surface_errors), jump)
+        error = error * _means(self.surface_effect)
         push = by_start[:, BODY_RATES, COEFFICIENT_ERRORS] @ self.model.by_surfaces * error[:, None]
         covariance = np.zeros((len(jump), N_STATES, N_STATES))
         covariance[:, RATE_STATES, RATE_STATES] = push @ push.mT
@@ -442,7 +446,8 @@ class _Expansion:
     def surface_readings(self, by_end: Array) -> Matrix:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
         by_surfaces = by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
-        return np.sum((by_surfaces * self.record.surface_errors[1:, None]) ** 2, axis=-1)
+        error = self.record.surface_errors[1:] * self.surface_effect[1:]
+        return np.sum((by_surfaces * error[:, None]) ** 2, axis=-1)
 
 
 def _split(slopes: Array) -> tuple[Array, Array]:

@@ -59,10 +59,14 @@ class Inputs(NamedTuple):
 
 
 class Slipstream(NamedTuple):
-    r"""The effect of k surfaces with thrust: :math:`1 + s (T / \bar q S - \tau_0)` on those in the slipstream.
+    r"""The effect of k surfaces with thrust, over that at a mean thrust.
 
-    By momentum theory the dynamic pressure behind a propeller of the disk A is :math:`\bar q + T / A`, so
-    s is the wing area over A for a tail that lies in it, and zero before a pusher.
+    By momentum theory the dynamic pressure behind a propeller of the disk A is :math:`\bar q + T / A`. With
+    :math:`\tau = T / (\bar q S)` the effect of surfaces in the slipstream is
+
+    .. math:: \frac{1 + s \tau}{1 + s \tau_0}, \quad s = S / A,
+
+    for a tail that lies in it; s is smaller for one that lies partly in it, and zero before a pusher.
     """
 
     factor: float  # s
@@ -71,11 +75,17 @@ class Slipstream(NamedTuple):
 
     def effect(self, loading: Array) -> Array:
         """Return the relative effect (..., k) at thrust over dynamic pressure and wing area (...)."""
-        return 1.0 + self.factor * self.slope(loading)
+        return 1.0 + self.by_loading * (loading - self.mean)[..., None]
+
+    @property
+    def by_loading(self) -> Vector:
+        """Derivative of the effect by the loading, (k,)."""
+        return self.factor / (1.0 + self.factor * self.mean) * self.reached
 
     def slope(self, loading: Array) -> Array:
         """Return d effect / d s (..., k)."""
-        return (loading - self.mean)[..., None] * self.reached
+        change = (loading - self.mean) / (1.0 + self.factor * self.mean) ** 2
+        return change[..., None] * self.reached
 
 
 class AirMotionModel:
@@ -104,6 +114,11 @@ class AirMotionModel:
     def by_surfaces(self) -> Matrix:
         """Derivatives of the coefficients by the surfaces, (6, n_surfaces)."""
         return self.derivatives[:, len(STATE_TERMS) :]
+
+    @property
+    def by_thrust(self) -> Vector:
+        """Derivatives of the coefficients by thrust over dynamic pressure and wing area, (6,)."""
+        return self.derivatives[:, STATE_TERMS.index("thrust")]
 
     def terms(self, state: Array, inputs: Inputs) -> Array:
         """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more)."""
@@ -194,18 +209,24 @@ class AirMotionModel:
     ) -> Array:
         """Return d coefficients / d (servo_lag, thrust_scale, slipstream), (n, 6, 3).
 
-        ``by_lag`` (n, k) are slopes of the surfaces; slopes by the scale are the logged thrust (n, 6).
+        ``by_lag`` (n, k) are slopes of the surfaces, ``logged_thrust`` (n, 6) is without the scale.
         """
         units = self.load_units(air, inputs)
-        loading = inputs.thrust[:, 0] / units[:, 0]
+        logged = (logged_thrust / units)[:, :1]
+        by_scale = inputs.surfaces * self.slipstream.by_loading * logged
+        loading = self.loading(air, inputs)
         by_lag = by_lag * self.slipstream.effect(loading)
         by_slipstream = inputs.surfaces * self.slipstream.slope(loading)
         slopes = [
             by_lag @ self.by_surfaces.T,
-            logged_thrust / units,
+            logged_thrust / units + logged * self.by_thrust + by_scale @ self.by_surfaces.T,
             by_slipstream @ self.by_surfaces.T,
         ]
         return np.stack(slopes, axis=-1)
+
+    def loading(self, air: Matrix, inputs: Inputs) -> Vector:
+        """Return thrust over dynamic pressure and wing area (n,)."""
+        return inputs.thrust[:, 0] / self.load_units(air, inputs)[:, 0]
 
 
 def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:

@@ -67,7 +67,6 @@ from skdgp.estimation._air_parameters import (
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import (
-    AIRSPEED,
     FORCE_READINGS,
     KNOWN_ARM,
     PATH_CHANNELS,
@@ -108,8 +107,9 @@ class AirMotion:
     surfaces : list of str
         Surfaces that move in the flights.
     converged : bool
-        Whether the last steps were small. Otherwise ``std`` includes how far the search still
-        moved in its last passes; if it was cut short, the prior's variance.
+        Whether the last steps were small, and the likelihood had not fallen far. Otherwise ``std``
+        includes how far the search still moved in its last passes; if it was cut short, the prior's
+        variance.
     seconds : float
         Length of the records [s].
     misfit : float
@@ -262,8 +262,9 @@ def estimate_air_motion(
     Noises maximise the likelihood of the innovations. Priors :math:`\Lambda` are wide; they bound
     parameters that a flight does not determine. Terms beyond the usual ones, such as CY by the
     ailerons, or Cm by thrust over dynamic pressure and wing area, have narrow priors around zero, as
-    of a symmetric aircraft without offset of the thrust line. The covariance is
-    :math:`(Z^T D)^{-1} Z^T Z (D^T Z)^{-1}`, or its estimate from sums over blocks where that is
+    of a symmetric aircraft without offset of the thrust line. Elevator and rudder may become stronger
+    with thrust, in the slipstream of a propeller. The covariance is
+    :math:`(Z^T D + \Lambda)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
     samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
@@ -330,26 +331,30 @@ def estimate_air_motion(
         derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
-    loading = mean_loading(records, aircraft) if known is None else known.loading
+    loading = 0.0 if known is None else known.loading
+    if known is None and thrust is not None:
+        loading = _mean_loading(records, aircraft)
     records = [record._replace(loading=loading) for record in records]
     constants = dict(AIRCRAFT_CONSTANTS)
     if knows_position:
         constants |= KNOWN_ARM
     parameters = _parameters(derivatives, constants, known, n_flights)
     noises = _noises(records, known, n_flights, settings)
+    motion = None
     for n_before in settings.attempts:
         fit = AirFit(records, aircraft, layout, parameters, noises, settings)
         try:
             # a search that diverges leaves the range of numbers
             with np.errstate(over="ignore", invalid="ignore"):
                 converged = fit.search(n_before)
-            if fit.went_back and n_before != settings.attempts[-1]:
-                continue  # more passes without instruments may lead elsewhere
             motion = _air_motion(fit, converged, surfaces, len(table))
-            return replace(motion, is_complete=is_complete)
         except np.linalg.LinAlgError:  # the search diverged
             continue
-    raise ValueError(DIVERGED)
+        if not fit.went_back:
+            break
+    if motion is None:
+        raise ValueError(DIVERGED)
+    return replace(motion, is_complete=is_complete)
 
 
 def _records(
@@ -367,14 +372,16 @@ def _records(
     return records
 
 
-def mean_loading(records: list[Record], aircraft: Aircraft) -> float:
-    """Return the mean thrust over dynamic pressure and wing area, at the mean airspeed of each record."""
-    loadings = []
-    for record in records:
-        airspeed = np.nanmean(record.measured[:, AIRSPEED])
-        pressure = dynamic_pressure(airspeed, record.inputs.density)
-        loadings.append(record.inputs.thrust[:, 0] / (pressure * aircraft.wing_area))
-    return float(np.concatenate(loadings).mean())
+def _mean_loading(records: list[Record], aircraft: Aircraft) -> float:
+    """Return the mean thrust over the mean dynamic pressure and wing area, by the speed over the ground.
+
+    Slow and standing records hardly count.
+    """
+    thrust = np.concatenate([record.inputs.thrust[:, 0] for record in records])
+    density = np.concatenate([record.inputs.density for record in records])
+    speed = np.linalg.norm(np.concatenate([record.velocity for record in records]), axis=1)
+    load = np.sum(dynamic_pressure(speed, density)) * aircraft.wing_area
+    return float(np.sum(thrust) / load) if load > 0 else 0.0
 
 
 def _to_learn_from(records: list[Record], settings: AirSettings) -> list[Record]:

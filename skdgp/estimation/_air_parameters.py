@@ -49,10 +49,7 @@ ARM = ("arm_x", "arm_y", "arm_z")
 AIRCRAFT_CONSTANTS: Prior = {
     "servo_lag": (0.03, 0.05),  # [s]
     "thrust_scale": (0.0, 0.1),
-    "slipstream": (
-        0.0,
-        1.0,
-    ),  # effect of the tail's surfaces by thrust over dynamic pressure and wing area
+    "slipstream": (0.0, 3.0),  # wing area over the propeller's disk of a tail behind it
     **AIR_SENSOR_ERRORS,
 }
 """Constants of an aircraft and its sensors."""

@@ -153,7 +153,7 @@ class AirSettings:
     least_direction: float = 1e-6
 
     # passes before the instruments are used, whose slopes are small far from the solution; the
-    # second number where the first attempt diverges
+    # second number where the first attempt diverges, or goes back to an earlier pass
     attempts: tuple[int, ...] = (0, 6)
     # passes at most of one attempt
     max_passes: int = 45

@@ -175,10 +175,13 @@ def _linear(
 
 
 def reconstructed(pipeline: Pipeline | Aerodynamics, table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight with its logged inputs, and reconstructed states and wind; unchanged without reconstruction."""
+    """Return a flight with its logged inputs, and reconstructed states and wind; unchanged without reconstruction.
+
+    The flight is without the error of the airspeed that the pipeline removes.
+    """
     if not isinstance(pipeline, Pipeline) or reconstruction_of(pipeline) is None:
         return table
     n_steps = 1 + list(pipeline.named_steps).index("flightpathreconstruction")
     with without_warnings():  # the evaluation has shown them
-        motion = pipeline[:n_steps].transform(table)
+        motion = Pipeline(pipeline.steps[:n_steps]).transform(table)
     return table.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))

@@ -26,7 +26,7 @@ from skdgp._compute.typing import Array
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
-FORMAT = 7
+FORMAT = 8
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14

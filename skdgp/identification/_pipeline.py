@@ -323,17 +323,28 @@ class FlightPipeline(Pipeline):
         if isinstance(ind, slice) and part.steps[:1] == self.steps[:1]:
             part.airspeed_scale_ = self.airspeed_scale_
             part.band_ = self.band_
+            if len(part) == len(self):
+                part.calibration_ = self.calibration_
         return part
 
     def _ends_with_transform(self) -> bool:
         """Return whether the last step transforms."""
         last = self.steps[-1][1]
-        return last == "passthrough" or hasattr(last, "transform")
+        return last in (None, "passthrough") or hasattr(last, "transform")
+
+    @available_if(_ends_with_transform)
+    def fit_transform(self, X: pd.DataFrame, y: Any = None, **params: Any) -> Any:
+        """Fit all steps to flights, and transform these, without the errors of the log that they show."""
+        self.learn_errors_of_log(X)
+        return self._in_band(super().fit_transform(self.corrected(X), y, **params), X)
 
     @available_if(_ends_with_transform)
     def transform(self, X: pd.DataFrame, **params: Any) -> Any:
         """Transform flights by all steps, without the errors of the log that the fit has found."""
-        values = super().transform(self.corrected(X), **params)
+        return self._in_band(super().transform(self.corrected(X), **params), X)
+
+    def _in_band(self, values: Any, X: pd.DataFrame) -> Any:
+        """Return regressors of flights X without frequencies beyond ``band_``; what are none as they are."""
         if np.isinf(self.band_) or "regressorselector" not in self.named_steps:
             return values
         limited = band_limited(np.asarray(values), X, self.band_)
@@ -349,14 +360,14 @@ class FlightPipeline(Pipeline):
         The latter is None without a choice of the regressors of an engine.
         """
         place = list(self.named_steps).index("regressorselector")
-        before = self[:place]
+        before = Pipeline(self.steps[:place], memory=self.memory)
         flights = before.fit_transform(X, y)
         without_effect = None
         if choose_engine:
             choice = engine_regressors(self[place], flights, y)
             self.set_params(regressorselector__regressors=choice.names)
             without_effect = choice.without_effect
-        behind = self[place:-1]
+        behind = Pipeline(self.steps[place:-1], memory=self.memory)
         regressors = np.asarray(behind.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*before.steps, *behind.steps, self.steps[-1]]

@@ -716,8 +716,8 @@ def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> d
     """Return the controls of differential spoilers (ArduPlane/servos.cpp).
 
     Outer spoilers are -+ aileron + rudder of one side, inner ones the rudder against it; of a flying
-    wing with its elevator. The rudder is in one side's sum and difference of either pair, and in none of
-    both pairs.
+    wing with its elevator. The rudder appears in the sum and in the difference of each pair, and cancels
+    when both pairs are added.
     """
     if not servos.keys() >= {*OUTER}:
         return {}

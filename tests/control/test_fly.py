@@ -260,11 +260,12 @@ def test_a_second_autopilot_is_ignored(flown):
     assert set(result.table["flight"]) == {"start 1"}
 
 
-def test_another_autopilot_flies_after_silence(flown):
+@pytest.mark.parametrize("count", [1, 5, 9])
+def test_another_autopilot_flies_after_silence(flown, count):
     def play(autopilot):
         autopilot.send(count=5)
         other = Autopilot(autopilot.target[1])
-        assert other.send(count=1)["timestamp"] == 1 / RATE
+        assert other.send(count=count)["timestamp"] == 1 / RATE
         other.socket.close()
 
     table = flown(play, height=50.0, settings=FlySettings(handover=0.0)).table

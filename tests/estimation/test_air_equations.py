@@ -62,7 +62,9 @@ def flight_of_sines(n=30):
     t = 0.02 * np.arange(n)[:, None]
     wave = lambda k: np.sin(2 * t + rng.uniform(0, 6, k))  # noqa: E731
     attitude = np.swapaxes(euler_to_matrix(*(0.3 * wave(3) + np.array([0.1, 0.2, 1.0])).T), 1, 2)
-    inputs = Inputs(0.1 * wave(3), wave(6) + 2, np.full(n, 1.2))
+    thrust = wave(6) + 2
+    thrust[:, 0] = 8 + 3 * wave(1)[:, 0]
+    inputs = Inputs(0.1 * wave(3), thrust, np.full(n, 1.2))
     measured = np.column_stack([3 * wave(3), 0.5 * wave(3), 17 + wave(1), 0.1 * wave(2)])
     record = Record(
         0,
@@ -77,6 +79,7 @@ def flight_of_sines(n=30):
         inputs,
         np.zeros(3),
         np.zeros((6, 6)),
+        loading=0.05,
     )
     by_thrust = {"Cm": (*TERMS["Cm"], "thrust"), "Cn": (*TERMS["Cn"], "thrust")}
     derivatives = derivatives_of(TERMS | by_thrust, SURFACES)
@@ -85,7 +88,7 @@ def flight_of_sines(n=30):
         name: mean + 0.3 * min(std, 5.0)
         for name, (mean, std) in (dict(AIRCRAFT_CONSTANTS) | FLIGHT_CONSTANTS).items()
     }
-    value |= {"servo_lag": 0.03}
+    value |= {"servo_lag": 0.03, "slipstream": 3.0, "Cm_elevator": -1.0}
     states = 0.2 * wave(N_STATES)
     return record, Layout.of(list(derivatives), SURFACES), value, states
 
@@ -107,10 +110,11 @@ def still_flight(airspeed):
 
 def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
     """Behind a propeller of the disk A it is that of the air and the thrust over A; other surfaces feel the air."""
-    pressure, thrust, wing_area, disk = 180.0, 9.0, 0.4, 0.08
-    wake = Slipstream(wing_area / disk, 0.0, np.array([1.0, 0.0]))
-    effect = wake.effect(np.array(thrust / (pressure * wing_area)))
-    assert_allclose(effect, [(pressure + thrust / disk) / pressure, 1.0])
+    pressure, thrust, wing_area, disk = 180.0, np.array([9.0, 4.0]), 0.4, 0.08
+    behind = pressure + thrust / disk
+    loading = thrust / (pressure * wing_area)
+    wake = Slipstream(wing_area / disk, loading[1], np.array([1.0, 0.0]))
+    assert_allclose(wake.effect(loading), [[behind[0] / behind[1], 1.0], [1.0, 1.0]])
 
 
 @pytest.mark.parametrize("gust", [0.0, 1.0])

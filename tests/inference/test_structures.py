@@ -58,6 +58,7 @@ class TestShiftedOutputs:
         assert error_over_spread(mean, truth) < 0.1
         assert np.mean(np.abs(mean - truth) < 1.96 * std) > 0.85
 
+    @pytest.mark.slow
     def test_along_one_of_two_regressors(self):
         rng = np.random.default_rng(0)
         X = rng.uniform(-3, 3, (150, 2))

@@ -157,6 +157,7 @@ def test_derivatives_lie_inside_their_bands():
     assert_allclose(np.sqrt(np.diag(found.covariance)), found.derivatives["std"])
 
 
+@pytest.mark.slow
 def test_sensors_half_a_metre_ahead_tell_the_same():
     """A known position leaves less unknown, so that bands are no wider."""
     flight = flown(GUSTY, 18.0, arm=(0.5, 0.05, -0.1))

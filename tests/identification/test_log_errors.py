@@ -132,7 +132,7 @@ def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
 
 
 def test_a_corrected_flight_is_not_corrected_again():
-    flight = load_example_flights().test.iloc[:600]
+    flight = load_example_flights().test.iloc[:120]
     pipeline = FlightPipeline([("flightpathreconstruction", FlightPathReconstruction())])
     pipeline.fit_transform(flight)
     known = reconstructed(pipeline, flight)["airspeed"]

@@ -588,14 +588,7 @@ class _Served:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
             if not self._is_autopilot(sender):
-                if sender in self._ignored:
-                    continue
-                self._ignored.add(sender)
-                warn(
-                    f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
-                    "second are ignored.",
-                    stacklevel=5,
-                )
+                self._warn_of(sender)
                 continue
             # ArduPilot repeats a packet whose answer it did not get
             if packet.number != self._last:
@@ -615,6 +608,16 @@ class _Served:
             self._last = sys.maxsize  # its first packet starts a flight
         self._heard = now
         return True
+
+    def _warn_of(self, sender: Any) -> None:
+        """Warn once of a second autopilot."""
+        if sender not in self._ignored:
+            self._ignored.add(sender)
+            warn(
+                f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
+                "second are ignored.",
+                stacklevel=6,
+            )
 
     def _step(self, packet: Packet) -> None:
         flight = self.flight

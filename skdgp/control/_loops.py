@@ -237,7 +237,7 @@ def autopilot_loops(
     ------
     ValueError
         If there are no gains of these firmwares, or of both, no loop for the controls, a parameter is no finite
-        number, or an airspeed or a time constant is not above zero.
+        number, an airspeed or a time constant is not above zero, or the trim of PX4's airspeed is beyond its limits.
 
     Examples
     --------

@@ -96,8 +96,8 @@ class AirFit:
 
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges. It may
         end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
-        and their equations have others: then parameters and noises are those of this pass, and the
-        search did not converge.
+        and their equations have other solutions there. Then parameters and noises are those of the
+        earlier pass, and the search did not converge.
         """
         keep_freed_memory()
         settings = self.settings

@@ -197,7 +197,7 @@ def motion_model(
     names = layout.names[: layout.n_derivatives]
     derivatives[layout.rows, layout.columns] = [value[name] for name in names]
     reached = np.isin(layout.surfaces, TAIL).astype(float)
-    slipstream = Slipstream(value["slipstream"], record.loading, reached)
+    slipstream = Slipstream(value["slipstream"], record.mean_thrust, reached)
     arm = record.position + stacked(value, *ARM)
     return AirMotionModel(aircraft, derivatives, arm, slipstream)
 
@@ -309,8 +309,8 @@ class _Expansion:
         self.inputs = Inputs(surfaces, thrust, logged.density)
         self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
-        loading = self.model.loading(self.air, self.inputs)
-        self.surface_effect = self.model.slipstream.effect(loading)  # (n, k)
+        tau = self.model.relative_thrust(np.linalg.norm(self.air, axis=1), self.inputs)
+        self.surface_effect = self.model.slipstream.effect(tau)  # (n, k)
         self.constant_slopes = self.model.constant_slopes(
             self.air, self.inputs, by_lag, logged.thrust
         )

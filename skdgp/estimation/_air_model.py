@@ -71,20 +71,20 @@ class Slipstream(NamedTuple):
 
     factor: float  # s
     mean: float  # tau_0, at which derivatives by these surfaces hold
-    reached: Vector  # (k,) one of each surface that the slipstream may reach, else zero
+    reached: Vector  # (k,) 1 for a surface that the slipstream may reach, else 0
 
-    def effect(self, loading: Array) -> Array:
-        """Return the relative effect (..., k) at thrust over dynamic pressure and wing area (...)."""
-        return 1.0 + self.by_loading * (loading - self.mean)[..., None]
+    def effect(self, tau: Array) -> Array:
+        """Return the effect (..., k) at the relative thrust tau (...)."""
+        return 1.0 + self.by_thrust * (tau - self.mean)[..., None]
 
     @property
-    def by_loading(self) -> Vector:
-        """Derivative of the effect by the loading, (k,)."""
+    def by_thrust(self) -> Vector:
+        """Derivative of the effect by tau, (k,)."""
         return self.factor / (1.0 + self.factor * self.mean) * self.reached
 
-    def slope(self, loading: Array) -> Array:
-        """Return d effect / d s (..., k)."""
-        change = (loading - self.mean) / (1.0 + self.factor * self.mean) ** 2
+    def by_factor(self, tau: Array) -> Array:
+        """Return the derivative of the effect by s, (..., k)."""
+        change = (tau - self.mean) / (1.0 + self.factor * self.mean) ** 2
         return change[..., None] * self.reached
 
 
@@ -131,8 +131,7 @@ class AirMotionModel:
         X[..., 4:7] = (
             state[..., BODY_RATES] * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
         )
-        pressure = dynamic_pressure(airspeed, inputs.density)
-        X[..., 7] = inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
+        X[..., 7] = self.relative_thrust(airspeed, inputs)
         X[..., 8:] = inputs.surfaces * self.slipstream.effect(X[..., 7])
         return X
 
@@ -211,22 +210,21 @@ class AirMotionModel:
 
         ``by_lag`` (n, k) are slopes of the surfaces, ``logged_thrust`` (n, 6) is without the scale.
         """
-        units = self.load_units(air, inputs)
-        logged = (logged_thrust / units)[:, :1]
-        by_scale = inputs.surfaces * self.slipstream.by_loading * logged
-        loading = self.loading(air, inputs)
-        by_lag = by_lag * self.slipstream.effect(loading)
-        by_slipstream = inputs.surfaces * self.slipstream.slope(loading)
-        slopes = [
-            by_lag @ self.by_surfaces.T,
-            logged_thrust / units + logged * self.by_thrust + by_scale @ self.by_surfaces.T,
-            by_slipstream @ self.by_surfaces.T,
-        ]
+        tau = self.relative_thrust(np.linalg.norm(air, axis=1), inputs)
+        logged = logged_thrust / self.load_units(air, inputs)
+        logged_tau = logged[:, :1]
+        # the thrust is a load, a term of the coefficients, and the cause of the slipstream
+        by_scale = inputs.surfaces * self.slipstream.by_thrust * logged_tau
+        of_scale = logged + logged_tau * self.by_thrust + by_scale @ self.by_surfaces.T
+        by_lag = by_lag * self.slipstream.effect(tau)
+        by_factor = inputs.surfaces * self.slipstream.by_factor(tau)
+        slopes = [by_lag @ self.by_surfaces.T, of_scale, by_factor @ self.by_surfaces.T]
         return np.stack(slopes, axis=-1)
 
-    def loading(self, air: Matrix, inputs: Inputs) -> Vector:
-        """Return thrust over dynamic pressure and wing area (n,)."""
-        return inputs.thrust[:, 0] / self.load_units(air, inputs)[:, 0]
+    def relative_thrust(self, airspeed: Array, inputs: Inputs) -> Array:
+        """Return thrust over dynamic pressure and wing area (..., n)."""
+        pressure = dynamic_pressure(airspeed, inputs.density)
+        return inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
 
 
 def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:

@@ -94,8 +94,8 @@ class AirMotion:
     covariance : DataFrame (p, p)
         Joint covariance of the derivatives.
     constants : DataFrame
-        The same columns for servo_lag [s], thrust_scale, slipstream (effect of elevator and rudder by
-        thrust over dynamic pressure and wing area), airspeed_scale, error of the position of the
+        The same columns for servo_lag [s], thrust_scale, slipstream (wing area over the disk of a
+        propeller before the tail), airspeed_scale, error of the position of the
         inertial sensors arm_x, arm_y, arm_z [m] (from the centre of gravity where it is not known),
         and for each flight wind and biases.
     noise : dict of str to float
@@ -122,7 +122,7 @@ class AirMotion:
     vibrates : bool
         Whether an oscillation shakes accelerometers and gyros of a flight. What they share then counts as
         noise, and ``std`` is larger by half.
-    loading : float
+    mean_thrust : float
         Mean thrust over dynamic pressure and wing area, at which derivatives by elevator and rudder hold.
     """
 
@@ -137,7 +137,7 @@ class AirMotion:
     misfit: float = 1.0
     is_complete: bool = False
     vibrates: bool = False
-    loading: float = 0.0
+    mean_thrust: float = 0.0
 
     @property
     def summary(self) -> str:
@@ -331,10 +331,10 @@ def estimate_air_motion(
         derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
-    loading = 0.0 if known is None else known.loading
+    mean_thrust = 0.0 if known is None else known.mean_thrust
     if known is None and thrust is not None:
-        loading = _mean_loading(records, aircraft)
-    records = [record._replace(loading=loading) for record in records]
+        mean_thrust = _mean_thrust(records, aircraft)
+    records = [record._replace(mean_thrust=mean_thrust) for record in records]
     constants = dict(AIRCRAFT_CONSTANTS)
     if knows_position:
         constants |= KNOWN_ARM
@@ -372,7 +372,7 @@ def _records(
     return records
 
 
-def _mean_loading(records: list[Record], aircraft: Aircraft) -> float:
+def _mean_thrust(records: list[Record], aircraft: Aircraft) -> float:
     """Return the mean thrust over the mean dynamic pressure and wing area, by the speed over the ground.
 
     Slow and standing records hardly count.
@@ -508,5 +508,5 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
         vibrates=vibrates,
-        loading=fit.records[0].loading,
+        mean_thrust=fit.records[0].mean_thrust,
     )

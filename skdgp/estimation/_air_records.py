@@ -54,7 +54,7 @@ class Record(NamedTuple):
     # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
     answers: Matrix | None = None
     # mean thrust of the flights over dynamic pressure and wing area
-    loading: float = 0.0
+    mean_thrust: float = 0.0
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""

@@ -344,7 +344,7 @@ class FlightPipeline(Pipeline):
         return self._in_band(super().transform(self.corrected(X), **params), X)
 
     def _in_band(self, values: Any, X: pd.DataFrame) -> Any:
-        """Return regressors of flights X without frequencies beyond ``band_``; what are none as they are."""
+        """Return regressors of flights X without frequencies beyond ``band_``, and other columns unchanged."""
         if np.isinf(self.band_) or "regressorselector" not in self.named_steps:
             return values
         limited = band_limited(np.asarray(values), X, self.band_)

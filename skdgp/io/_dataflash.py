@@ -722,20 +722,22 @@ def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> d
     if not servos.keys() >= {*OUTER}:
         return {}
     options = SpoilerOption(whole(parameters.get("DSPOILER_OPTS", 3.0)))
-    difference = _halves(servos, OUTER, -0.5, 0.5)
-    total = _halves(servos, OUTER, -0.5, -0.5)
-    controls: dict[str, Control] = {"aileron": difference, "elevator": total}
+    outer = _halves(servos, OUTER, -0.5, 0.5)
+    aileron = outer
+    elevator = _halves(servos, OUTER, -0.5, -0.5)
+    controls: dict[str, Control] = {}
     if servos.keys() >= {*INNER}:
-        of_inner = _halves(servos, INNER, -0.5, 0.5)
-        controls["aileron"] = (*difference, *of_inner)
-        controls["elevator"] = (*total, *_halves(servos, INNER, -0.5, -0.5))
-        controls["rudder"] = scaled(of_inner, 2.0)
+        inner = _halves(servos, INNER, -0.5, 0.5)
+        aileron = (*outer, *inner)
+        elevator = (*elevator, *_halves(servos, INNER, -0.5, -0.5))
+        controls["rudder"] = scaled(inner, 2.0)
         if SpoilerOption.FULL_SPAN in options:
-            controls["aileron"] = scaled(controls["aileron"], 0.5)
-            controls["elevator"] = scaled(controls["elevator"], 0.5)
-            controls["rudder"] = (*scaled(difference, -1.0), *of_inner)
-    if SpoilerOption.FLYING_WING not in options:
-        del controls["elevator"]
+            aileron = scaled(aileron, 0.5)
+            elevator = scaled(elevator, 0.5)
+            controls["rudder"] = (*scaled(outer, -1.0), *inner)
+    controls["aileron"] = aileron
+    if SpoilerOption.FLYING_WING in options:
+        controls["elevator"] = elevator
     return controls
 
 

@@ -79,7 +79,7 @@ def flight_of_sines(n=30):
         inputs,
         np.zeros(3),
         np.zeros((6, 6)),
-        loading=0.05,
+        mean_thrust=0.05,
     )
     by_thrust = {"Cm": (*TERMS["Cm"], "thrust"), "Cn": (*TERMS["Cn"], "thrust")}
     derivatives = derivatives_of(TERMS | by_thrust, SURFACES)
@@ -112,9 +112,9 @@ def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
     """Behind a propeller of the disk A it is that of the air and the thrust over A; other surfaces feel the air."""
     pressure, thrust, wing_area, disk = 180.0, np.array([9.0, 4.0]), 0.4, 0.08
     behind = pressure + thrust / disk
-    loading = thrust / (pressure * wing_area)
-    wake = Slipstream(wing_area / disk, loading[1], np.array([1.0, 0.0]))
-    assert_allclose(wake.effect(loading), [[behind[0] / behind[1], 1.0], [1.0, 1.0]])
+    tau = thrust / (pressure * wing_area)
+    wake = Slipstream(wing_area / disk, tau[1], np.array([1.0, 0.0]))
+    assert_allclose(wake.effect(tau), [[behind[0] / behind[1], 1.0], [1.0, 1.0]])
 
 
 @pytest.mark.parametrize("gust", [0.0, 1.0])

@@ -91,9 +91,10 @@ def flown(
     plane = module.AIRCRAFT["trainer"]
     plane = plane | {"thrust_arm": np.array(thrust_arm), "slipstream": slipstream}
     fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
-    fleet.legs = [(bank + 0 * banks, speeds) for banks, speeds in fleet.legs]
-    if not slipstream:
-        fleet.legs = [(banks, 1.0 + 0 * speeds) for banks, speeds in fleet.legs]
+    changes = 1.0 if slipstream else 0.0
+    fleet.legs = [
+        (bank + 0 * banks, 1.0 + changes * (speeds - 1.0)) for banks, speeds in fleet.legs
+    ]
     starts = np.arange(0.5, seconds - 2, 2.0) if inputs else np.zeros(0)
     starts = starts + rng.uniform(0.0, 0.02, len(starts))  # between samples
     fleet.pulses[:] = 0.0
@@ -495,11 +496,11 @@ def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none(monkeypa
 def test_a_record_without_airspeed_does_not_spoil_the_mean_thrust():
     flight, aircraft = in_gusts().table.iloc[:600], in_gusts().aircraft
     settings = AirSettings(max_passes=1)
-    alone = estimate_air_motion(flight, aircraft, settings=settings).loading
+    alone = estimate_air_motion(flight, aircraft, settings=settings).mean_thrust
     assert 0.01 < alone < 0.2
     blind = flight.assign(time=flight["time"] + 100.0, airspeed=np.nan)
     both = pd.concat([flight, blind], ignore_index=True)
-    found = estimate_air_motion(both, aircraft, settings=settings).loading
+    found = estimate_air_motion(both, aircraft, settings=settings).mean_thrust
     assert found == pytest.approx(alone, rel=1e-3)
 
 

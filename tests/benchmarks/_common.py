@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
+OTHERS = Path(__file__).with_name("others")  # runs of methods that do not depend on the package
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpar", "jsbsim")
 LIMIT = 1200  # s of processor time of a run
 
@@ -52,7 +53,6 @@ def machine():
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         processor = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
-    installed = {one.name.lower(): one.version for one in distributions()}
     return {
         "commit": commit(),
         "date": time.strftime("%Y-%m-%d"),
@@ -60,30 +60,42 @@ def machine():
         "cores": os.cpu_count(),
         "threads": max((library["num_threads"] for library in threadpool_info()), default=1),
         "python": platform.python_version(),
-        "versions": {name: installed[name] for name in PACKAGES if name in installed},
+        "versions": versions(),
     }
+
+
+@cache
+def versions():
+    """Return the versions of the packages that are compared."""
+    installed = {one.name.lower(): one.version for one in distributions()}
+    return {name: installed[name] for name in PACKAGES if name in installed}
 
 
 class Kept:
     """Results of single runs, a line each in OUT/NAME.runs: what is there is not run again.
 
     A run that takes longer than the limit [s], or ends by a numerical error, has no result but its seconds.
+    Runs of ``others``, methods that do not depend on the package, are in OUT/NAME.others, or where these files
+    are kept, in ``OTHERS``: remove a line there to run it again.
     """
 
-    def __init__(self, options, name, limit=LIMIT):
+    def __init__(self, options, name, limit=LIMIT, others=()):
         self.limit = limit
+        self.others = others
         options.out.mkdir(parents=True, exist_ok=True)
-        self.path, lines = options.out / f"{name}.runs", []
-        if self.path.exists():
-            lines = [json.loads(line) for line in self.path.read_text().splitlines()]
-        if any(run["commit"] != commit() for run in lines):
-            raise SystemExit(f"Got runs of another commit than {commit()}: remove {self.path}.")
-        self.memory = {run["name"]: run for run in lines}
+        self.own_path = options.out / f"{name}.runs"
+        self.other_path = options.out / f"{name}.others"
+        own = lines_of(self.own_path)
+        if any(run["commit"] != commit() for run in own):
+            raise SystemExit(f"Got runs of another commit than {commit()}: remove {self.own_path}.")
+        runs = [*own, *lines_of(OTHERS / f"{name}.others"), *lines_of(self.other_path)]
+        self.memory = {run["name"]: run for run in runs}
+        self.asked = {}
 
     @property
     def table(self):
-        """A row for each run."""
-        return pd.DataFrame([*self.memory.values()])
+        """A row for each run that was asked for."""
+        return pd.DataFrame([*self.asked.values()])
 
     def run(self, key, function, *arguments):
         """Return key, seconds and result, a dict, of a function."""
@@ -93,12 +105,24 @@ class Kept:
             result = limited(self.limit, function, *arguments) | {
                 "seconds": time.process_time() - start
             }
-            self.memory[name] = {"name": name, "commit": commit(), **key, **result}
+            if key.get("method") in self.others:
+                path, origin = self.other_path, {"versions": versions()}
+            else:
+                path, origin = self.own_path, {"commit": commit()}
+            self.memory[name] = {"name": name, **origin, **key, **result}
             line = json.dumps(self.memory[name])
             print(line[:300], file=sys.stderr, flush=True)
-            with self.path.open("a") as file:
+            with path.open("a") as file:
                 file.write(f"{line}\n")
+        self.asked[name] = self.memory[name]
         return self.memory[name]
+
+
+def lines_of(path):
+    """Return the runs of a file, none if it is missing."""
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def limited(limit, function, *arguments):

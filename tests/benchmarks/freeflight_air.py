@@ -71,8 +71,9 @@ def model_row(name, model, log, aircraft, flown):
     """Return coverage of coefficients, function and derivatives, and errors of the function."""
     row = {}
     for air, flight in flown.items():
-        measured = aerodynamic_coefficients(sensed(flight), aircraft).to_numpy()[::EVERY]
-        regressors, ratio = flight_regressors(model, sensed(flight))
+        logged = sensed(flight)
+        measured = aerodynamic_coefficients(model.corrected(logged), aircraft).to_numpy()[::EVERY]
+        regressors, ratio = flight_regressors(model, logged)
         options = {"return_std": True, "include_noise": True, "include_input_noise": ratio[::EVERY]}
         bands = model[-1].predict(regressors[::EVERY], **options)
         row[f"coefficients, {air}"] = 100.0 * interval_coverage(measured, *bands)
@@ -89,7 +90,8 @@ def model_row(name, model, log, aircraft, flown):
     true = true_values(table, known)
     inside = np.abs(table["value"] - true) < 2 * table["std"]
     row["derivatives"] = 100.0 * inside[np.abs(true) > 0].mean()
-    X, Y = model[:-2].transform(log)[names], aerodynamic_coefficients(log, aircraft)
+    X = model[:-2].transform(log)[names]
+    Y = aerodynamic_coefficients(model.corrected(log), aircraft)
     rows = Y.notna().all(axis=1) & X.notna().all(axis=1)
     line = LinearRegression().fit(X[rows], Y[rows]).predict(asked)
     error = float(normalized_rmse(truth, mean))
@@ -160,7 +162,7 @@ def main(words=None):
     kept = Kept(options, "freeflight_air")
     for name in options.aircraft:
         kept.run({"aircraft": name}, measured, name)
-    tables = {kind: summary(kept.memory.values(), kind) for kind in ("models", *LEVELS)}
+    tables = {kind: summary(kept.asked.values(), kind) for kind in ("models", *LEVELS)}
     finish(options, "freeflight_air", **tables)
 
 

@@ -48,6 +48,7 @@ from skdgp.dynamics import (
     Turbulence,
     as_aerodynamics,
     channels,
+    drawn_functions,
     gust_stream,
     linearize,
     thrust_control,
@@ -553,7 +554,7 @@ def fly(
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
     flown = as_aerodynamics(model)
     if path is not None:
-        flown = flown.sample(1, path, rounded=True)
+        flown = drawn_functions(Motion(flown, aircraft, thrust=thrust), 1, path)
     flight = ModelInFlight(
         flown, aircraft, steady, height, thrust, wind, gusts, random_state, settings
     )

@@ -30,6 +30,7 @@ from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._aircraft import check_aircraft as check_aircraft
 from skdgp.dynamics._aircraft import with_sensor_position as with_sensor_position
 from skdgp.dynamics._derivatives import stability_derivatives
+from skdgp.dynamics._drawn import drawn_functions as drawn_functions
 from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import gust_stream as gust_stream

@@ -38,7 +38,7 @@ from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
-from skdgp.dynamics._size_errors import errors_of_sizes
+from skdgp.dynamics._size_errors import errors_of_log, errors_of_sizes
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
 
@@ -408,7 +408,7 @@ def _drawn(
         unsteady = unsteady._replace(slopes=draws * unsteady.slopes)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
     aircraft = motion.aircraft
-    of_log = {name: each for name, each in (aircraft.deviations or {}).items() if each.of_log}
+    of_log = errors_of_log(aircraft)
     sizes = errors_of_sizes(of_log, aircraft.inertia, motion.regressors, values)
     draws = generator.standard_normal((n_paths, len(of_log)))
     errors = np.tensordot(draws, sizes[..., 1:], axes=1)

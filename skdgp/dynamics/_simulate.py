@@ -16,6 +16,7 @@ from skdgp._flight.checks import check_number
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._air import Air, as_air
 from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._inputs import (
     Clock,
     control_schedule,
@@ -80,7 +81,8 @@ def simulate(
         flights. ``Air(gusts=None)`` is calm.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
-        flight. Their spread is the uncertainty of the trajectory.
+        flight, with errors of the log that the aircraft has (``deviations``). Their spread is the
+        uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     thrust : "auto" or None, default="auto"
@@ -150,7 +152,7 @@ def simulate(
     else:
         met = paths_air(described, local, motion, clock, states, n_paths, random_state)
         local, drift, sentence = met
-        motion.aerodynamics = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
+        motion.aerodynamics = drawn_functions(motion, n_paths, random_state)
         states = perturbed(states, start_std, n_paths, random_state)
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
@@ -278,7 +280,7 @@ class Simulator:
         motion = self.motion
         motion.aerodynamics = self._mean
         if random_state is not None:
-            motion.aerodynamics = self._mean.sample(1, random_state, rounded=True)
+            motion.aerodynamics = drawn_functions(motion, 1, random_state)
         self._state = states
         self._steps = 0
         self._reached = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -48,8 +49,8 @@ class ScaleFactor:
         error of 100 %, of coefficients and their slopes by regressors of a model, "CX",
         "CX_alpha", ...
     of_log : bool
-        Whether it is an error of the log that a model was learned from. Simulations with the same
-        aircraft depend on it.
+        Whether it is an error of the log that a model was learned from, which linear models and
+        paths of simulations then have.
     """
 
     std: float
@@ -69,6 +70,12 @@ def _floats(values: Mapping) -> dict[str, float]:
     return {str(name): float(value) for name, value in values.items()}
 
 
+def errors_of_log(aircraft: Any) -> dict[str, ScaleFactor]:
+    """Return the deviations of an aircraft that are errors of the log that its model was learned from."""
+    deviations = aircraft.deviations or {}
+    return {name: factor for name, factor in deviations.items() if factor.of_log}
+
+
 def errors_of_sizes(
     deviations: Mapping[str, ScaleFactor],
     inertia: Array,
@@ -83,23 +90,24 @@ def errors_of_sizes(
     """
     shape = (len(deviations), *(1,) * (values.ndim - 2), len(COEFFICIENTS), 1 + len(regressors))
     errors = values * relative_errors(deviations, regressors).reshape(shape)
+    errors += added_errors(deviations, regressors).reshape(shape)
     ratio = np.sqrt(inertia[0, 0] / inertia[2, 2])
     for error, factor in zip(errors, deviations.values(), strict=True):
         product = factor.std * factor.powers.get(PRODUCT, 0.0)
         error[..., 3, :] -= product * ratio * values[..., 5, :]
         error[..., 5, :] -= product / ratio * values[..., 3, :]
-        error += factor.std * _added(factor, regressors)
     return errors
 
 
-def _added(factor: ScaleFactor, regressors: tuple[str, ...]) -> Array:
-    """Return what a factor adds to coefficients and slopes, (6, 1 + regressors)."""
-    added = np.zeros((len(COEFFICIENTS), 1 + len(regressors)))
+def added_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:
+    """Return what factors add to coefficients and slopes, (factors, 6, 1 + regressors)."""
+    errors = np.zeros((len(deviations), len(COEFFICIENTS), 1 + len(regressors)))
     columns = ["", *(f"_{name}" for name in regressors)]
-    for row, coefficient in enumerate(COEFFICIENTS):
-        for column, ending in enumerate(columns):
-            added[row, column] = factor.added.get(coefficient + ending, 0.0)
-    return added
+    for error, factor in zip(errors, deviations.values(), strict=True):
+        for row, coefficient in enumerate(COEFFICIENTS):
+            for column, ending in enumerate(columns):
+                error[row, column] = factor.std * factor.added.get(coefficient + ending, 0.0)
+    return errors
 
 
 def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:

@@ -166,8 +166,7 @@ class FreeFlight:
     def _squares_by(self, turbulence: Turbulence, simulated: Array) -> Array:
         """Return the mean squares (n_states, n_times) by which drawn gusts move the simulations."""
         n_paths = max(1, self.settings.most_starts // len(self.parts))
-        model = _mean_alone(self.model)
-        drawn = self._simulated(model, self.parts, turbulence, n_paths=n_paths)
+        drawn = self._simulated(_mean_alone(self.model), self.parts, turbulence, n_paths=n_paths)
         paths = _by_state(drawn, n_paths * len(self.parts)).reshape(n_paths, *simulated.shape)
         return np.nan_to_num((paths - simulated) ** 2).mean(axis=(0, 1))
 
@@ -180,15 +179,17 @@ class FreeFlight:
     ) -> pd.DataFrame:
         """Return a simulation of parts of flights with their controls, in their air or drawn gusts."""
         air = self._air(parts)
+        aircraft = self.aircraft
         if gusts is not None:
             air = replace(air, gusts=gusts)
+            aircraft = replace(aircraft, deviations=None)  # paths differ by the gusts alone
         not_inputs = [*STATES, *WIND, "flight", "psi"]
         inputs = [part.flown.drop(columns=not_inputs, errors="ignore") for part in parts]
         starts = pd.DataFrame([part.start for part in parts]).reset_index(drop=True)
         with without_warnings(SimulationWarning):  # an end is an error without bound
             return simulate(
                 model,
-                self.aircraft,
+                aircraft,
                 starts,
                 inputs,
                 dt=self.settings.step,
@@ -236,7 +237,7 @@ def _first_beyond(squares: Array, limit: Vector, ends: Vector) -> Vector:
 
 
 def _mean_alone(model: Aerodynamics) -> Aerodynamics:
-    """Return the model without its uncertainty: its paths differ by the gusts alone."""
+    """Return the model without its uncertainty."""
     mean = model.with_function(model, model.gradient)
     return replace(mean, sampler=lambda n_paths, random_state: (model, model.gradient))
 

@@ -22,6 +22,7 @@ from skdgp.dynamics import (
     Drift,
     FlightComputer,
     Propeller,
+    ScaleFactor,
     SimulationWarning,
     Simulator,
     UncertainStart,
@@ -80,6 +81,16 @@ def fly(aircraft, glider):
 def inert(glider, **options):
     """Return a model without any force or moment."""
     return glider._replace(level=np.zeros(6)).model(0.0 * glider.slopes, **options)
+
+
+def certain(glider):
+    """Return the model whose paths are all the same function."""
+    model = glider.model()
+
+    def paths(n_paths, random_state):
+        return model.function, model.gradient
+
+    return replace(model, sampler=paths)
 
 
 def table_of(duration, step=0.001):
@@ -513,6 +524,43 @@ class TestEnsembles:
         assert_frame_equal(paths(drifting), paths(drifting))
         assert not paths(drifting).equals(paths(steady))
         assert not paths(drifting).equals(paths(drifting, random_state=1))
+
+    def test_each_path_has_errors_of_the_log_for_the_whole_flight(self, aircraft, fly, glider):
+        """Here of 0.02 and 0.3 elevator in Cm, and -1 alpha in CZ, times 0.1 e: the first row shows e."""
+        added = {"Cm": 0.02, "Cm_elevator": 0.3, "CZ_alpha": -1.0}
+        uncertain = replace(aircraft, deviations={"log": ScaleFactor(0.1, added=added, of_log=True)})
+        model = certain(glider)
+        options = {"duration": 0.5, "n_paths": 200}
+        paths = fly(model, aircraft=uncertain, **options)
+        starts = paths.groupby("path").first()
+        elevator = commands(0.0)["elevator"]
+        change = starts["Cm"].to_numpy() - fly(duration=0.1)["Cm"].iloc[0]
+        draws = change / (0.1 * (0.02 + 0.3 * elevator))
+        assert_allclose([draws.mean(), draws.std()], [0.0, 1.0], atol=0.25)
+        for k in (0, 1):
+            size = 0.1 * draws[k]
+            slopes = glider.slopes.copy()
+            slopes[4, 5] += 0.3 * size
+            slopes[2, 0] -= size
+            level = glider.level.copy()
+            level[4] += 0.02 * size
+            alone = fly(glider._replace(level=level).model(slopes), duration=0.5)
+            assert_allclose(paths.loc[paths["path"] == k, STATES], alone[STATES], atol=1e-8)
+        sizes = replace(aircraft, deviations={"size": ScaleFactor(0.1, added=added)})
+        assert_frame_equal(fly(model, aircraft=sizes, **options), fly(model, **options))
+
+    def test_paths_of_a_wrong_airspeed_have_other_coefficients_and_rates(self, aircraft, fly, glider):
+        """Coefficients are over the dynamic pressure, and rates over its root."""
+        factor = ScaleFactor(0.02, {"dynamic pressure": 1.0}, of_log=True)
+        uncertain = replace(aircraft, deviations={"airspeed": factor})
+        options = {"duration": 0.1, "n_paths": 50}
+        found = fly(certain(glider), aircraft=uncertain, **options).groupby("path").first()
+        exact = fly(duration=0.1).iloc[0]
+        error = found["CX"] / exact["CX"] - 1  # CX does not depend on rates
+        assert_allclose(error.std(), 0.02, rtol=0.3)
+        by_rate = -9.0 * START["q"] * aircraft.chord / (2 * START["airspeed"])
+        expected = (1 + error) * (exact["Cm"] - 0.5 * error * by_rate)
+        assert_allclose(found["Cm"], expected, rtol=1e-9)
 
     def test_a_model_without_beliefs_has_no_ensemble(self, fly, glider):
         with pytest.raises(ValueError, match="without posterior samples"):

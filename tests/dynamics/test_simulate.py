@@ -528,7 +528,9 @@ class TestEnsembles:
     def test_each_path_has_errors_of_the_log_for_the_whole_flight(self, aircraft, fly, glider):
         """Here of 0.02 and 0.3 elevator in Cm, and -1 alpha in CZ, times 0.1 e: the first row shows e."""
         added = {"Cm": 0.02, "Cm_elevator": 0.3, "CZ_alpha": -1.0}
-        uncertain = replace(aircraft, deviations={"log": ScaleFactor(0.1, added=added, of_log=True)})
+        uncertain = replace(
+            aircraft, deviations={"log": ScaleFactor(0.1, added=added, of_log=True)}
+        )
         model = certain(glider)
         options = {"duration": 0.5, "n_paths": 200}
         paths = fly(model, aircraft=uncertain, **options)
@@ -549,7 +551,9 @@ class TestEnsembles:
         sizes = replace(aircraft, deviations={"size": ScaleFactor(0.1, added=added)})
         assert_frame_equal(fly(model, aircraft=sizes, **options), fly(model, **options))
 
-    def test_paths_of_a_wrong_airspeed_have_other_coefficients_and_rates(self, aircraft, fly, glider):
+    def test_paths_of_a_wrong_airspeed_have_other_coefficients_and_rates(
+        self, aircraft, fly, glider
+    ):
         """Coefficients are over the dynamic pressure, and rates over its root."""
         factor = ScaleFactor(0.02, {"dynamic pressure": 1.0}, of_log=True)
         uncertain = replace(aircraft, deviations={"airspeed": factor})

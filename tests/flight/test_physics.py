@@ -194,6 +194,17 @@ def test_a_lag_is_found(flight, name, channels):
     assert contradictions(late(flight, 0.2, name)) == []
 
 
+@pytest.mark.parametrize("degrees", [-15.0, 3.0, 15.0])
+def test_a_magnetic_heading_is_found_by_the_course_through_the_air(flight, degrees):
+    turned = flight["psi"] + np.deg2rad(degrees)
+    found = contradictions(flight.assign(psi=np.angle(np.exp(1j * turned))))
+    if degrees == 3.0:
+        assert found == []
+    else:
+        assert_found(found, "psi")
+        assert found[0].numbers["slope"] == pytest.approx(-np.sin(np.deg2rad(degrees)), abs=0.03)
+
+
 @pytest.mark.parametrize("seconds", [-0.3, 0.3, 2.0])
 def test_a_late_airspeed_is_found_beyond_what_gusts_explain(flight, seconds):
     found = contradictions(late(flight, seconds, "airspeed"))

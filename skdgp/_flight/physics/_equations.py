@@ -66,6 +66,12 @@ def velocity_along(flight: Signals) -> Regression:
     return Regression(ground, flight["airspeed"], wind)
 
 
+def velocity_to_the_right(flight: Signals) -> Regression:
+    """Return the terms of the component along y, V sin(e + beta) in a heading that is wrong by e."""
+    ground, wind = _velocity_terms(flight, 1)
+    return Regression(ground, flight["airspeed"], wind)
+
+
 def velocity_across(flight: Signals, angle: str) -> Regression:
     """Return the terms of the component along y or z, where the air velocity is about V beta or V alpha.
 

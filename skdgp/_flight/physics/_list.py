@@ -16,6 +16,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.physics import _equations as equations
 from skdgp._flight.physics._checks import (
+    AHEAD,
     GUSTY,
     NEGATIVE,
     POSITIVE,
@@ -82,6 +83,14 @@ AIRSPEED = Relation(
     x="airspeed",
     regression=equations.velocity_along,
     lags=(*LAGS.kinematic, *LAGS.airspeed),
+)
+# a magnetic heading, or one of another zero, turns the velocity
+HEADING = Relation(
+    channels=("psi",),
+    uses=("phi", "theta", *EARTH_VELOCITY, "airspeed"),
+    y="the ground velocity to the right, less a steady wind,",
+    x="airspeed",
+    regression=equations.velocity_to_the_right,
 )
 # without lags: gravity hardly varies, and the vertical force tells them
 GRAVITY = Relation(
@@ -167,6 +176,7 @@ THRUST = Relation(
 )
 
 SIGNS = (
+    Sign(relation=HEADING, admissible=AHEAD, noise=3.0),
     _vane("beta", "the lateral ground velocity less a wind"),
     _vane("alpha", "the normal ground velocity less a wind"),
     _sensor_force("ax", axis=0),

@@ -15,7 +15,6 @@ SPREAD = np.array([0.4, 0.15])
 POINT = np.array([[0.2, -0.1]])
 SWITCHES = {
     "average": {},
-    "average in time": {"time": True},
     "joint": {"structure": "joint"},
     "joint, sparse": {"structure": "joint", "inference": "sparse", "n_inducing": 20},
     "sparse in time": {"inference": "sparse", "n_inducing": 20, "time": True},

@@ -42,9 +42,7 @@ def model(request, series, cut_short):
         return DependentGPRegressor(**options, inference=request.param).fit(X, Y, time=time)
 
 
-@pytest.mark.parametrize(
-    ("noise", "input_noise"), [(False, False), (False, True), (True, False), (True, 2.0)]
-)
+@pytest.mark.parametrize(("noise", "input_noise"), [(False, False), (False, True), (True, 2.0)])
 def test_deviations_covariances_and_samples_are_of_one_distribution(
     model, series, noise, input_noise
 ):

@@ -67,11 +67,10 @@ class TestFit:
         K = found.kernel(np.zeros((1, 1)))
         assert K[0, 1] / np.sqrt(K[0, 0] * K[1, 1]) < -0.7
 
-    @pytest.mark.parametrize("threads", [1, 2])
-    def test_seed_decides_and_threads_do_not(self, fit, threads):
+    def test_seed_decides_and_threads_do_not(self, fit):
         options = {"every": 3, "max_iter": 2, "settings": SearchSettings(single_iterations=3)}
         once = fit(ConvolvedGaussian(1), **options).posterior
-        with threadpool_limits(threads, user_api="blas"):
+        with threadpool_limits(2, user_api="blas"):
             again = fit(ConvolvedGaussian(1), **options).posterior
         assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
 

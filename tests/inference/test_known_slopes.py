@@ -56,8 +56,7 @@ def test_targets_that_are_not_observed_stay_so():
     assert np.array_equal(np.isnan(KNOWN.corrected(X, Y)), np.isnan(Y))
 
 
-@pytest.mark.parametrize("log", [False, True])
-@pytest.mark.parametrize("trend", ["linear", None])
+@pytest.mark.parametrize(("log", "trend"), [(True, "linear"), (False, None)])
 def test_model_has_the_known_slopes_and_their_errors(log, trend):
     X, Y = samples()
     time = {"time": np.arange(float(len(X)))} if log else {}

@@ -117,13 +117,12 @@ class TestNoise:
 
 
 class TestRows:
-    @pytest.mark.parametrize("threads", [1, 2])
-    def test_how_samples_are_cut_does_not_matter(self, problem, threads):
+    def test_how_samples_are_cut_does_not_matter(self, problem):
         """By as many threads as BLAS may use; also of so many points that threads share them."""
         posterior = sparse(problem)
         whole = posterior.kernel, posterior.features, posterior.noise, posterior.data
         many = np.tile(NEW, (450, 1))
-        with threadpool_limits(threads, user_api="blas"):
+        with threadpool_limits(2, user_api="blas"):
             again = SparsePosterior(*whole, share_settings=ShareSettings(rows=3))
             again.settings = PosteriorSettings(chunk_bytes=2**14)
             value = again.log_marginal_likelihood

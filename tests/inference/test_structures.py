@@ -103,10 +103,9 @@ def test_noisy_copies_learn_from_the_exact_one():
     assert joint < 0.7 * error_over_spread(np.column_stack(alone), truth)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains(seed):
+def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():
     """After as few iterations: private latents beside shared ones can all be zero."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     x = np.sort(rng.uniform(0, 10, 100))
     latent = np.column_stack([np.sin(2 * x), np.cos(3 * x)])
     Y = latent @ rng.normal(size=(2, 5)) + 0.05 * rng.normal(size=(100, 5))
@@ -163,9 +162,9 @@ def test_posterior_of_independent_outputs_is_the_posterior_of_each():
         np.testing.assert_allclose(std[:, i], expected[1], rtol=1e-6)
 
 
-@pytest.mark.parametrize("at", [20, pytest.param(100, marks=pytest.mark.slow)])
-def test_ctrl_c_in_any_structure_keeps_one_that_was_learned(at):
-    """Of 800 values structures are tried on few; evaluation ``at`` of the joint searches is interrupted."""
+def test_ctrl_c_in_any_structure_keeps_one_that_was_learned():
+    """Of 800 values structures are tried on few; an evaluation of the joint searches is interrupted."""
+    at = 20
     rng = np.random.default_rng(6)
     X = rng.uniform(-2, 2, (200, 2))
     F = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1]), X[:, 0] * X[:, 1], X.sum(axis=1)])

@@ -5,7 +5,6 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian, inducing_features
 
 
@@ -31,18 +30,13 @@ def pair(columns, rng, d=3, P=2):
     return of_few, ConvolvedGaussian(1, amplitude=amplitude, length_scale=lengths[..., columns])
 
 
-@pytest.mark.parametrize("columns", [[0], [2], [0, 2]])
-class TestIsTheKernelOfTheColumns:
-    def test_matrix_and_slopes(self, columns, rng):
-        X, (of_few, alone) = rng.normal(size=(7, 3)), pair(columns, rng)
-        assert_allclose(of_few(X), alone(X[:, columns]), rtol=1e-9, atol=1e-9)
-        found, expected = (
-            of_few.block_derivative(0, 1, X, X),
-            alone.block_derivative(0, 1, X[:, columns], X[:, columns]),
-        )
-        assert_allclose(found[columns], expected, rtol=1e-9, atol=1e-9)
-        others = np.setdiff1d(range(3), columns)
-        assert_allclose(found[others], 0.0, atol=1e-9)
+def test_matrix_and_slopes_are_those_of_the_columns(rng):
+    X, (of_few, alone) = rng.normal(size=(7, 3)), pair([0, 2], rng)
+    few = X[:, [0, 2]]
+    assert_allclose(of_few(X), alone(few), rtol=1e-9, atol=1e-9)
+    slopes = of_few.block_derivative(0, 1, X, X)
+    assert_allclose(slopes[[0, 2]], alone.block_derivative(0, 1, few, few), rtol=1e-9, atol=1e-9)
+    assert_allclose(slopes[1], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("given", [None, 0.7])
@@ -73,18 +67,7 @@ def test_functions_of_one_regressor_need_few_inducing_inputs(rng):
     assert_allclose(held, kernel.diag(X), rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("regressors", "message"),
-    [
-        ([3], "expected columns of X from 0 to 2"),
-        ([], "expected columns of X"),
-        ([0.5], "expected columns of X"),
-        (["alpha"], "expected columns of X"),
-    ],
-)
-def test_wrong_columns(regressors, message, data):
-    kernel = ConvolvedGaussian(1, regressors=regressors)
-    with pytest.raises(ValueError, match=message):
-        kernel.initialize(*data, 0)
-    with pytest.raises(ValueError, match=message):
-        DependentGPRegressor(kernel).fit(*data)
+@pytest.mark.parametrize("regressors", [[3], [], [0.5], ["alpha"]])
+def test_wrong_columns(regressors, data):
+    with pytest.raises(ValueError, match="expected columns of X from 0 to 2"):
+        ConvolvedGaussian(1, regressors=regressors).initialize(*data, 0)

@@ -337,8 +337,3 @@ class TestRefuses:
         idle = np.where(np.arange(8) == 6, 0.0, glider.slopes)
         with pytest.raises(ValueError, match="whose aileron does not change p"):
             fly(glider.model(idle), glider.aircraft, steady, FULL)
-
-    def test_a_path_without_a_posterior(self, glider, steady):
-        model = glider.model(has_paths=False)
-        with pytest.raises(ValueError, match="without posterior samples"):
-            fly(model, glider.aircraft, steady, FULL, path=3)

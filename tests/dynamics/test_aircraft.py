@@ -80,8 +80,17 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
         Aircraft.from_dict(GOOD).inertia[0, 0] = -1.0
 
 
-@pytest.mark.parametrize("name", ["mass", "wing_area", "span", "chord"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, 10**400, "heavy", None])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass", 0.0),
+        ("wing_area", np.nan),
+        ("span", np.inf),
+        ("chord", 10**400),
+        ("mass", "heavy"),
+        ("span", None),
+    ],
+)
 def test_sizes_must_be_positive_numbers(name, value):
     with pytest.raises(ValueError, match=f"Got {name}=.* expected a .*number > 0"):
         Aircraft.from_dict(without(**{name: value}))

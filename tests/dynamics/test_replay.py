@@ -11,12 +11,9 @@ STATES = ["v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r"]
 EVERY = ["north", "east", "down", *STATES]
 
 
-@pytest.mark.parametrize(("horizon", "tolerance"), [(0.5, 2e-3), (2.0, 2e-2), (10.0, 0.15)])
-def test_true_coefficients_follow_the_flight(
-    simulated, aircraft, true_coefficients, gravity, horizon, tolerance
-):
-    flown = replay(simulated, aircraft, true_coefficients, horizon=horizon, gravity=gravity)
-    assert_allclose(flown[EVERY], simulated[EVERY], atol=tolerance)
+def test_true_coefficients_follow_the_flight(simulated, aircraft, true_coefficients, gravity):
+    flown = replay(simulated, aircraft, true_coefficients, horizon=2.0, gravity=gravity)
+    assert_allclose(flown[EVERY], simulated[EVERY], atol=2e-2)
 
 
 def test_the_error_is_of_the_loads_interpolation_only(
@@ -89,10 +86,7 @@ def test_windows_start_at_complete_states_and_last_as_long_as_they_can(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        *(
-            ({"without": name}, f"lacks the columns '{name}'")
-            for name in ("phi", "v_east", "airspeed")
-        ),
+        ({"without": "v_east"}, "lacks the columns 'v_east'"),
         ({"coefficients": np.zeros((3, 6))}, r"shape \(3, 6\), but expected \(600, 6\)"),
         ({"horizon": 0.0}, "horizon=0.0"),
     ],

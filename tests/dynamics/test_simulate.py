@@ -382,7 +382,6 @@ class TestStarts:
         ({"phi": 0.1}, "lack 'airspeed'"),
         ({"airspeed": 20.0, "u": 19.0, "v": 1.0, "w": 3.0}, "lack 'alpha', 'beta'"),
         ({"airspeed": np.nan}, "expected a number > 0"),
-        ({"airspeed": 0.0}, "expected a number > 0"),
         ({"airspeed": 20.0, "aplha": 0.1}, "did you mean 'alpha'"),
         ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
         (np.zeros(12), r"shape \(12,\)"),
@@ -461,13 +460,12 @@ class TestEnsembles:
             alone = fly(glider.model(slopes[k]), duration=1.0)
             assert_allclose(path[STATES], alone[STATES], atol=1e-10)
 
-    @pytest.mark.parametrize("jump", [0.0, 0.05])
-    def test_paths_that_are_curved_follow_the_equations(self, aircraft, jump, fly, glider):
+    def test_paths_that_are_curved_follow_the_equations(self, aircraft, fly, glider):
         """Errors are of second order in the step, whatever bends: stall, damping, an elevator that jumps."""
 
         def inputs(t, state=None):
             values = commands(t)
-            return {**values, "elevator": values["elevator"] + np.interp(t, [1.0, 1.04], [0, jump])}
+            return {**values, "elevator": values["elevator"] + np.interp(t, [1.0, 1.04], [0, 0.05])}
 
         def curved(X):
             alpha, q, elevator = X[..., 0], X[..., 3], X[..., 5]

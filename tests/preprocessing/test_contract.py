@@ -32,13 +32,10 @@ TRANSFORMERS = [
     LagCorrector(),
     LagCorrector({"air": 0.08, "p": -0.03}),
     FlightPathReconstruction(),
-    FlightSmoother(),
     FlightSmoother(cutoff=4.0, derivatives=["p", "q", "r"]),
     ElevonSplitter(),
     RateNondimensionalizer(span=2.8, chord=1.2),
-    RegressorSelector(),
     RegressorSelector("paper"),
-    RegressorSelector(["alpha", "q"]),
 ]
 
 

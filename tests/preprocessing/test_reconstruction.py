@@ -178,27 +178,20 @@ class TestRecovery:
         assert_near(table, out, {"alpha": 0.003, "beta": 0.003})
         assert {"alpha", "beta", "alpha_dot", "beta_dot"} <= set(out)
 
-    @pytest.mark.parametrize("by_aircraft", [False, True])
-    def test_forces_are_moved_to_the_centre_of_gravity(self, by_aircraft):
+    def test_forces_are_moved_to_the_centre_of_gravity(self):
         """Sensors two metres ahead; their acceleration is that of the true rotation."""
-        table = flown(40.0)
+        table = flown(25.0)
         arm = np.array([2.0, 0.1, -0.2])
         omega = true(table, RATES)
         spin = CubicSpline(table["time"], omega)(table["time"], 1)
         far = table.copy()
         far[FORCES] += np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
-        options = {}
-        if by_aircraft:
-            options["aircraft"] = Aircraft(**SIZES, sensor_position=arm)
-        else:
-            far[POSITION] = arm
-        reconstruction = fitted(far, **options)
+        reconstruction = fitted(far, aircraft=Aircraft(**SIZES, sensor_position=arm))
         out = reconstruction.transform(far)
         assert_near(table, out, shares(0.2) | dict.fromkeys(FORCES, 0.08))
         assert_allclose(out[POSITION], 0.0)
         assert list(reconstruction.get_feature_names_out()) == list(out.columns)
-        unplaced = far.drop(columns=POSITION, errors="ignore")
-        wrong = path_of(unplaced)
+        wrong = path_of(far)
         for name in FORCES:
             assert error(table, wrong, name) > 1.8 * error(table, out, name)
 
@@ -221,12 +214,12 @@ class TestRecovery:
 
 class TestHonesty:
     def test_parts_of_a_long_flight_bound_the_memory_and_leave_no_seam(self):
-        """Paths differ by little of their error where parts of 1,000 rows meet."""
-        table = flown(120.0, gusts=0.5)
-        assert len(table) == 3000
-        reconstruction = fitted(table[:1000])
+        """Paths differ by little of their error where parts of 500 rows meet."""
+        table = flown(60.0, gusts=0.5)
+        assert len(table) == 1500
+        reconstruction = fitted(table[:500])
         found, peaks = [], []
-        for max_rows in (3000, 1000):
+        for max_rows in (1500, 500):
             reconstruction.set_params(max_rows=max_rows)
             tracemalloc.start()
             found.append(reconstruction.transform(table))
@@ -238,7 +231,7 @@ class TestHonesty:
             assert (parts[name] - whole[name]).std() < 0.1 * error(table, whole, name)
 
     def test_whether_paths_converged_travels_with_the_model(self):
-        table = flown(20.0)
+        table = flown(10.0)
         noise = default_rng(0).uniform(-3, 3, len(table))
         both = pd.concat([table.assign(flight="a"), table.assign(flight="b", psi=noise)])
         with pytest.warns(UserWarning, match="did not converge: b"):
@@ -247,7 +240,7 @@ class TestHonesty:
 
     def test_flights_are_not_mixed(self):
         one, reconstruction, alone = reconstructed(seconds=30.0)
-        two = flown(20.0, seed=1, gusts=0.3).assign(flight="two")
+        two = flown(6.0, seed=1, gusts=0.3).assign(flight="two")
         both = reconstruction.transform(pd.concat([one, two], ignore_index=True))
         apart = pd.concat([alone, reconstruction.transform(two)], ignore_index=True)
         assert_frame_equal(both, apart)
@@ -304,7 +297,7 @@ class TestInconsistent:
     """Whether the reconstruction is used: the truth, which the check does not see, says whether that is right."""
 
     def test_it_is_used_after_correction_of_lags(self):
-        table, _, best = reconstructed(gusts=0.3)
+        table, _, best = reconstructed(seconds=40.0, gusts=0.3)
         delayed = late(late(table, ATTITUDE, 0.2), VELOCITY, 0.3)
         steps = make_pipeline(LagCorrector(), FlightPathReconstruction(optional=True))
         out = steps.fit_transform(delayed)
@@ -312,7 +305,7 @@ class TestInconsistent:
         assert_near(table, out, {name: 1.1 * error(table, best, name) for name in AIR})
 
     def test_consistent_flights_are_reconstructed_as_without_the_check(self):
-        table, unchecked, out = reconstructed(gusts=0.3)
+        table, unchecked, out = reconstructed(seconds=40.0, gusts=0.3)
         checked = fitted(table, optional=True)
         assert checked.used_
         assert_frame_equal(checked.transform(table), out)
@@ -348,7 +341,7 @@ class TestInconsistent:
         assert error(table, path, "alpha") > error(table, smooth, "alpha")
 
     def test_one_filtered_sensor_of_air_data_does_not_decide(self):
-        table = flown(40.0, gusts=0.1)
+        table = flown(25.0, gusts=0.1)
         mean = table["airspeed"].rolling(9, center=True, min_periods=1).mean()
         filtered = table.assign(airspeed=mean)
         reconstruction = fitted(filtered, optional=True)
@@ -380,27 +373,25 @@ def test_gusts_are_told():
 
 
 class TestBadInput:
-    @pytest.mark.parametrize("name", PATH_CHANNELS)
-    def test_missing_column(self, name):
-        with pytest.raises(ValueError, match=f"lacks the columns '{name}'"):
-            fitted(flown(2.0).drop(columns=name))
+    def test_missing_column(self):
+        with pytest.raises(ValueError, match="lacks the columns 'phi'"):
+            fitted(flown(2.0).drop(columns="phi"))
 
     def test_silent_sensor_is_named_with_its_flight(self):
         with pytest.raises(ValueError, match="no value of v_east in flight 'one'"):
             fitted(flown(2.0).assign(v_east=np.nan))
 
-    @pytest.mark.parametrize("name", ["phi", "theta"])
-    def test_degrees(self, name):
-        table = flown(20.0)
+    def test_degrees(self):
+        table = flown(2.0)
         with pytest.raises(ValueError, match=r"numpy\.deg2rad"):
-            fitted(table.assign(**{name: np.rad2deg(table[name] + 1.0)}))
+            fitted(table.assign(theta=np.rad2deg(table["theta"] + 1.0)))
 
     def test_wrong_sign_shows_in_the_noise(self):
         table, right, _ = reconstructed(seconds=30.0)
         wrong = fitted(table.assign(q=-table.q))
         assert wrong.noise_std_["gyro"] > 10 * right.noise_std_["gyro"]
 
-    @pytest.mark.parametrize("rows", [1, 2, 5])
+    @pytest.mark.parametrize("rows", [1, 2])
     def test_very_short_flights(self, rows):
         out = path_of(flown(1.0)[:rows])
         out = out.drop(columns=["alpha_dot", "beta_dot"] if rows == 1 else [])

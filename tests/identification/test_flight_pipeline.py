@@ -36,12 +36,13 @@ def flights(first_minute):
 
 @pytest.fixture(scope="module")
 def model(flights, cut_short):
-    targets = thin_targets(aerodynamic_coefficients(flights.train, flights.aircraft), 60)
+    train = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 60)
     pipeline = make_identification_pipeline(
         flights.aircraft, regressor=DependentGPRegressor(**QUICK)
     )
     with cut_short():
-        return pipeline.fit(flights.train, targets)
+        return pipeline.fit(train, targets)
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +158,7 @@ class TestPredict:
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""
-        train, test = flights.train.iloc[:1200], flights.test.iloc[:1200]
+        train, test = flights.train.iloc[:500], flights.test.iloc[:400]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
@@ -182,7 +183,7 @@ class TestLeastSquares:
 
 @pytest.mark.parametrize(
     ("of_throttle", "of_airspeed", "expected"),
-    [(0.0, 0.0, set()), (1.0, 0.0, {"throttle"}), (1.0, 0.5, {"throttle", "airspeed"})],
+    [(0.0, 0.0, set()), (1.0, 0.5, {"throttle", "airspeed"})],
 )
 def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coefficients(
     of_throttle, of_airspeed, expected
@@ -265,14 +266,14 @@ def test_fit_transform_removes_the_errors_that_it_finds(flights):
 
 @pytest.mark.usefixtures("no_mechanics")
 def test_vibration_does_not_bias_slopes_of_identify(flights):
-    train = flights.train[flights.train["flight"] == "latlon"]
+    train = flights.train[flights.train["flight"] == "latlon"][:1200]
     regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
     with pytest.warns(UserWarning, match="vibrate beyond 5 Hz"):
         result = identify(
             shaken(train),
             flights.aircraft,
             test=shaken(flights.test.iloc[:400]),
-            samples=200,
+            samples=150,
             regressor=regressor,
             horizons=[2.0],
         )
@@ -285,11 +286,11 @@ def test_vibration_does_not_bias_slopes_of_identify(flights):
 
 
 def test_vibration_does_not_bias_slopes_of_a_pipeline(flights):
-    train = flights.train[flights.train["flight"] == "latlon"]
+    train = flights.train[flights.train["flight"] == "latlon"][:1200]
     Y = aerodynamic_coefficients(shaken(train), flights.aircraft)
     regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
     pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor)
-    pipeline.fit(shaken(train), thin_targets(Y, 200))
+    pipeline.fit(shaken(train), thin_targets(Y, 150))
     assert_slopes_of_truth(learned_slopes(pipeline), train)
     assert_first_steps_give_the_regressors(pipeline, shaken(flights.test[:400]))
 

@@ -31,7 +31,6 @@ from skdgp.identification import (
     load_model,
     named_flights,
     save_model,
-    validate,
 )
 from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -108,7 +107,7 @@ class TestPipeline:
 
     @pytest.mark.usefixtures("short_fits")
     def test_a_grid_reaches_every_step(self, tmp_path, flights, delta):
-        table, Y = flights()
+        table, Y = flights(150)
         model = make_identification_pipeline(delta, regressor=QUICK, memory=str(tmp_path))
         grid = [
             {
@@ -176,15 +175,6 @@ def test_few_rows_are_among_the_messages(result):
 BARE = pd.DataFrame({"time": [0.0, 0.1], "flight": "bare", "alpha": 0.0})
 
 
-def numbers(tree):
-    """Every number of nested dictionaries and lists."""
-    for value in tree.values() if isinstance(tree, dict) else tree:
-        if isinstance(value, dict | list):
-            yield from numbers(value)
-        elif isinstance(value, int | float):
-            yield value
-
-
 @pytest.mark.usefixtures("short_fits", "no_mechanics")
 class TestIdentify:
     def test_gives_a_model_its_scores_and_its_facts(self, result):
@@ -228,12 +218,6 @@ class TestIdentify:
         expected = result.pipeline.predict(example[2])
         assert_allclose(model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13)
         assert model.fit == result.fit.to_dict()
-        judged = validate(model, example[2], horizons=[1.0])
-        assert judged.metrics["test"].keys() == result.metrics["test"].keys()
-        found, expected = (list(numbers(one.metrics["test"])) for one in (judged, result))
-        assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
-        shown = {"converged": judged.pipeline[-1].converged_}
-        assert judged.metrics["fit"] == result.metrics["fit"] | shown
         assert json.loads((folder / "metrics.json").read_text()) == result.metrics
         assert "two_altitudes" in (folder / "report.html").read_text(encoding="utf-8")
 
@@ -343,24 +327,17 @@ def another_model(data, *change):
     return closed(data, data[: data.rindex(MAGIC)].replace(*change))
 
 
-RUBBISH = (
-    b"[1]",
-    b"7",
-    b"[" * 10000,
-    b'{"format": 2}',
-    b'{"format": 2, "versions": 7, "bytes": 1}',
-)
-OTHERS = (None, {"pipeline": 1}, Bunch(), Bunch(pipeline=None, aircraft=GLIDER),
-          Bunch(pipeline=QUICK, aircraft=GLIDER))  # fmt: skip
+RUBBISH = b"[1]", b"[" * 10000, b'{"format": 2, "versions": 7, "bytes": 1}', b"\xff"
+OTHERS = None, {"pipeline": 1}, Bunch(pipeline=QUICK, aircraft=GLIDER)
 DAMAGED = [
     *((lambda data, share=share: data[: int(share * len(data))], r"not a whole skdgp model.*cut off")
-      for share in (0.0, 0.01, 0.5, 0.999)),
+      for share in (0.5, 0.999)),
     *((lambda data, rubbish=rubbish: data + MAGIC + rubbish, "not a whole skdgp model")
-      for rubbish in (*RUBBISH, b"\xff")),
+      for rubbish in RUBBISH),
     *((lambda data, content=content: closed(data, pickle.dumps(content)),
        r"which holds \w+, but expected a fitted pipeline and its aircraft") for content in OTHERS),
     *((lambda data, content=content: content, f"{len(content)} bytes.*Expected a file that skdgp")
-      for content in (b"", b"time,alpha\n0,1\n", b"\x80\x04", bytes(range(256)) * 100)),
+      for content in (b"", b"time,alpha\n0,1\n")),
     (lambda data: closed(data, format=99), r"format 99.*reads format 8: fit it again"),
     (lambda data: another_model(data, b"skdgp._regressor", b"skdgp._regresser"),
      r"written with the versions .*cannot be read here .*No module"),
@@ -451,9 +428,7 @@ class TestModelFile:
         ):
             assert load_model(model_file).aircraft == delta
 
-    @pytest.mark.parametrize(
-        ("pipeline", "aircraft"), [(QUICK, GLIDER), ("model", GLIDER), (None, None)]
-    )
+    @pytest.mark.parametrize(("pipeline", "aircraft"), [(QUICK, GLIDER), (None, None)])
     def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft):
         with pytest.raises(
             TypeError, match=r"expected a fitted pipeline and its Aircraft: call fit first"

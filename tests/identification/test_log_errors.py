@@ -11,7 +11,6 @@ from scipy.ndimage import gaussian_filter1d
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
@@ -131,8 +130,8 @@ def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
     assert "std_aircraft" not in table
 
 
-def test_a_corrected_flight_is_not_corrected_again():
-    flight = load_example_flights().test.iloc[:120]
+def test_a_corrected_flight_is_not_corrected_again(first_minute):
+    flight = first_minute().test[:120]
     pipeline = FlightPipeline([("flightpathreconstruction", FlightPathReconstruction())])
     pipeline.fit_transform(flight)
     known = reconstructed(pipeline, flight)["airspeed"]

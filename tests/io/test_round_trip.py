@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from skdgp.io import read_flight
 
-FEW = settings(max_examples=60)
+FEW = settings(max_examples=30)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, width=64)
 FLIGHTS = ["=1+1", "-1", "a", "007", "1e3", "Höhe 3", "a, b", "x;y", 'the "last"']
 STRANGE = ["wind, left", 'a "b"', "two\nlines", "x;y", "plain", "tab\there", "[deg]"]

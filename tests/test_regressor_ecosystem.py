@@ -134,7 +134,7 @@ class TestFreshProcess:
 def logged(request):
     """A model of a time series with noisy regressors, and its samples; an average has two searches."""
     inference, structure, gaps = request.param
-    n = {"average": 1000, "joint": 300}[structure]
+    n = {"average": 600, "joint": 300}[structure]
     rng = default_rng(0)
     time = 0.1 * np.arange(n)
     X = np.sin(np.outer(time, [0.3, 0.7, 1.1]))

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings(
     "ignore:.*inducing inputs leave",
     "ignore:.* samples repeat another",
 )
-EXAMPLES = settings(max_examples=15)
+EXAMPLES = settings(max_examples=10)
 INFERENCE = st.sampled_from(["exact", "sparse"])
 
 

@@ -47,7 +47,7 @@ def model(flights, cut_short):
 
 @pytest.fixture(scope="module")
 def test_flight(flights):
-    return flights.test.iloc[:400]
+    return flights.test.iloc[:200]
 
 
 # Columns of the example flights whose sign changes in a mirror at the x-z plane
@@ -120,8 +120,8 @@ class TestPredict:
         assert_allclose(model.predict(test_flight), mean, atol=1e-10)
 
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
-        noise = default_rng(0).normal(0.0, 0.3, 400)
-        slow = test_flight.assign(airspeed=np.where(np.arange(400) < 200, noise, 30.0 + noise))
+        noise = default_rng(0).normal(0.0, 0.3, 200)
+        slow = test_flight.assign(airspeed=np.where(np.arange(200) < 100, noise, 30.0 + noise))
         for use in (
             model.predict,
             partial(model.predict, return_std=True),
@@ -141,7 +141,7 @@ class TestPredict:
         train = flights.train[:400]
         linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
         linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-        assert linear.predict(test_flight).shape == (400, 6)
+        assert linear.predict(test_flight).shape == (200, 6)
         with pytest.raises(TypeError, match="return_std"):
             linear.predict(test_flight, return_std=True)
 
@@ -189,7 +189,7 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
     of_throttle, of_airspeed, expected
 ):
     rng = default_rng(0)
-    n = 400
+    n = 250
     names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
     # slow drifts, which lead a model of blocks astray if nothing stands behind them
     drifts = np.cumsum(rng.normal(size=(n, 2)), axis=0) / 20

@@ -246,8 +246,7 @@ class TestHonesty:
         assert_frame_equal(both, apart)
 
     def test_rates_of_change(self):
-        table = flown(40.0)
-        out = path_of(table)
+        table, _, out = reconstructed()
         for name in ("alpha", "beta"):
             truth = CubicSpline(table.time, table[f"{name}_true"])(table.time, 1)
             assert np.std(out[f"{name}_dot"] - truth) < 0.12 * truth.std()  # gyros as they are

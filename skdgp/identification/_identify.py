@@ -97,7 +97,7 @@ def identify(
     ...     example.aircraft,
     ...     test=example.test,
     ...     samples=40,
-    ...     regressor=DependentGPRegressor(structure="joint", n_latent=1, max_iter=10, random_state=0),
+    ...     regressor=DependentGPRegressor(structure="trend", random_state=0),
     ...     horizons=[2.0],
     ... )
     >>> result.fit.training.samples, sorted(result.metrics["test"])

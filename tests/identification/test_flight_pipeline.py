@@ -68,6 +68,7 @@ ODD = [
 ]
 
 
+@pytest.mark.slow
 def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
     """The mirrored aircraft on mirrored flights has the mirrored coefficients, with the same deviations.
 

@@ -297,6 +297,7 @@ class TestSimulation:
         found = errors_of(glide(aileron=doublet)).loc[["phi", "p"]]
         assert (found["lasts"] == found["horizon"]).all()
 
+    @pytest.mark.slow
     def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
         wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
         gusty = glide(40.0, air=Air(wind, gusts=None))

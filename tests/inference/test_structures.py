@@ -80,6 +80,7 @@ def test_outputs_that_are_not_translated_have_no_shift():
     assert not process_of(model).value("shift").any()
 
 
+@pytest.mark.slow
 def test_noisy_copies_learn_from_the_exact_one():
     """Of four copies one has little noise: widths that copies share make the others as exact."""
     rng = np.random.default_rng(2)

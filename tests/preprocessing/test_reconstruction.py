@@ -397,6 +397,7 @@ class TestBadInput:
         assert np.isfinite(out.select_dtypes("number").to_numpy()).all()
 
 
+@pytest.mark.slow
 def test_calm_flight_of_jsbsim_after_a_gusty_one(jsbsim_flight):
     """The noise is that of the sensors' data sheet."""
     train, test = (jsbsim_flight("c172p", air) for air in ("light", "calm"))

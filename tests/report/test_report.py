@@ -241,6 +241,7 @@ class TestPictures:
         assert slope < 0
         assert np.abs(y - slope * seen - intercept).max() < 0.02 * 72
 
+    @pytest.mark.slow
     def test_twelve_minutes_stay_under_two_megabytes_by_the_liveliest_seconds(self):
         """The estimates move from 400 to 415 s alone; the axis of time shows these."""
         n = 28_800
